@@ -1,0 +1,92 @@
+"""Every error the library raises on purpose.
+
+Each class is a :class:`FideError` and also the builtin exception a reader of Python would expect,
+so ``except ValueError`` and ``except FideError`` both work.  A message states the rule that was
+broken, the value that broke it, and the remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = [
+    "CheckpointError",
+    "DependencyError",
+    "DeviceError",
+    "FideError",
+    "ImageError",
+    "LossError",
+    "OptionError",
+    "PointsError",
+    "ProtocolError",
+    "RenderError",
+    "UnknownNameError",
+    "WeightsError",
+    "WeightsMismatchError",
+    "WeightsNotFoundError",
+]
+
+
+class FideError(Exception):
+    """Base of every error raised on purpose by this library."""
+
+
+class ImageError(FideError, ValueError):
+    """A target or a batch of images has the wrong shape, type or values."""
+
+
+class PointsError(FideError, ValueError):
+    """Points of the unit cube have the wrong shape, type or values."""
+
+
+class LossError(FideError, ValueError):
+    """Loss values have the wrong number, type or values."""
+
+
+class OptionError(FideError, ValueError):
+    """An option is unknown, out of its range, or contradicts another."""
+
+
+class UnknownNameError(OptionError):
+    """A name is in no registry."""
+
+    @classmethod
+    def of(cls, kind: str, name: object, known: Iterable[str]) -> UnknownNameError:
+        """Error for `name`, which is no `kind`; lists the `known` names and the closest one."""
+        names = sorted(known)
+        close = get_close_matches(str(name), names, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        return cls(f"unknown {kind} {name!r}: known are {', '.join(names) or 'none'}{hint}")
+
+
+class ProtocolError(FideError, RuntimeError):
+    """Methods were called in an order that has no meaning, such as `recommend` before `tell`."""
+
+
+class RenderError(FideError, RuntimeError):
+    """The user's renderer failed."""
+
+
+class DeviceError(FideError, ValueError):
+    """A compute device is unknown or absent from this machine."""
+
+
+class DependencyError(FideError, ImportError):
+    """An optional package is needed and not installed."""
+
+
+class WeightsError(FideError, OSError):
+    """Base of what can be wrong with a file of network weights."""
+
+
+class WeightsNotFoundError(WeightsError, FileNotFoundError):
+    """A file of network weights is not where it was looked for."""
+
+
+class WeightsMismatchError(WeightsError, ValueError):
+    """A file of network weights is damaged or belongs to another network."""
+
+
+class CheckpointError(FideError, ValueError):
+    """A checkpoint is cut short, damaged, of another version or of another kind."""
