@@ -16,6 +16,7 @@ __all__ = [
     "DeviceError",
     "FideError",
     "ImageError",
+    "ImageNotFoundError",
     "LossError",
     "OptionError",
     "PointsError",
@@ -34,6 +35,10 @@ class FideError(Exception):
 
 class ImageError(FideError, ValueError):
     """A target or a batch of images has the wrong shape, type or values."""
+
+
+class ImageNotFoundError(ImageError, FileNotFoundError):
+    """A path given as an image leads to no file."""
 
 
 class PointsError(FideError, ValueError):
