@@ -54,15 +54,17 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Import the submodule or class `name` the first time somebody asks for it (PEP 562)."""
-    if name in _SUBMODULES:
-        return import_module(f".{name}", __name__)
-    if name in _ATTRIBUTES:
-        value = getattr(import_module(_ATTRIBUTES[name], __name__), name)
-        globals()[name] = value
-        return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:  # a type checker would take every name for one that exists
+
+    def __getattr__(name: str) -> Any:
+        """Import the submodule or class `name` the first time somebody asks for it (PEP 562)."""
+        if name in _SUBMODULES:
+            return import_module(f".{name}", __name__)
+        if name in _ATTRIBUTES:
+            value = getattr(import_module(_ATTRIBUTES[name], __name__), name)
+            globals()[name] = value
+            return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

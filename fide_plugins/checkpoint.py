@@ -1,0 +1,215 @@
+"""One file for the state of anything that must go on later, bit for bit, without pickle.
+
+A state is a nested dict or list of arrays (NumPy; PyTorch tensors come back as NumPy), int, float,
+str, bool and None.  The file is
+
+    magic (8 bytes) | version (u32) | length of body (u64) | BLAKE2b of body (32) | body
+
+little endian, and the body is the length (u64) of a JSON tree, that tree, and the raw bytes of all
+arrays, each at an offset divisible by 64.  Numbers keep every bit: floats are stored as the 16
+hexadecimal digits of their IEEE 754 form (so -0.0, infinities and the payload of a NaN survive),
+and integers have no limit (the state of a NumPy generator holds 128-bit ones).
+
+The file may come from anywhere: nothing in it is executed, and every length, shape and offset is
+checked against the bytes that are really there before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import struct
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from .errors import CheckpointError
+from .files import atomic_writer
+
+__all__ = ["VERSION", "read", "write"]
+
+VERSION = 1
+_MAGIC = b"\x89FIDE\r\n\x1a"
+_HEADER = struct.Struct("<8sIQ32s")
+_LENGTH = struct.Struct("<Q")
+_ALIGNMENT = 64
+_DTYPE = re.compile(r"[<>|][biufc][0-9]{1,2}|[<>]U[0-9]{1,9}|\|S[0-9]{1,9}")
+
+
+def write(path: str | os.PathLike[str], kind: str, state: dict[str, Any]) -> None:
+    """Write `state` to `path` atomically, marked as a checkpoint of this `kind`.
+
+    Raises TypeError, naming the place in the state, for a value that is none of the above; OSError
+    if the file cannot be written.  In both cases a file that was at `path` is untouched.
+    """
+    arrays: list[np.ndarray[Any, Any]] = []
+    tree = {"kind": kind, "state": _encode(state, "state", arrays)}
+    tree["arrays"] = [[a.dtype.str, list(a.shape)] for a in arrays]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    parts: list[bytes | memoryview] = [_LENGTH.pack(len(text)), text]
+    position = _LENGTH.size + len(text)
+    for array in arrays:
+        padding = -position % _ALIGNMENT
+        parts += [bytes(padding), _raw(array)]
+        position += padding + array.nbytes
+    digest = hashlib.blake2b(digest_size=32)
+    for part in parts:
+        digest.update(part)
+    with atomic_writer(path) as file:
+        file.write(_HEADER.pack(_MAGIC, VERSION, position, digest.digest()))
+        for part in parts:
+            file.write(part)
+
+
+def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
+    """State that :func:`write` stored at `path` as a checkpoint of this `kind`.
+
+    Raises OSError if there is no such file, and CheckpointError (a ValueError) if it is not a
+    checkpoint, or one that was cut short, damaged, or is of another version or kind.
+    """
+    name = os.fspath(path)
+    body = _body(name, Path(path).read_bytes())
+    try:
+        (length,) = _LENGTH.unpack_from(body)
+        if length > len(body) - _LENGTH.size:
+            _refuse(name, "its table of contents is longer than the file")
+        tree = json.loads(bytes(body[_LENGTH.size : _LENGTH.size + length]))
+        if tree["kind"] != kind:
+            _refuse(name, f"it is of the kind {tree['kind']!r}, not {kind!r}", "load it there")
+        arrays = _arrays(name, body, _LENGTH.size + length, tree["arrays"])
+        state = _decode(tree["state"], arrays)
+    except CheckpointError:
+        raise
+    except (ValueError, TypeError, KeyError, IndexError, struct.error, RecursionError) as error:
+        raise CheckpointError(f"{name}: a checkpoint with impossible contents ({error})") from error
+    if not isinstance(state, dict):
+        _refuse(name, f"its state is a {type(state).__name__}, not a dict")
+    return state
+
+
+def _refuse(name: str, why: str, remedy: str = "start again, or use an earlier copy") -> NoReturn:
+    raise CheckpointError(f"{name}: cannot load this checkpoint: {why}; {remedy}")
+
+
+def _body(name: str, data: bytes) -> memoryview:
+    """What follows the header, once magic, version, length and checksum agree."""
+    if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
+        _refuse(name, "it is not a FIDE checkpoint", "name a file that `save` wrote")
+    if len(data) < _HEADER.size:
+        _refuse(name, f"it was cut short after {len(data)} bytes")
+    _, version, length, checksum = _HEADER.unpack_from(data)
+    if version != VERSION:
+        remedy = "load it with the version of the library that wrote it"
+        _refuse(name, f"its format is version {version} and this is {VERSION}", remedy)
+    body = memoryview(data)[_HEADER.size :]
+    if len(body) < length:
+        _refuse(name, f"it was cut short: {len(body)} of {length} bytes are there")
+    if len(body) > length:
+        _refuse(name, f"{len(body) - length} bytes follow its end")
+    if hashlib.blake2b(body, digest_size=32).digest() != checksum:
+        _refuse(name, "its checksum is wrong, so some of its bytes were changed")
+    return body
+
+
+def _arrays(
+    name: str, body: memoryview, position: int, table: list[list[Any]]
+) -> list[np.ndarray[Any, Any]]:
+    """Copies of the arrays that `table` ([dtype, shape] each) describes, from `position` on."""
+    arrays = []
+    for dtype_name, shape in table:
+        if not isinstance(dtype_name, str) or not _DTYPE.fullmatch(dtype_name):
+            _refuse(name, f"an array has the type {dtype_name!r}")
+        if not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 32:
+            _refuse(name, f"an array has the shape {shape!r}")
+        dtype = np.dtype(dtype_name)
+        count = math.prod(shape)
+        position += -position % _ALIGNMENT
+        if count * dtype.itemsize > len(body) - position:
+            _refuse(name, f"an array of shape {shape!r} is larger than the file")
+        flat = np.frombuffer(body, dtype, count, position) if count else np.empty(0, dtype)
+        arrays.append(flat.reshape(shape).copy())
+        position += count * dtype.itemsize
+    if position != len(body):
+        _refuse(name, "its arrays do not fill the file")
+    return arrays
+
+
+def _raw(array: np.ndarray[Any, Any]) -> memoryview:
+    """Bytes of a C-contiguous array, without a copy."""
+    return array.reshape(-1).view(np.uint8).data if array.nbytes else memoryview(b"")
+
+
+def _encode(value: Any, place: str, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    """`value` as JSON; arrays are appended to `arrays` and stand in the tree by their number.
+
+    None, bool, str and ints of 64 bits stand for themselves; everything else is a tagged list.
+    """
+    if isinstance(value, np.generic):
+        value = _scalar(value, place)
+    if value is None or isinstance(value, bool | str):
+        return str(value) if isinstance(value, str) else value
+    if isinstance(value, int):
+        return int(value) if -(2**63) <= value < 2**63 else ["i", hex(value)]
+    if isinstance(value, float):
+        return ["f", struct.pack(">d", value).hex()]
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{place}: a key of a checkpoint is a str, not {key!r}")
+        items = {str(k): _encode(v, f"{place}[{k!r}]", arrays) for k, v in value.items()}
+        return ["d", items]
+    if isinstance(value, list | tuple):
+        return ["l", [_encode(v, f"{place}[{i}]", arrays) for i, v in enumerate(value)]]
+    arrays.append(_array(value, place))
+    return ["a", len(arrays) - 1]
+
+
+def _scalar(value: np.generic, place: str) -> bool | int | float | str:
+    """A NumPy scalar as the Python scalar of the same value."""
+    item = value.item()
+    if isinstance(item, bool | int | float | str):
+        return item
+    raise TypeError(f"{place}: a checkpoint cannot hold a {type(value).__name__}; make it an array")
+
+
+def _array(value: Any, place: str) -> np.ndarray[Any, Any]:
+    """`value`, an array or a tensor, as a C-contiguous array on this machine."""
+    torch = sys.modules.get("torch")  # whoever holds a tensor has imported it
+    if torch is not None and isinstance(value, torch.Tensor):
+        try:
+            value = value.detach().cpu().numpy()
+        except TypeError as error:
+            raise TypeError(f"{place}: a checkpoint cannot hold a tensor: {error}") from error
+    if not isinstance(value, np.ndarray) or isinstance(value, np.ma.MaskedArray):
+        raise TypeError(
+            f"{place}: a checkpoint holds arrays, tensors, int, float, str, bool, None, dict and "
+            f"list, not {type(value).__name__}"
+        )
+    if not _DTYPE.fullmatch(value.dtype.str):
+        raise TypeError(f"{place}: a checkpoint cannot hold an array of type {value.dtype}")
+    return np.asarray(value, order="C")
+
+
+def _decode(node: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
+    """Value of which :func:`_encode` made `node`."""
+    if node is None or isinstance(node, bool | int | str):
+        return node
+    tag, content = node
+    match tag:
+        case "f":
+            (number,) = struct.unpack(">d", bytes.fromhex(content))
+            return number
+        case "i":
+            return int(content, 16)
+        case "d":
+            return {key: _decode(child, arrays) for key, child in content.items()}
+        case "l":
+            return [_decode(child, arrays) for child in content]
+        case "a" if type(content) is int and content >= 0:
+            return arrays[content]
+    raise ValueError(f"unknown entry {tag!r}")

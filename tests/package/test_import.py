@@ -1,0 +1,43 @@
+"""The package as a whole: it imports quickly, names what it has, and says its version once."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import subprocess
+import sys
+
+import pytest
+
+import fide_plugins
+
+PROBE = """
+import sys, time
+start = time.perf_counter()
+import fide_plugins
+seconds = time.perf_counter() - start
+heavy = {"torch", "numpy", "scipy", "cv2", "matplotlib", "cma", "kornia", "numba"}
+print(seconds, *sorted(heavy & set(sys.modules)))
+"""
+
+
+def test_importing_takes_no_time_and_loads_nothing() -> None:
+    results = []
+    for _ in range(3):  # the best of three: other processes share this machine
+        output = subprocess.run(
+            [sys.executable, "-c", PROBE], capture_output=True, text=True, check=True
+        )
+        seconds, *heavy = output.stdout.split()
+        assert heavy == []
+        results.append(float(seconds))
+    assert min(results) < 0.2
+
+
+def test_submodules_are_loaded_on_demand() -> None:
+    assert set(fide_plugins.__all__) <= set(dir(fide_plugins))
+    assert fide_plugins.checkpoint.VERSION == 1
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = fide_plugins.nothing
+
+
+def test_version() -> None:
+    assert fide_plugins.__version__ == importlib.metadata.version("fide-plugins")
