@@ -1,0 +1,136 @@
+"""The `dense` encoder: hand-made features of a grid of patches, without weights.
+
+Notation
+--------
+H, W     height and width of the image, pixels
+gh, gw   rows and columns of patches; T = gh gw <= 256
+S = 4    samples along the side of a patch; a sample is the mean color of its box of pixels
+
+The image is averaged to 4 gh x 4 gw samples, exactly, also where boxes cut through pixels; all
+features come from these, which makes them fast and averages out most of a renderer's noise.  A
+square image has 14 x 14 patches, whatever its resolution; other shapes get as many of the same
+area, `grid` gives the rule.
+
+Channels of a token (C = 20)
+
+======  ======================================================================  ============
+0-2     mean R, G, B                                                            [0, 1]
+3-5     right half minus left half of the patch, for R, G, B                    [-1, 1]
+6-8     lower half minus upper half                                             [-1, 1]
+9-11    one diagonal pair of quarters minus the other (upper left positive)     [-1, 1]
+12-15   edges of the luminance, 4 samples a side: vertical, horizontal, along   [0, sqrt 2]
+        the main diagonal, along the other
+16-19   the same with 2 samples a side                                          [0, sqrt 2]
+======  ======================================================================  ============
+
+Channels 0-2 are a promise: they stay the mean color of the patch in every version, so a linear
+model may rely on them.  Channels 0-11 are linear in the image and together are the mean colors of
+the four quarters.  Edges: with g the gradient of the luminance and theta its angle, |g| cos 2 theta
+and |g| sin 2 theta are each split in positive and negative part and averaged over the patch, so
+opposite contrasts do not cancel, unlike in channels 3-11.  A constant image has zeros in 3-19.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import sqrt
+from typing import ClassVar
+
+import torch
+
+from fide_plugins.encoders.base import PatchEncoder
+
+__all__ = ["DenseEncoder", "grid"]
+
+SIDE = 14  # patches along the side of a square image
+MAX_TOKENS = 256
+SAMPLES = 4
+CHANNELS = 20
+LUMINANCE = (0.299, 0.587, 0.114)  # Rec. 601
+
+
+def grid(height: int, width: int) -> tuple[int, int]:
+    """Rows and columns of patches for an image of that size.
+
+    14 sqrt(H/W) rows and 14 sqrt(W/H) columns, rounded, which makes patches square; then at least
+    one and at most one per pixel; then the longer side is cut so that there are at most 256.
+
+    >>> grid(224, 224), grid(480, 640), grid(16, 4096), grid(1, 1)
+    ((14, 14), (12, 16), (1, 224), (1, 1))
+    """
+    rows = min(max(round(SIDE * sqrt(height / width)), 1), height)
+    columns = min(max(round(SIDE * sqrt(width / height)), 1), width)
+    if rows >= columns:
+        return min(rows, MAX_TOKENS // columns), columns
+    return rows, min(columns, MAX_TOKENS // rows)
+
+
+@lru_cache(maxsize=64)
+def box_weights(pixels: int, boxes: int, device: torch.device) -> torch.Tensor:
+    """Weights [boxes, pixels] of the means over `boxes` equal parts of a row of pixels.
+
+    The weight of a pixel is the share of the box that it covers, so rows sum to 1.
+    """
+    edges = torch.arange(boxes + 1, dtype=torch.float64) * (pixels / boxes)
+    left = torch.arange(pixels, dtype=torch.float64)
+    overlap = torch.minimum(edges[1:, None], left + 1) - torch.maximum(edges[:-1, None], left)
+    return (overlap.clamp(min=0) * (boxes / pixels)).to(device, torch.float32)
+
+
+class DenseEncoder(PatchEncoder):
+    """Mean color, color contrasts and edge energies of patches; see the module for the channels."""
+
+    name: ClassVar[str] = "dense"
+    version: ClassVar[str] = "dense-1"
+
+    def shape(self, height: int, width: int) -> tuple[int, int]:
+        """(T, C) = (gh gw, 20)."""
+        rows, columns = grid(height, width)
+        return rows * columns, CHANNELS
+
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
+        rows, columns = grid(images.shape[1], images.shape[2])
+        samples = _samples(images, SAMPLES * rows, SAMPLES * columns)  # (n, 3, 4 gh, 4 gw)
+        quarters = _mean2x2(samples)  # (n, 3, 2 gh, 2 gw)
+        weights = samples.new_tensor(LUMINANCE)[:, None, None]
+        features = [
+            *_haar(quarters),
+            _edges((samples * weights).sum(1), SAMPLES),
+            _edges((quarters * weights).sum(1), SAMPLES // 2),
+        ]
+        return torch.cat(features, dim=1).flatten(2).transpose(1, 2)  # (n, T, C)
+
+
+def _samples(images: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
+    """Box means (n, 3, rows, columns) of images (n, H, W, 3)."""
+    n, height, width, _ = images.shape
+    down = box_weights(height, rows, images.device)
+    across = box_weights(width, columns, images.device)
+    halfway = torch.matmul(down, images.reshape(n, height, width * 3))  # (n, rows, W 3)
+    halfway = halfway.reshape(n, rows, width, 3).permute(0, 3, 1, 2)
+    return torch.matmul(halfway, across.T).clamp(0.0, 1.0)
+
+
+def _mean2x2(x: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.avg_pool2d(x, 2)
+
+
+def _haar(quarters: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Mean, horizontal, vertical and diagonal difference of 2x2 blocks: four of (n, 3, gh, gw)."""
+    top, bottom = quarters[..., ::2, :], quarters[..., 1::2, :]
+    a, b, c, d = top[..., ::2], top[..., 1::2], bottom[..., ::2], bottom[..., 1::2]
+    mean = ((a + d) + (b + c)) / 4
+    return mean, ((b + d) - (a + c)) / 2, ((c + d) - (a + b)) / 2, ((a + d) - (b + c)) / 2
+
+
+def _edges(luminance: torch.Tensor, side: int) -> torch.Tensor:
+    """Edge energies (n, 4, gh, gw) of luminance (n, h, w) with `side` samples a patch."""
+    padded = torch.nn.functional.pad(luminance[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+    gx = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
+    gy = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
+    norm = (gx.square() + gy.square()).sqrt().clamp(min=1e-12)
+    along = (gx.square() - gy.square()) / norm  # |g| cos 2 theta
+    across = 2 * gx * gy / norm  # |g| sin 2 theta
+    # main diagonal: the gradient of an edge along it points at -45 degrees (y counts downwards)
+    split = torch.stack([along, -along, -across, across], dim=1).clamp(min=0)
+    return torch.nn.functional.avg_pool2d(split, side)

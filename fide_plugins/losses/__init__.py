@@ -1,0 +1,73 @@
+"""Losses: how far images are from the target.
+
+A loss is made for one target and called with images; it gives a float64 array (n,), which is
+zero where an image equals the target.  The value of an image does not depend on the others of
+its batch.
+
+    >>> import numpy as np
+    >>> from fide_plugins import losses
+    >>> losses.names()
+    ['mse']
+    >>> mse = losses.make("mse", np.zeros((8, 8, 3)))
+    >>> mse(np.full((2, 8, 8, 3), 0.5))
+    array([0.25, 0.25])
+
+Any callable from images to n numbers is a loss as well, :func:`resolve` makes them alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from fide_plugins.errors import LossError
+from fide_plugins.registry import Registry
+
+if TYPE_CHECKING:
+    from fide_plugins.losses.base import ImageLoss, LossOfTarget
+
+__all__ = ["make", "names", "register", "resolve"]
+
+_REGISTRY: Registry[LossOfTarget] = Registry("loss")
+
+
+def names() -> list[str]:
+    """Names of all losses, sorted."""
+    return _REGISTRY.names()
+
+
+def make(name: str, target: object, **options: object) -> LossOfTarget:
+    """Loss of that name for `target`, which is anything that `as_target` takes.
+
+    Raises `UnknownNameError`, which lists the known names, or `ImageError`.
+    """
+    return _REGISTRY.make(name, target, **options)
+
+
+def register(name: str, factory: Callable[..., LossOfTarget] | str) -> None:
+    """Make `factory(target, **options)`, or the one at ``"module:attribute"``, known."""
+    _REGISTRY.register(name, factory)
+
+
+def resolve(loss: str | Callable[..., object] | None, target: object) -> ImageLoss:
+    """Loss from what a user may give: a name, None for "mse", or a callable images -> (n,).
+
+    A loss that was made by `make` must be one for this target's size.  The values of any other
+    callable are checked each time: n real numbers, or `LossError`.  NaN and infinity are values.
+    """
+    from fide_plugins.losses.base import CallableLoss, LossOfTarget
+
+    if loss is None or isinstance(loss, str):
+        return make("mse" if loss is None else loss, target)
+    if isinstance(loss, LossOfTarget):
+        loss.check_target(target)
+        return loss
+    if not callable(loss):
+        raise LossError(
+            f"a loss is a name ({', '.join(names())}), a callable images -> (n,), or None, "
+            f"got {loss!r}"
+        )
+    return CallableLoss(loss, target)
+
+
+register("mse", "fide_plugins.losses.mse:MeanSquaredError")

@@ -1,0 +1,22 @@
+"""The `mse` loss: mean squared error over pixels and channels, in float64."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from fide_plugins.images import Float32
+from fide_plugins.losses.base import LossOfTarget
+
+__all__ = ["MeanSquaredError"]
+
+
+class MeanSquaredError(LossOfTarget):
+    """sum (image - target)^2 / (3 H W), each difference and the sum in float64."""
+
+    name: ClassVar[str] = "mse"
+
+    def _distance(self, image: Float32) -> float:
+        difference = np.subtract(image, self.target, dtype=np.float64).ravel()
+        return float(np.einsum("i,i->", difference, difference)) / difference.size

@@ -1,0 +1,58 @@
+"""Names for things that are made on demand: encoders, losses, and what plug-ins add to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Generic, TypeVar
+
+from fide_plugins.errors import OptionError, UnknownNameError
+
+__all__ = ["Registry"]
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Factories by name.
+
+    A factory is a callable, or the string ``"package.module:attribute"`` of one, which is imported
+    when its name is first made: listing names imports nothing.
+
+    >>> shapes = Registry[str]("shape")
+    >>> shapes.register("line", lambda n: "-" * n)
+    >>> shapes.names()
+    ['line']
+    >>> shapes.make("line", 3)
+    '---'
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._factories: dict[str, Callable[..., T] | str] = {}
+
+    def register(self, name: str, factory: Callable[..., T] | str) -> None:
+        """Add `factory` under `name`, or replace the one that has the name."""
+        if not isinstance(name, str) or not name.isprintable() or not name.strip():
+            raise OptionError(f"the name of a {self._kind} is a printable string, got {name!r}")
+        if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
+            raise OptionError(
+                f"the factory of {self._kind} {name!r} is a callable or 'module:attribute', "
+                f"got {factory!r}"
+            )
+        self._factories[name] = factory
+
+    def names(self) -> list[str]:
+        """Return all names, sorted."""
+        return sorted(self._factories)
+
+    def make(self, name: str, *args: object, **options: object) -> T:
+        """Call the factory called `name`; raises `UnknownNameError` where there is none."""
+        factory = self._factories.get(name) if isinstance(name, str) else None
+        if factory is None:
+            raise UnknownNameError.of(self._kind, name, self._factories)
+        if isinstance(factory, str):
+            module, attribute = factory.split(":")
+            resolved: Callable[..., T] = getattr(import_module(module), attribute)
+            factory = self._factories[name] = resolved
+        return factory(*args, **options)
