@@ -1,0 +1,45 @@
+"""What the number that leaves the network means.
+
+A preconditioner turns a `Network` into a `Denoise`.  Two are here.
+
+- `x_prediction`: the output is x itself (the published method, after Li and He 2025).
+- `whitened`: the parameters are brought to mean 0 and variance 1 first, and the network gives
+  what the best Gaussian guess without an image, z / (1 + s^2), leaves over (Karras et al. 2022).
+"""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from fide_plugins.denoiser import Denoise, Network
+
+__all__ = ["whitened", "x_prediction"]
+
+CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from there (mu = 0)
+
+
+def x_prediction(network: Network) -> Denoise:
+    """x_hat = network(z, s), both counted from the center of the unit cube."""
+
+    def denoise(z: Tensor, s: Tensor) -> Tensor:
+        return CENTER + network(z - CENTER, s)
+
+    return denoise
+
+
+def whitened(network: Network, mean: Tensor, std: Tensor) -> Denoise:
+    """Denoiser of data with this `mean` [d] and `std` [d].
+
+    With u = (z - mean) / std and r = s / std, the estimate is
+    u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and
+    its ideal output have variance 1 at every noise level.
+    """
+
+    def denoise(z: Tensor, s: Tensor) -> Tensor:
+        r = s / std  # [B, d]
+        variance = 1 + r * r
+        u = (z - mean) / std
+        remainder = network(u / variance.sqrt(), r)
+        return mean + std * (u / variance + r / variance.sqrt() * remainder)
+
+    return denoise

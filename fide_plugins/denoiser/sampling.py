@@ -1,0 +1,50 @@
+"""Sampling: Euler's method on the reverse-time ODE.
+
+With noise s = t * std the probability-flow ODE is dz/dt = (z - x_hat(z, s)) / t (Karras et al.
+2022, eq. 3 with sigma(t) = t).  An Euler step from t to t' keeps the share t'/t of the noise:
+
+    z' = z + (t' - t) * (z - x_hat) / t = x_hat + (t' / t) * (z - x_hat)
+
+The step is the same number for every parameter, though each has its own noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from fide_plugins.denoiser import Denoise
+from fide_plugins.errors import OptionError
+
+__all__ = ["PAPER_SCHEDULE", "check_schedule", "euler"]
+
+PAPER_SCHEDULE = (0.3, 0.2, 0.1)
+"""Supplement S1.  The last step goes to time 0, where z = x_hat."""
+
+
+def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
+    """Return `schedule` as a tuple; times must be finite, positive and falling."""
+    times = tuple(float(t) for t in schedule)
+    positive = bool(times) and all(0 < t < float("inf") for t in times)
+    if not positive or any(later >= t for t, later in pairwise(times)):
+        raise OptionError(
+            f"a schedule is a falling sequence of positive times, such as {PAPER_SCHEDULE}; "
+            f"got {schedule!r}"
+        )
+    return times
+
+
+@torch.no_grad()
+def euler(denoise: Denoise, z: Tensor, std: Tensor, schedule: Sequence[float]) -> Tensor:
+    """Carry `z` [B, d] from time schedule[0] to time 0.
+
+    `std` [d] is the noise at time 1.  Parameters with std = 0 are certain, and stay to within
+    what `denoise` says of them.
+    """
+    for t, later in pairwise([*check_schedule(schedule), 0.0]):
+        x_hat = denoise(z, (t * std).expand_as(z))
+        z = x_hat + (later / t) * (z - x_hat)
+    return z

@@ -1,0 +1,118 @@
+"""Training: Adam on pairs of parameters and images (Algorithm 1, line 8; supplement S1).
+
+How the noise of S1 is read here
+--------------------------------
+S1: the timestep differs from parameter to parameter, and "the square root of the diagonal of the
+covariance matrix" is the timestep "at the end of the diffusion process".  So time 1 has noise
+std = sqrt(diag Sigma), time t has s = t * std, training draws one t ~ U(0, 1) for each example,
+and the network is told the vector s.  The schedule [0.3, 0.2, 0.1] then counts in the same unit:
+a candidate of the search distribution is taken to lie 0.3 std from an answer.
+
+Other readings, within reach of the same code: s as an absolute number, the same for every
+parameter (pass std = 1 and levels up to 0.36); a start at time 1, where a CMA-ES sample really
+lies (schedule 1.0, 0.6, 0.3); noise eps ~ N(0, Sigma) with all its correlations, of which the
+paper says that the diagonal was enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from fide_plugins.denoiser import Denoise, Network
+from fide_plugins.denoiser.network import Context
+
+__all__ = ["Conditional", "Objective", "Preconditioner", "XLoss", "adam_state", "fit"]
+__all__ += ["load_adam_state"]
+
+Preconditioner = Callable[[Network], Denoise]
+
+
+class Conditional(Protocol):
+    """A network whose image is encoded once and then serves many noisy parameters."""
+
+    def encode_context(self, tokens: Tensor) -> Context:
+        """Image tokens (B, T, C) to what the network needs of them."""
+        ...
+
+    def __call__(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
+        """Noisy parameters and noise, (B, d) each, to (B, d)."""
+        ...
+
+
+class Objective(Protocol):
+    """What training minimizes."""
+
+    def __call__(
+        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """Scalar loss of `denoise` on the clean parameters x (B, d), noise at time 1 `std` (d)."""
+        ...
+
+
+class XLoss:
+    """The paper's: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1)."""
+
+    def __call__(
+        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """One draw of time and noise for each example."""
+        t = torch.rand(len(x), 1, generator=generator, device=x.device)  # ~ U(0, 1)
+        s = t * std  # (B, d)
+        eps = torch.randn(x.shape, generator=generator, device=x.device)  # ~ N(0, I)
+        return (denoise(x + s * eps, s) - x).square().mean()
+
+
+def fit(
+    network: Conditional,
+    precondition: Preconditioner,
+    objective: Objective,
+    optimizer: torch.optim.Optimizer,
+    x: Tensor,
+    tokens: Tensor,
+    std: Tensor,
+    *,
+    epochs: int,
+    batch_size: int,
+    generator: torch.Generator,
+) -> Tensor:
+    """Pass `epochs` times over the pairs (x [n, d], tokens [n, T, C]), in random order.
+
+    The last minibatch of an epoch holds what is left.  Returns the mean loss of each epoch,
+    [epochs], on the device: reading it is up to the caller, who may not want to wait.
+    """
+    losses = torch.zeros(epochs, device=x.device)
+    for epoch in range(epochs):
+        order = torch.randperm(len(x), generator=generator, device=x.device)
+        for batch in torch.split(order, batch_size):
+            context = network.encode_context(tokens[batch])
+            denoise = precondition(partial(network, context=context))
+            loss = objective(denoise, x[batch], std, generator)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+            losses[epoch] += loss.detach() * (len(batch) / len(x))
+    return losses
+
+
+def adam_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
+    """Adam's moments as {weight's number: {"step", "exp_avg", "exp_avg_sq"}}, copied to the CPU."""
+    moments = optimizer.state_dict()["state"]
+    return {
+        str(number): {name: value.detach().cpu().clone() for name, value in entry.items()}
+        for number, entry in moments.items()
+    }
+
+
+def load_adam_state(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
+    """Put back what `adam_state` gave; numpy arrays are welcome."""
+    moments = {
+        int(number): {name: torch.as_tensor(value).clone() for name, value in entry.items()}
+        for number, entry in state.items()
+    }
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": moments, "param_groups": groups})

@@ -1,0 +1,1 @@
+"""Proposers: what an image says about where the next candidates should lie."""

@@ -1,0 +1,179 @@
+"""The published proposer: a denoiser trained along with the search (Algorithm 1, lines 5 and 8).
+
+`update` trains on the parameters and images of a generation, from the weights of the one before;
+`propose` carries samples of the search distribution towards parameters that would render the
+target.  Nothing here knows the search, the renderer or the loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fide_plugins.denoiser.network import ParameterTransformer
+from fide_plugins.denoiser.preconditioning import x_prediction
+from fide_plugins.denoiser.sampling import PAPER_SCHEDULE, check_schedule, euler
+from fide_plugins.denoiser.training import (
+    Objective,
+    Preconditioner,
+    XLoss,
+    adam_state,
+    fit,
+    load_adam_state,
+)
+from fide_plugins.errors import OptionError
+
+__all__ = ["DiffusionProposer"]
+
+Floats = NDArray[np.float64]
+
+
+class DiffusionProposer:
+    """Diffusion in parameter space, conditioned on image features; defaults are the paper's.
+
+    Parameters
+    ----------
+    dim : d, the number of parameters.
+    seed : of the weights, the order of the examples and the noise.
+    device : of the network; results are reproducible per device, initial weights on all.
+    epochs, learning_rate, schedule : supplement S1.
+    batch_size : the paper names none; 50 makes 200 steps of Adam a generation of k = 500.
+    objective, precondition : the parts of `denoiser.training` and `denoiser.preconditioning`.
+    **network : sizes of the `ParameterTransformer`.
+
+    Raises
+    ------
+    OptionError
+        if a count is below 1, the learning rate is not positive, or a schedule does not fall.
+
+    Notes
+    -----
+    The network is made when the first image tokens show their shape, (T, C).  As in Algorithm 1
+    the first proposals come from an untrained network; `updates` says how often it was trained.
+    """
+
+    def __init__(
+        self,
+        dim: int,
+        *,
+        seed: int = 0,
+        device: str | torch.device = "cpu",
+        epochs: int = 20,
+        learning_rate: float = 1e-3,
+        batch_size: int = 50,
+        schedule: Sequence[float] = PAPER_SCHEDULE,
+        objective: Objective | None = None,
+        precondition: Preconditioner = x_prediction,
+        **network: int,
+    ) -> None:
+        if dim < 1 or epochs < 1 or batch_size < 1:
+            raise OptionError(f"at least 1 each: got {dim=}, {epochs=}, {batch_size=}")
+        if not 0 < learning_rate < float("inf"):
+            raise OptionError(f"a learning rate is positive and finite, got {learning_rate=}")
+        self.dim, self.device = dim, torch.device(device)
+        self.epochs, self.learning_rate, self.batch_size = epochs, learning_rate, batch_size
+        self.schedule = check_schedule(schedule)
+        self.objective: Objective = objective or XLoss()
+        self.precondition = precondition
+        self.updates = 0
+        self._sizes = network
+        self._network: ParameterTransformer | None = None
+        self._optimizer: torch.optim.Adam | None = None
+        for_weights, for_noise = np.random.SeedSequence(seed).generate_state(2)
+        self._weights_seed = int(for_weights)
+        self._generator = torch.Generator(self.device).manual_seed(int(for_noise))
+
+    def update(self, x: Floats, tokens: Tensor, std: Floats) -> Tensor:
+        """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
+
+        `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean loss of each
+        epoch, on the device.
+        """
+        network, optimizer = self._parts(*tokens.shape[1:])
+        network.train()
+        losses = fit(
+            network,
+            self.precondition,
+            self.objective,
+            optimizer,
+            self._tensor(x),
+            tokens.to(self.device, torch.float32),
+            self._tensor(std),
+            epochs=self.epochs,
+            batch_size=self.batch_size,
+            generator=self._generator,
+        )
+        self.updates += 1
+        return losses
+
+    @torch.no_grad()
+    def propose(self, z: Floats, target_tokens: Tensor, std: Floats) -> Floats:
+        """Denoise samples `z` (m, d) of the search distribution towards the target (T, C).
+
+        Returns (m, d); values may leave the unit cube, the caller repairs as for its own samples.
+        """
+        network, _ = self._parts(*target_tokens.shape)
+        network.eval()
+        context = network.encode_context(target_tokens.to(self.device, torch.float32)[None])
+        denoise = self.precondition(partial(network, context=context))
+        proposed = euler(denoise, self._tensor(z), self._tensor(std), self.schedule)
+        return proposed.cpu().numpy().astype(np.float64)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes, as a nested dict of tensors, ints and strings."""
+        state: dict[str, Any] = {
+            "updates": self.updates,
+            "weights_seed": self._weights_seed,
+            "generator": self._generator.get_state(),
+        }
+        if self._network is None or self._optimizer is None:
+            return state
+        image_tokens, channels = self._network.image_tokens, self._network.channels
+        weights = {k: v.detach().cpu().clone() for k, v in self._network.state_dict().items()}
+        adam = adam_state(self._optimizer)
+        return state | {
+            "image_tokens": image_tokens,
+            "channels": channels,
+            "weights": weights,
+            "adam": adam,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors."""
+        self._weights_seed = int(state["weights_seed"])
+        if "weights" in state:
+            network, optimizer = self._parts(int(state["image_tokens"]), int(state["channels"]))
+            network.load_state_dict({k: torch.as_tensor(v) for k, v in state["weights"].items()})
+            load_adam_state(optimizer, state["adam"])
+        else:
+            self._network = self._optimizer = None
+        self.updates = int(state["updates"])
+        self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
+
+    def _parts(self, image_tokens: int, channels: int) -> tuple[ParameterTransformer, Any]:
+        """The network and its Adam, made on first use."""
+        if self._network is None:
+            generator = torch.Generator().manual_seed(self._weights_seed)
+            network = ParameterTransformer(
+                self.dim, image_tokens, channels, generator=generator, **self._sizes
+            )
+            self._network = network.to(self.device)
+            self._optimizer = torch.optim.Adam(
+                self._network.parameters(), lr=self.learning_rate, fused=True
+            )
+        known = (self._network.image_tokens, self._network.channels)
+        if (image_tokens, channels) != known:
+            raise OptionError(
+                f"image tokens keep the shape (T, C) = {known} that the network was made for, "
+                f"got {(image_tokens, channels)}; make a new proposer for other images"
+            )
+        return self._network, self._optimizer
+
+    def _tensor(self, values: Floats) -> Tensor:
+        return torch.as_tensor(values, dtype=torch.float32, device=self.device)

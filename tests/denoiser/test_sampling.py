@@ -1,0 +1,121 @@
+"""Euler's method against closed forms.
+
+For x ~ N(m, v) the exact denoiser is m + v / (v + s^2) (z - m).  An Euler step from s to s'
+multiplies z - m by (v + s s') / (v + s^2), and the exact solution of the ODE from s to 0 by
+sqrt(v / (v + s^2)).
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_plugins.denoiser import Denoise
+from fide_plugins.denoiser.preconditioning import whitened, x_prediction
+from fide_plugins.denoiser.sampling import PAPER_SCHEDULE, euler
+from fide_plugins.errors import OptionError
+
+MEAN = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
+VARIANCE = torch.tensor([0.01, 0.04, 0.25], dtype=torch.float64)
+STD = torch.tensor([0.3, 0.1, 0.7], dtype=torch.float64)
+
+
+def gaussian(z: Tensor, s: Tensor) -> Tensor:
+    return MEAN + VARIANCE / (VARIANCE + s * s) * (z - MEAN)
+
+
+def start() -> Tensor:
+    return torch.randn(7, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("schedule", [PAPER_SCHEDULE, (1.0, 0.6, 0.3), (2.0,)])
+def test_euler_steps_of_a_gaussian(schedule: tuple[float, ...]) -> None:
+    factor = torch.ones(3, dtype=torch.float64)
+    for t, later in pairwise([*schedule, 0.0]):
+        factor *= (VARIANCE + t * later * STD**2) / (VARIANCE + (t * STD) ** 2)
+    z = start()
+    torch.testing.assert_close(euler(gaussian, z, STD, schedule), MEAN + factor * (z - MEAN))
+
+
+def test_many_steps_approach_the_solution_at_first_order() -> None:
+    z = start()
+    exact = MEAN + (VARIANCE / (VARIANCE + STD**2)).sqrt() * (z - MEAN)
+
+    def error(steps: int) -> float:
+        schedule = [1 - i / steps for i in range(steps)]
+        return float((euler(gaussian, z, STD, schedule) - exact).abs().max())
+
+    assert error(2000) < 2e-3
+    assert error(1000) / error(2000) == pytest.approx(2, rel=0.05)
+
+
+def test_samples_have_the_law_of_the_data() -> None:
+    g = torch.Generator().manual_seed(1)
+    prior = MEAN + (VARIANCE + STD**2).sqrt() * torch.randn(20_000, 3, generator=g).double()
+    x = euler(gaussian, prior, STD, [1 - i / 500 for i in range(500)])
+    np.testing.assert_allclose(x.mean(0), MEAN, atol=4 * 0.5 / math.sqrt(20_000))
+    np.testing.assert_allclose(x.var(0), VARIANCE, rtol=0.05)
+
+
+def test_last_step_lands_on_the_estimate() -> None:
+    def constant(z: Tensor, s: Tensor) -> Tensor:
+        return torch.full_like(z, 0.25)
+
+    assert torch.equal(euler(constant, start(), STD, (0.5,)), torch.full((7, 3), 0.25).double())
+
+
+def test_the_denoiser_is_told_the_noise_of_each_parameter() -> None:
+    seen: list[Tensor] = []
+
+    def spy(z: Tensor, s: Tensor) -> Tensor:
+        seen.append(s)
+        return z
+
+    z = start()
+    assert torch.equal(euler(spy, z, STD, PAPER_SCHEDULE), z)
+    for s, t in zip(seen, PAPER_SCHEDULE, strict=True):
+        torch.testing.assert_close(s, (t * STD).expand(7, 3))
+
+
+@pytest.mark.parametrize(
+    "schedule", [(), (0.1, 0.2), (0.1, 0.1), (0.1, 0.0), (math.nan,), (math.inf,), (-1.0,)]
+)
+def test_bad_schedules(schedule: tuple[float, ...]) -> None:
+    with pytest.raises(OptionError, match="falling"):
+        euler(gaussian, start(), STD, schedule)
+
+
+def test_x_prediction_counts_from_the_center() -> None:
+    denoise: Denoise = x_prediction(lambda z, s: z + s)
+    z = start()
+    torch.testing.assert_close(denoise(z, torch.zeros_like(z)), z)
+
+
+def test_whitened_without_network_is_the_exact_denoiser_of_a_gaussian() -> None:
+    denoise = whitened(lambda z, s: torch.zeros_like(z), MEAN, VARIANCE.sqrt())
+    z, s = start(), STD.expand(7, 3)
+    torch.testing.assert_close(denoise(z, s), gaussian(z, s))
+
+
+def test_whitened_network_sees_and_should_give_unit_variance() -> None:
+    """Its input, and the output that would make the estimate exact, at three noise levels."""
+    g = torch.Generator().manual_seed(2)
+    x = MEAN + VARIANCE.sqrt() * torch.randn(20_000, 3, generator=g).double()
+    for t in (0.1, 1.0, 10.0):
+        s = (t * STD).expand_as(x)
+        z = x + s * torch.randn(x.shape, generator=g)
+        inputs: list[Tensor] = []
+
+        def spy(u: Tensor, r: Tensor, inputs: list[Tensor] = inputs) -> Tensor:
+            inputs.append(u)
+            return torch.zeros_like(u)
+
+        base = whitened(spy, MEAN, VARIANCE.sqrt())(z, s)
+        gain = whitened(lambda u, r: torch.ones_like(u), MEAN, VARIANCE.sqrt())(z, s) - base
+        np.testing.assert_allclose(inputs[0].var(0), np.ones(3), rtol=0.05)
+        np.testing.assert_allclose(((x - base) / gain).var(0), np.ones(3), rtol=0.05)

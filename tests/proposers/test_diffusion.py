@@ -1,0 +1,164 @@
+"""The published proposer: it learns, it is deterministic, and it continues bit for bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fide_plugins.errors import OptionError
+from fide_plugins.proposers.diffusion import DiffusionProposer
+
+Floats = NDArray[np.float64]
+STD = np.array([0.1, 0.2])
+MIXING = torch.tensor([[1.0, 0.3], [-0.5, 1.0], [0.2, -0.7]])
+
+
+def make(seed: int = 0, **options: Any) -> DiffusionProposer:
+    return DiffusionProposer(2, seed=seed, **({"width": 16, "blocks": 2, "epochs": 2} | options))
+
+
+def scene(n: int, seed: int = 0) -> tuple[Floats, Tensor]:
+    """Parameters (n, 2) around the center, and "images" of 3 tokens that show them."""
+    x = 0.5 + STD * np.random.default_rng(seed).standard_normal((n, 2))
+    return x, images_of(x)
+
+
+def images_of(x: Floats) -> Tensor:
+    shown = torch.as_tensor((x - 0.5) / STD, dtype=torch.float32) @ MIXING.T  # (n, 3)
+    return shown[:, :, None].tanh()  # (n, 3, 1)
+
+
+def test_learns_to_read_the_parameters_from_the_image() -> None:
+    """The loss falls far below the identity's, E[s^2], and proposals fall near the answer."""
+    x, tokens = scene(200)
+    proposer = make(epochs=60, batch_size=20)
+    losses = proposer.update(x, tokens, STD)
+    identity = float((STD**2).mean() / 3)  # E[t^2] = 1/3
+    assert float(losses[-1]) < 0.25 * identity
+    answer = np.array([0.55, 0.35])
+    z = 0.5 + STD * np.random.default_rng(1).standard_normal((100, 2))
+    proposed = proposer.propose(z, images_of(answer[None])[0], STD)
+    before, after = (np.linalg.norm(p - answer, axis=1).mean() for p in (z, proposed))
+    assert after < 0.35 * before
+
+
+def test_same_seed_same_everything() -> None:
+    x, tokens = scene(40)
+    out = []
+    for seed in (7, 7, 8):
+        proposer = make(seed)
+        proposer.update(x, tokens, STD)
+        out.append(proposer.propose(x, tokens[0], STD))
+    assert np.array_equal(out[0], out[1])
+    assert not np.array_equal(out[0], out[2])
+    assert out[0].dtype == np.float64
+
+
+@pytest.mark.parametrize("generations", [0, 1, 2])
+def test_state_continues_bit_for_bit(generations: int) -> None:
+    """Also through numpy arrays, as a checkpoint keeps them."""
+    original = make(3)
+    for g in range(generations):
+        original.update(*scene(30, seed=g), STD)
+    state = as_numpy(original.state_dict())
+    copy = make(99)
+    copy.update(*scene(30, seed=9), STD)
+    copy.load_state_dict(state)
+    x, tokens = scene(30, seed=5)
+    assert torch.equal(original.update(x, tokens, STD), copy.update(x, tokens, STD))
+    assert np.array_equal(original.propose(x, tokens[0], STD), copy.propose(x, tokens[0], STD))
+    assert original.updates == copy.updates == generations + 1
+
+
+def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
+    def convert(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: convert(entry) for key, entry in value.items()}
+        return value.numpy() if isinstance(value, Tensor) else value
+
+    return {key: convert(value) for key, value in state.items()}
+
+
+def test_state_is_a_copy() -> None:
+    proposer = make()
+    x, tokens = scene(20)
+    proposer.update(x, tokens, STD)
+    before = proposer.state_dict()
+    kept = before["weights"]["parameter_out.bias"].clone()
+    proposer.update(x, tokens, STD)
+    assert torch.equal(before["weights"]["parameter_out.bias"], kept)
+
+
+def test_weights_and_moments_are_carried_on() -> None:
+    proposer = make(epochs=3, batch_size=10)
+    x, tokens = scene(20)
+    first = proposer.update(x, tokens, STD)
+    second = proposer.update(x, tokens, STD)
+    assert float(second[0]) < float(first[0])
+    steps = {float(entry["step"]) for entry in proposer.state_dict()["adam"].values()}
+    assert steps == {2 * 3 * 2.0}  # updates x epochs x minibatches
+
+
+def test_global_random_state_is_neither_read_nor_changed() -> None:
+    x, tokens = scene(20)
+    out = []
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        before = torch.get_rng_state()
+        proposer = make()
+        proposer.update(x, tokens, STD)
+        out.append(proposer.propose(x, tokens[0], STD))
+        assert torch.equal(before, torch.get_rng_state())
+    assert np.array_equal(out[0], out[1])
+
+
+def test_inputs_are_not_changed() -> None:
+    x, tokens = scene(20)
+    x_before, tokens_before = x.copy(), tokens.clone()
+    proposer = make()
+    proposer.update(x, tokens, STD)
+    proposer.propose(x, tokens[0], STD)
+    assert np.array_equal(x, x_before)
+    assert torch.equal(tokens, tokens_before)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7])
+@pytest.mark.parametrize("scale", [0.0, 1e-12, 1e3])
+def test_finite_for_collapsed_and_for_wide_populations(n: int, scale: float) -> None:
+    x, tokens = scene(n)
+    proposer = make(batch_size=4)
+    losses = proposer.update(0.5 + scale * (x - 0.5), tokens, scale * STD)
+    proposed = proposer.propose(x, tokens[0], scale * STD)
+    assert bool(losses.isfinite().all())
+    assert bool(np.isfinite(proposed).all())
+
+
+def test_other_images_are_refused_before_anything_changes() -> None:
+    proposer = make()
+    x, tokens = scene(10)
+    proposer.update(x, tokens, STD)
+    with pytest.raises(OptionError, match=r"\(3, 1\).*got \(2, 1\)"):
+        proposer.update(x, tokens[:, :2], STD)
+    assert proposer.updates == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"epochs": 0}, {"batch_size": 0}, {"learning_rate": 0.0}, {"schedule": (0.1, 0.2)}],
+)
+def test_bad_options(options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError):
+        make(**options)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_on_cuda() -> None:
+    x, tokens = scene(40)
+    proposer = make(device="cuda")
+    proposer.update(x, tokens, STD)
+    assert np.isfinite(proposer.propose(x, tokens[0], STD)).all()
