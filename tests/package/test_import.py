@@ -36,7 +36,7 @@ def test_submodules_are_loaded_on_demand() -> None:
     assert set(fide_plugins.__all__) <= set(dir(fide_plugins))
     assert fide_plugins.checkpoint.VERSION == 1
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
-        _ = fide_plugins.nothing
+        _ = fide_plugins.nothing  # type: ignore[attr-defined]
 
 
 def test_version() -> None:
