@@ -1,0 +1,200 @@
+"""What every task shares: the box [0, 1]^dim, validation, batching, noise seeds, the target.
+
+A task declares its `parameters` (one `Parameter` for each coordinate of x) and writes frames in
+`_render`. Everything a caller can get wrong is checked here, once.
+"""
+
+from __future__ import annotations
+
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Image = NDArray[np.float32]  # (H, W, 3), or (n, H, W, 3) for a batch; values in [0, 1]
+Vector = NDArray[np.float64]
+
+
+class Parameter(NamedTuple):
+    """One coordinate of x, mapped linearly from [0, 1] to the physical range [low, high]."""
+
+    group: str  # what it belongs to: "cell 1", "joint 3"
+    name: str
+    unit: str
+    low: float
+    high: float
+
+
+class Task(ABC):
+    """A renderer with a picture to be found.
+
+    Attributes
+    ----------
+    name: what the registry calls the task.
+    stochastic: whether two renders of one x differ by noise.
+    parameters: one declared `Parameter` for each coordinate of x.
+    size: (height, width) of the image in pixels.
+    seed: chooses the target among those the task generates.
+    """
+
+    name: ClassVar[str]
+    stochastic: ClassVar[bool] = False
+    parameters: tuple[Parameter, ...]
+
+    def __init__(
+        self, size: int | tuple[int, int] = 224, seed: int = 0, *, picture: ArrayLike | None = None
+    ) -> None:
+        """Set size and seed; `picture`, if given, is the target, and its size the task's size."""
+        self.seed = whole_number("seed", seed, minimum=0)
+        self._picture = None if picture is None else _checked_picture(picture)
+        self.size = _checked_size(size) if self._picture is None else self._picture.shape[:2]
+        self._frames_rendered = 0  # a noisy task gives every unseeded frame its own noise
+
+    @property
+    def dim(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(H, W, 3), the shape of one image."""
+        return (*self.size, 3)
+
+    @property
+    def target(self) -> Image:
+        """The picture to be found, float32 (H, W, 3) in [0, 1]; made when first asked for."""
+        return np.array(self._target)
+
+    @property
+    def x_star(self) -> Vector | None:
+        """Parameters that render the target, float64 (dim,); None where none are known."""
+        return None if self._x_star is None else self._x_star.copy()
+
+    def render(self, X: ArrayLike, seed: int | Sequence[int] | None = None) -> Image:
+        """Render the candidates X, (n, dim), to images, float32 (n, H, W, 3) in [0, 1].
+
+        Coordinates outside [0, 1] are clipped to it. `seed` is for noisy tasks, and ignored by the
+        others: the same x and seed give the same image; a number seeds a batch, a sequence of n
+        numbers seeds each frame; None gives every frame its own noise.
+
+        Raises ValueError if X is not (n, dim), or has NaN or infinite entries.
+        """
+        x = self._checked(X)
+        out: Image = np.empty((len(x), *self.shape), np.float32)
+        self._render(self._physical(x), out, self._noise_seeds(len(x), seed))
+        return out
+
+    def decode(self, x: ArrayLike) -> dict[str, dict[str, float]]:
+        """Name the physical values of one candidate x, (dim,): {group: {"name [unit]": value}}.
+
+        Pixel coordinates count from the upper left corner of the image, x to the right, y down.
+        """
+        x = np.asarray(x)
+        values = self._physical(self._checked(x[None] if x.ndim == 1 else x, rows=1))[0]
+        decoded: dict[str, dict[str, float]] = {}
+        for parameter, value in zip(self.parameters, values.tolist(), strict=True):
+            group = decoded.setdefault(parameter.group, {})
+            group[f"{parameter.name} [{parameter.unit}]"] = value
+        return decoded
+
+    @abstractmethod
+    def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
+        """Draw the physical values, (n, dim), into out, (n, H, W, 3); seeds: (n,), for noise."""
+
+    def _make_x_star(self) -> Vector | None:
+        """Return the parameters of the generated target; None if it is not of this renderer."""
+        return None
+
+    def _make_target(self) -> Image:
+        """Return the generated target; by default the render of x_star."""
+        if self._x_star is None:
+            raise NotImplementedError(f"{type(self).__name__} generates neither x_star nor target")
+        (image,) = self.render(self._x_star[None], seed=self.seed)
+        return np.array(image)
+
+    @cached_property
+    def _target(self) -> Image:
+        return self._make_target() if self._picture is None else self._picture
+
+    @cached_property
+    def _x_star(self) -> Vector | None:
+        return self._make_x_star() if self._picture is None else None
+
+    @cached_property
+    def _range(self) -> tuple[Vector, Vector]:
+        low = np.array([p.low for p in self.parameters])
+        return low, np.array([p.high for p in self.parameters]) - low
+
+    def _physical(self, x: Vector) -> Vector:
+        low, width = self._range
+        return low + x * width
+
+    def _checked(self, X: ArrayLike, rows: int | None = None) -> Vector:
+        x = np.asarray(X)
+        if x.dtype.kind not in "biuf":
+            raise ValueError(f"x must be real numbers, not of dtype {x.dtype}")
+        if x.ndim != 2 or x.shape[1] != self.dim or (rows is not None and len(x) != rows):
+            n = "n" if rows is None else rows
+            hint = "; for one candidate pass x[None]" if x.shape == (self.dim,) else ""
+            raise ValueError(f"x must have shape ({n}, {self.dim}), not {x.shape}{hint}")
+        if not np.isfinite(x).all():
+            row, column = np.argwhere(~np.isfinite(x))[0]
+            raise ValueError(f"x must be finite, but x[{row}, {column}] is {x[row, column]}")
+        return np.clip(x.astype(np.float64, copy=False), 0.0, 1.0)
+
+    def _noise_seeds(self, n: int, seed: int | Sequence[int] | None) -> NDArray[np.uint32]:
+        if not self.stochastic:
+            return np.zeros(n, np.uint32)
+        if seed is None:
+            first, self._frames_rendered = self._frames_rendered, self._frames_rendered + n
+            states = [np.random.SeedSequence((self.seed, first + i)) for i in range(n)]
+            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
+        if isinstance(seed, Sequence) or np.ndim(seed):
+            seeds = [whole_number("seed", s, minimum=0) for s in seed]  # type: ignore[union-attr]
+            if len(seeds) != n:
+                raise ValueError(f"{len(seeds)} seeds for {n} candidates; pass one for each")
+            states = [np.random.SeedSequence(s) for s in seeds]
+            return np.array([s.generate_state(1)[0] for s in states], np.uint32)
+        state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
+        return state.astype(np.uint32, copy=False)
+
+
+def whole_number(name: str, value: Any, minimum: int) -> int:
+    """Return `value` as int; ValueError if it is not a whole number >= `minimum`."""
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or number < minimum:
+        raise ValueError(f"{name} must be a whole number >= {minimum}, not {value!r}")
+    return number
+
+
+def one_of(name: str, value: Any, choices: Sequence[str]) -> str:
+    """Return `value`; ValueError listing the choices if it is none of them."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, choices))}, not {value!r}")
+    return value
+
+
+def _checked_size(size: int | tuple[int, int]) -> tuple[int, int]:
+    sides = tuple(size) if isinstance(size, (tuple, list)) else (size, size)
+    if len(sides) != 2:
+        raise ValueError(f"size must be one number or (height, width), not {size!r}")
+    return whole_number("size", sides[0], minimum=1), whole_number("size", sides[1], minimum=1)
+
+
+def _checked_picture(picture: ArrayLike) -> Image:
+    image = np.asarray(picture)
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0 or image.dtype.kind != "f":
+        raise ValueError(
+            "a target picture must be float (H, W, 3) with values in [0, 1], "
+            f"not {image.dtype} {image.shape}"
+        )
+    if not (np.isfinite(image).all() and image.min() >= 0 and image.max() <= 1):
+        raise ValueError("a target picture must have finite values in [0, 1]")
+    return np.array(image, np.float32, order="C")

@@ -1,0 +1,63 @@
+"""Names of the tasks, and the factory that loads a task only when it is asked for.
+
+A new task is one line in `_TASKS`; its options are the keyword-only arguments of its class.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fide_tasks.base import Task
+
+_TASKS = {  # name: module that holds it, class
+    "spline": ("fide_tasks.spline", "Spline"),
+    "voronoi": ("fide_tasks.voronoi", "Voronoi"),
+}
+
+
+def names() -> list[str]:
+    """Return the names of all tasks, sorted."""
+    return sorted(_TASKS)
+
+
+def options(name: str) -> dict[str, Any]:
+    """Return the options of the task `name` with their defaults.
+
+    Raises ValueError for an unknown name.
+    """
+    parameters = inspect.signature(_load(name)).parameters.values()
+    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+
+
+def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options: Any) -> Task:
+    """Make the task `name`.
+
+    `size` is the side of the square image, or (height, width), in pixels. A target that the task
+    generates depends on `seed` and on the task's options, not on the resolution. `options` are the
+    task's own; `options(name)` lists them. A task that takes a picture as `target=` renders at that
+    picture's size, whatever `size` says.
+
+    Raises ValueError for an unknown name or option, and for a value outside its range.
+    """
+    task_class = _load(name)
+    known = _option_names(task_class)
+    for option in options:
+        if option not in known:
+            raise ValueError(f"{name} has no option {option!r}; its options: {', '.join(known)}")
+    task: Task = task_class(size, seed, **options)
+    return task
+
+
+def _load(name: str) -> Any:
+    if name not in _TASKS:
+        raise ValueError(f"no task is named {name!r}; the tasks: {', '.join(names())}")
+    module, attribute = _TASKS[name]
+    return getattr(importlib.import_module(module), attribute)
+
+
+def _option_names(task_class: Any) -> list[str]:
+    parameters = inspect.signature(task_class).parameters.values()
+    return sorted(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
