@@ -1,0 +1,58 @@
+"""The one place where points of the unit cube are validated."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import OptionError, PointsError
+
+__all__ = ["Float64", "as_points", "new_seed", "whole_number"]
+
+Float64: TypeAlias = npt.NDArray[np.float64]
+
+
+def as_points(X: object, dim: int) -> Float64:
+    """`X` as float64 (n, dim), a copy.
+
+    Raises PointsError (a ValueError) unless it is a real (n, dim) array, finite and within [0, 1].
+    """
+    try:
+        points: npt.NDArray[Any] = np.asarray(X)
+    except ValueError as error:
+        raise PointsError(f"X must be an array of shape (n, {dim}): {error}") from error
+    if points.dtype.kind not in "fiub":
+        raise PointsError(f"X must hold real numbers, not {points.dtype}")
+    if points.ndim != 2 or points.shape[1] != dim:
+        hint = "; for one point pass x[None]" if points.shape == (dim,) else ""
+        raise PointsError(f"X must have the shape (n, {dim}), not {points.shape}{hint}")
+    inside = (points >= 0.0) & (points <= 1.0)  # False for NaN too
+    if not inside.all():
+        row, column = np.argwhere(~inside)[0]
+        raise PointsError(
+            f"every value of X must lie in [0, 1], but X[{row}, {column}] = "
+            f"{points[row, column]}; scale your parameters to the unit cube"
+        )
+    return np.array(points, np.float64, order="C")
+
+
+def whole_number(name: str, value: object, minimum: int) -> int:
+    """`value` as an int; OptionError (a ValueError) if it is no whole number >= `minimum`."""
+    try:
+        number = None if isinstance(value, bool | np.bool_) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = None
+    if number is None or number < minimum:
+        raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}")
+    return number
+
+
+def new_seed(seed: object) -> int:
+    """`seed` itself, checked; a fresh one of 128 bits from the operating system for None."""
+    if seed is None:
+        entropy = np.random.SeedSequence().entropy
+        return int(entropy) if isinstance(entropy, int) else 0
+    return whole_number("seed", seed, 0)

@@ -1,0 +1,98 @@
+"""CMA-ES: the library's own results, and restarts."""
+
+from __future__ import annotations
+
+import cma
+import numpy as np
+import pytest
+
+from fide_plugins.baselines.cma import CMA
+from fide_plugins.points import Float64
+
+
+def rosenbrock(X: Float64) -> Float64:
+    Y = 4.0 * X - 2.0
+    value: Float64 = (100 * (Y[:, 1:] - Y[:, :-1] ** 2) ** 2 + (1 - Y[:, :-1]) ** 2).sum(axis=1)
+    return value
+
+
+def test_it_is_the_library_to_the_last_bit() -> None:
+    rng = np.random.default_rng(11)
+    reference = cma.CMAEvolutionStrategy(
+        np.full(6, 0.5),
+        0.2,
+        {
+            "bounds": [0, 1],
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "seed": np.nan,
+            "verbose": -9,
+            "popsize": 12,
+        },
+    )
+    ours = CMA(6, popsize=12, sigma0=0.2, seed=11)
+    for _ in range(60):
+        X, Y = ours.ask(), np.array(reference.ask())
+        np.testing.assert_array_equal(X, Y)
+        ours.tell(X, losses=rosenbrock(X))
+        reference.tell(list(Y), rosenbrock(Y).tolist())
+    np.testing.assert_array_equal(ours.recommend(), reference.result.xfavorite)
+
+
+@pytest.mark.parametrize("dim", [2, 5, 10])
+def test_rosenbrock_is_solved(dim: int) -> None:
+    opt = CMA(dim, seed=0)
+    while opt.evaluations < 6000 and (opt.best is None or opt.best.loss > 1e-8):
+        X = opt.ask()
+        opt.tell(X, losses=rosenbrock(X))
+    assert opt.best is not None and opt.best.loss <= 1e-8
+
+
+@pytest.mark.parametrize(("restarts", "sizes"), [("same", {10}), ("none", {10})])
+def test_restarts_with_the_same_population(restarts: str, sizes: set[int]) -> None:
+    opt = CMA(2, popsize=10, restarts=restarts, seed=0)
+    while opt.evaluations < 3000:
+        X = opt.ask()
+        assert len(X) in sizes
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    assert opt.starts == 1 if restarts == "none" else opt.starts >= 3
+    assert opt.best is not None and opt.best.loss < 1e-12
+
+
+def test_ipop_doubles_the_population() -> None:
+    opt = CMA(2, popsize=6, restarts="ipop", seed=0)
+    sizes = []
+    while opt.evaluations < 3000:
+        X = opt.ask()
+        sizes.append(len(X))
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    assert list(dict.fromkeys(sizes)) == [6 * 2**i for i in range(opt.starts)]
+    assert opt.starts >= 3
+
+
+def test_constant_losses_restart_without_complaint() -> None:
+    opt = CMA(3, seed=0)
+    for _ in range(200):
+        X = opt.ask()
+        opt.tell(X, losses=np.zeros(len(X)))
+        assert X.min() >= 0.0 and X.max() <= 1.0
+    assert opt.starts > 1
+
+
+def test_a_restart_ignores_what_was_asked_before_it() -> None:
+    opt = CMA(2, popsize=8, seed=0)
+    late = opt.ask()
+    while opt.starts == 1:
+        X = opt.ask()
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    mean = opt.recommend()
+    opt.tell(late, losses=np.zeros(8))
+    np.testing.assert_array_equal(opt.recommend(), mean)
+    assert opt.best is not None and opt.best.loss == 0.0
+
+
+def test_an_optimum_in_the_corner_of_the_box() -> None:
+    opt = CMA(4, seed=0)
+    while opt.evaluations < 1500:
+        X = opt.ask()
+        opt.tell(X, losses=X.sum(axis=1))
+    assert opt.best is not None and opt.best.loss < 1e-6
