@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fide_tasks.base import Image
 
@@ -28,17 +29,25 @@ def ampersand(size: tuple[int, int], face: int = 0) -> Image:
 
     `face` counts through FACES, modulo their number.
     """
+    name = FACES[face % len(FACES)]
+    height, width = (side * _SUPERSAMPLING for side in size)
+    sample = _ink(name, 1000)
+    points = 1000 * _FILL * min(height / sample.shape[0], width / sample.shape[1])
+    glyph = _ink(name, max(points, 1))[:height, :width]
+    top, left = (height - glyph.shape[0]) // 2, (width - glyph.shape[1]) // 2
+    canvas = np.zeros((height, width), np.uint8)
+    canvas[top : top + glyph.shape[0], left : left + glyph.shape[1]] = glyph
+    ink = cv2.resize(canvas, size[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
+    return np.repeat(1 - ink[:, :, None] / np.float32(255), 3, axis=2)
+
+
+def _ink(face: str, points: float) -> NDArray[np.uint8]:
+    """Draw & alone, cut to its bounding box: 255 is full ink."""
     import matplotlib
     from PIL import Image as Picture, ImageDraw, ImageFont
 
-    path = Path(matplotlib.get_data_path(), "fonts", "ttf", f"{FACES[face % len(FACES)]}.ttf")
-    height, width = (side * _SUPERSAMPLING for side in size)
-    left, top, right, bottom = ImageFont.truetype(str(path), 1000).getbbox("&")
-    points = 1000 * _FILL * min(width / (right - left), height / (bottom - top))
-    font = ImageFont.truetype(str(path), max(points, 1.0))
-    left, top, right, bottom = font.getbbox("&")
-    canvas = Picture.new("L", (width, height), 255)
-    corner = (width - left - right) / 2, (height - top - bottom) / 2
-    ImageDraw.Draw(canvas).text(corner, "&", fill=0, font=font)
-    gray = cv2.resize(np.asarray(canvas), size[::-1], interpolation=cv2.INTER_AREA)
-    return np.repeat(gray[:, :, None].astype(np.float32) / np.float32(255), 3, axis=2)
+    path = Path(matplotlib.get_data_path(), "fonts", "ttf", f"{face}.ttf")
+    font = ImageFont.truetype(str(path), points)
+    canvas = Picture.new("L", (int(2 * points) + 4, int(2 * points) + 4), 0)
+    ImageDraw.Draw(canvas).text((points / 2, points / 4), "&", fill=255, font=font)
+    return np.asarray(canvas.crop(canvas.getbbox()))

@@ -35,6 +35,7 @@ class Voronoi(Task):
         center divided by the diagonal of the image.
     target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
 
+    One frame takes about 0.3 ms at 224 x 224 with 8 cells, 1.8 ms with 60 (one core).
     A generated target depends on `seed`, the options and the aspect ratio, not on the resolution.
     Each of its cells covers at least 0.3 / n of the image, and neighbors differ in color.
     A pixel equally far from two centers belongs to the left one, then to the upper one, then to the
@@ -66,7 +67,8 @@ class Voronoi(Task):
         )
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
-        for v, frame in zip(values.reshape(len(values), self.cells, -1), out, strict=True):
+        cells = values.reshape(len(values), self.cells, self.dim // self.cells)
+        for v, frame in zip(cells, out, strict=True):
             if self.variant == "color":
                 v = v[np.lexsort(v.T[::-1])]  # by x, then y, red, green, blue
                 _fill(frame, v[:, :2], v[:, 2:].astype(np.float32))
@@ -97,10 +99,10 @@ def _runs(c: Vector, height: int, width: int) -> tuple[NDArray[np.intp], NDArray
     start, stop = np.full_like(w, -np.inf), np.full_like(w, np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):  # centers one above the other
         for j in range(1, len(c)):
-            steepness = 0.5 / (c[j, 0] - c[:j, :1])
-            bisector = (w[j] - w[:j]) * steepness  # (j, H): x where cell j takes over
-            if steepness[-1, 0] == np.inf:
-                bisector[np.isnan(bisector)] = np.inf  # 0 * inf, a tie: to the earlier cell
+            apart = 2 * (c[j, 0] - c[:j, :1])  # >= 0
+            bisector = (w[j] - w[:j]) / apart  # (j, H): x where cell j takes over
+            if apart[-1, 0] == 0:
+                bisector[np.isnan(bisector)] = np.inf  # 0 / 0, a tie: to the earlier cell
             bisector.max(axis=0, out=start[j])
             np.minimum(stop[:j], bisector, out=stop[:j])
     first, end = (np.clip(np.floor(s + 0.5), 0, width).astype(np.intp) for s in (start, stop))

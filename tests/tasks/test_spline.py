@@ -1,0 +1,203 @@
+"""Spline: the curve against SciPy, the stroke against distances, the ampersand against topology."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.spatial import KDTree
+
+import fide_tasks
+from fide_tasks.glyphs import FACES, ampersand
+from fide_tasks.spline import Spline, _basis
+
+Array = NDArray[np.float64]
+HOLES = {  # the counters of each ampersand: the upper loop is open in the DejaVu family
+    "DejaVuSans": 1,
+    "cmss10": 2,
+    "STIXGeneral": 2,
+    "DejaVuSerif": 1,
+    "STIXGeneralItalic": 2,
+    "DejaVuSansMono": 1,
+    "cmr10": 2,
+    "DejaVuSans-Oblique": 1,
+}
+
+
+def curve(points: Array, samples: int = 2000) -> Array:
+    """Sample SciPy's clamped uniform B-spline of degree 2 (1 for two points)."""
+    m = len(points)
+    degree = min(2, m - 1)
+    inner = np.arange(1, m - degree)
+    knots = np.r_[[0] * (degree + 1), inner, [m - degree] * (degree + 1)].astype(float)
+    u = np.linspace(0, m - degree, samples, endpoint=False)
+    return np.asarray(BSpline(knots, points, degree)(u))
+
+
+def ink(x: Array, size: int = 112, m: int = 7) -> Array:
+    """Render one candidate and return how black each pixel is."""
+    image = fide_tasks.make("spline", size, control_points=m).render(x[None])[0]
+    return np.asarray(1.0 - image[:, :, 0].astype(np.float64))
+
+
+def distances(points: Array, size: int) -> Array:
+    """Distance in pixels of each pixel center from the curve; points in [0, 1]."""
+    y, x = np.mgrid[:size, :size] + 0.5
+    return np.asarray(KDTree(curve(points * size)).query(np.stack([x, y], axis=2))[0])
+
+
+@pytest.mark.parametrize("m", [2, 3, 4, 5, 6, 7, 12])
+def test_the_basis_is_scipys(m: int) -> None:
+    basis, slope = _basis(m, 224)
+    points = np.random.default_rng(m).random((m, 2))
+    np.testing.assert_allclose((basis @ points)[:-1], curve(points, len(basis) - 1), atol=1e-12)
+    np.testing.assert_allclose(basis.sum(axis=1), 1)
+    np.testing.assert_allclose(slope.sum(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(basis[[0, -1]] @ points, points[[0, -1]])
+
+
+def test_three_points_are_a_bezier_curve() -> None:
+    basis, _ = _basis(3, 224)
+    u = np.linspace(0, 1, len(basis))[:, None]
+    np.testing.assert_allclose(basis, np.hstack([(1 - u) ** 2, 2 * u * (1 - u), u**2]), atol=1e-12)
+
+
+@pytest.mark.parametrize("m", [2, 3, 5, 7, 10])
+@pytest.mark.parametrize("thickness", [2.0, 3.5, 17.3, 60.0, 112.0])
+def test_the_stroke_is_all_within_half_its_thickness(m: int, thickness: float) -> None:
+    rng = np.random.default_rng(m)
+    for _ in range(4):
+        points = rng.random((m, 2))
+        black = ink(np.append(points, thickness / 112), m=m)
+        outside = distances(points, 112) - thickness / 2
+        assert black[outside > 1.6].max(initial=0) < 0.02
+        assert black[outside < -1.6].min(initial=1) > 0.98
+
+
+@pytest.mark.parametrize("thickness", [2.0, 2.5, 3.0, 4.0, 7.7, 25.0])
+@pytest.mark.parametrize("angle", [0.0, 0.3, 0.8, 1.3])
+def test_a_straight_stroke_has_the_asked_area(thickness: float, angle: float) -> None:
+    half = np.array([np.cos(angle), np.sin(angle)]) * 30
+    points = (56 + np.stack([-half, half])) / 112
+    black = ink(np.append(points, thickness / 112), m=2).sum()
+    area = 60 * thickness + np.pi * thickness**2 / 4
+    assert abs(black - area) < 0.4 * (120 + np.pi * thickness)  # 0.4 px along its outline
+
+
+def test_all_points_in_one_place_are_a_disc() -> None:
+    black = ink(np.append(np.full(14, 0.5), 40 / 112))
+    assert abs(black.sum() - np.pi * 20**2) < 0.4 * np.pi * 40
+    distance = np.hypot(*(np.mgrid[:112, :112] - 55.5))
+    assert black[distance < 19].min() == 1
+    assert black[distance > 21].max() == 0
+
+
+def test_a_curve_that_turns_back_has_round_ends() -> None:
+    x = np.array([0.2, 0.5, 0.8, 0.5, 0.2, 0.5, 16 / 112])
+    black = ink(x, m=3)
+    outside = distances(x[:-1].reshape(-1, 2), 112) - 8
+    assert black[outside > 1.6].max() == 0
+    assert black[outside < -1.6].min() == 1
+
+
+def test_thin_strokes_fade_to_blank_in_proportion() -> None:
+    points = np.random.default_rng(0).random(14)
+    full = ink(np.append(points, 2 / 112))
+    for thickness in (0.0, 0.1, 0.5, 1.0, 1.9):
+        black = ink(np.append(points, thickness / 112))
+        np.testing.assert_allclose(black, full * thickness / 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("thickness", [0.0, 0.003, 0.0178, 0.018, 0.1, 0.5, 0.99])
+def test_the_image_varies_continuously(thickness: float) -> None:
+    rng = np.random.default_rng(1)
+    task = fide_tasks.make("spline", 112)
+    for _ in range(10):
+        x = np.append(rng.random(14), thickness)
+        moved = np.clip(x + rng.uniform(-1, 1, 15) * 2e-4, 0, 1)  # 0.02 px
+        one, other = task.render(np.stack([x, moved]))
+        assert np.abs(one - other).mean() < 2e-3
+
+
+def test_ink_grows_with_thickness() -> None:
+    X = np.repeat(np.random.default_rng(2).random((1, 15)), 101, axis=0)
+    X[:, -1] = np.linspace(0, 0.3, 101)
+    black = (1 - fide_tasks.make("spline", 112).render(X)).mean(axis=(1, 2, 3))
+    assert (np.diff(black) > 0).all()
+    assert np.diff(black).max() < 5 * np.diff(black).mean()
+
+
+def test_reversing_the_points_leaves_the_stroke() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        points, t = rng.random((7, 2)), rng.uniform(0.02, 0.5)
+        one, other = ink(np.append(points, t)), ink(np.append(points[::-1], t))
+        assert np.abs(one - other).mean() < 1e-3
+
+
+def test_sizes_show_the_same_picture() -> None:
+    x = np.append(np.random.default_rng(4).random(14), 0.06)
+    large = fide_tasks.make("spline", 448).render(x[None])[0]
+    small = fide_tasks.make("spline", 56).render(x[None])[0]
+    averaged = large.reshape(56, 8, 56, 8, 3).mean(axis=(1, 3))
+    assert np.abs(averaged - small).mean() < 0.01
+
+
+def test_parameters_and_their_decoding() -> None:
+    task = fide_tasks.make("spline", (100, 200), control_points=2)
+    assert task.dim == 5
+    assert task.decode([0.1, 0.2, 0.3, 0.4, 0.5]) == {
+        "point 1": {"x [px]": 20, "y [px]": 20},
+        "point 2": {"x [px]": 60, "y [px]": 40},
+        "stroke": {"thickness [px]": 50},
+    }
+    assert fide_tasks.make("spline").dim == 15
+
+
+@pytest.mark.parametrize("m", [2, 3, 7])
+def test_random_targets_are_never_degenerate(m: int) -> None:
+    for seed in range(100):
+        task = fide_tasks.make("spline", 112, seed, control_points=m, target="random")
+        x = task.x_star
+        assert x is not None
+        assert np.linalg.norm(np.diff(curve(x[:-1].reshape(-1, 2)), axis=0), axis=1).sum() >= 0.49
+        black = 1 - task.target[:, :, 0]
+        assert 0.01 < black.mean() < 0.5
+        assert max(black[0].max(), black[-1].max(), black[:, 0].max(), black[:, -1].max()) == 0
+
+
+@pytest.mark.parametrize("face", range(len(FACES)))
+@pytest.mark.parametrize("size", [112, 224])
+def test_the_glyph_has_the_topology_of_an_ampersand(face: int, size: int) -> None:
+    black = (ampersand((size, size), face)[:, :, 0] < 0.5).astype(np.uint8)
+    strokes = cv2.connectedComponents(black, connectivity=8)[0] - 1
+    holes = cv2.connectedComponents(1 - black, connectivity=4)[0] - 2
+    assert strokes == 1
+    assert holes == HOLES[FACES[face]]
+
+
+@pytest.mark.parametrize("size", [(224, 224), (64, 64), (60, 200), (200, 60)])
+def test_the_glyph_is_centered_and_fills_the_image(size: tuple[int, int]) -> None:
+    for seed in range(len(FACES)):
+        task = fide_tasks.make("spline", size, seed)
+        assert task.x_star is None
+        rows, columns = np.nonzero(task.target[:, :, 0] < 0.5)
+        extent = np.ptp(rows) / size[0], np.ptp(columns) / size[1]
+        assert 0.75 < max(extent) < 0.83
+        assert abs(rows.min() + rows.max() + 1 - size[0]) <= 2
+        assert abs(columns.min() + columns.max() + 1 - size[1]) <= 2
+
+
+def test_the_glyph_is_the_same_at_every_size() -> None:
+    large, small = ampersand((448, 448)), ampersand((56, 56))
+    assert np.abs(large.reshape(56, 8, 56, 8, 3).mean(axis=(1, 3)) - small).mean() < 0.01
+
+
+def test_seeds_choose_typefaces_in_turn() -> None:
+    def target(seed: int) -> NDArray[np.float32]:
+        return fide_tasks.make("spline", 64, seed).target
+
+    np.testing.assert_array_equal(target(1), target(1 + len(FACES)))
+    assert Spline(64).target.shape == (64, 64, 3)
