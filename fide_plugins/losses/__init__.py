@@ -7,7 +7,7 @@ its batch.
     >>> import numpy as np
     >>> from fide_plugins import losses
     >>> losses.names()
-    ['mse']
+    ['loi', 'mse', 'perceptual']
     >>> mse = losses.make("mse", np.zeros((8, 8, 3)))
     >>> mse(np.full((2, 8, 8, 3), 0.5))
     array([0.25, 0.25])
@@ -70,4 +70,6 @@ def resolve(loss: str | Callable[..., object] | None, target: object) -> ImageLo
     return CallableLoss(loss, target)
 
 
+register("loi", "fide_plugins.losses.loi:LocallyOrderlessLoss")
 register("mse", "fide_plugins.losses.mse:MeanSquaredError")
+register("perceptual", "fide_plugins.losses.perceptual:PerceptualLoss")

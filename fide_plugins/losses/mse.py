@@ -17,6 +17,12 @@ class MeanSquaredError(LossOfTarget):
 
     name: ClassVar[str] = "mse"
 
+    def __init__(self, target: object) -> None:
+        super().__init__(target)
+        self._target = self.target.astype(np.float64)
+
     def _distance(self, image: Float32) -> float:
-        difference = np.subtract(image, self.target, dtype=np.float64).ravel()
-        return float(np.einsum("i,i->", difference, difference)) / difference.size
+        difference = image.astype(np.float64)
+        difference -= self._target
+        difference *= difference
+        return float(difference.mean())
