@@ -104,11 +104,13 @@ class DenseEncoder(PatchEncoder):
 def _samples(images: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
     """Box means (n, 3, rows, columns) of images (n, H, W, 3)."""
     n, height, width, _ = images.shape
-    down = box_weights(height, rows, images.device)
-    across = box_weights(width, columns, images.device)
-    halfway = torch.matmul(down, images.reshape(n, height, width * 3))  # (n, rows, W 3)
-    halfway = halfway.reshape(n, rows, width, 3).permute(0, 3, 1, 2)
-    return torch.matmul(halfway, across.T).clamp(0.0, 1.0)
+    down = box_weights(height, rows, images.device).expand(n, rows, height)
+    across = box_weights(width, columns, images.device).T.expand(n, width, columns)
+    # one product of a fixed shape per image: the same result in any batch
+    halfway = torch.bmm(down, images.reshape(n, height, width * 3)).reshape(n, rows, width, 3)
+    channels_first = halfway.permute(0, 3, 1, 2).reshape(n, 3 * rows, width)
+    samples = torch.bmm(channels_first, across).clamp_(0.0, 1.0)
+    return samples.reshape(n, 3, rows, columns)
 
 
 def _mean2x2(x: torch.Tensor) -> torch.Tensor:
