@@ -28,8 +28,7 @@ def options(name: str) -> dict[str, Any]:
 
     Raises ValueError for an unknown name.
     """
-    parameters = inspect.signature(_load(name)).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+    return _option_defaults(_load(name))
 
 
 def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options: Any) -> Task:
@@ -43,10 +42,10 @@ def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options:
     Raises ValueError for an unknown name or option, and for a value outside its range.
     """
     task_class = _load(name)
-    known = _option_names(task_class)
+    known = _option_defaults(task_class)
     for option in options:
         if option not in known:
-            raise ValueError(f"{name} has no option {option!r}; its options: {', '.join(known)}")
+            raise ValueError(f"{name} has no option {option!r}; it has {', '.join(sorted(known))}")
     task: Task = task_class(size, seed, **options)
     return task
 
@@ -58,6 +57,6 @@ def _load(name: str) -> Any:
     return getattr(importlib.import_module(module), attribute)
 
 
-def _option_names(task_class: Any) -> list[str]:
+def _option_defaults(task_class: Any) -> dict[str, Any]:
     parameters = inspect.signature(task_class).parameters.values()
-    return sorted(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
+    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}

@@ -72,8 +72,8 @@ def test_the_stroke_is_all_within_half_its_thickness(m: int, thickness: float) -
         points = rng.random((m, 2))
         black = ink(np.append(points, thickness / 112), m=m)
         outside = distances(points, 112) - thickness / 2
-        assert black[outside > 1.6].max(initial=0) < 0.02
-        assert black[outside < -1.6].min(initial=1) > 0.98
+        assert black[outside > 2].max(initial=0) < 0.02
+        assert black[outside < -2].min(initial=1) > 0.98
 
 
 @pytest.mark.parametrize("thickness", [2.0, 2.5, 3.0, 4.0, 7.7, 25.0])
@@ -98,8 +98,8 @@ def test_a_curve_that_turns_back_has_round_ends() -> None:
     x = np.array([0.2, 0.5, 0.8, 0.5, 0.2, 0.5, 16 / 112])
     black = ink(x, m=3)
     outside = distances(x[:-1].reshape(-1, 2), 112) - 8
-    assert black[outside > 1.6].max() == 0
-    assert black[outside < -1.6].min() == 1
+    assert black[outside > 2].max() == 0
+    assert black[outside < -2].min() == 1
 
 
 def test_thin_strokes_fade_to_blank_in_proportion() -> None:
