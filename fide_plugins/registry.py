@@ -46,13 +46,17 @@ class Registry(Generic[T]):
         """Return all names, sorted."""
         return sorted(self._factories)
 
-    def make(self, name: str, *args: object, **options: object) -> T:
-        """Call the factory called `name`; raises `UnknownNameError` where there is none."""
+    def resolve(self, name: str) -> Callable[..., T]:
+        """Return the factory called `name`; raises `UnknownNameError` where there is none."""
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
             raise UnknownNameError.of(self._kind, name, self._factories)
         if isinstance(factory, str):
             module, attribute = factory.split(":")
-            resolved: Callable[..., T] = getattr(import_module(module), attribute)
-            factory = self._factories[name] = resolved
-        return factory(*args, **options)
+            imported: Callable[..., T] = getattr(import_module(module), attribute)
+            factory = self._factories[name] = imported
+        return factory
+
+    def make(self, name: str, *args: object, **options: object) -> T:
+        """Call the factory called `name`."""
+        return self.resolve(name)(*args, **options)
