@@ -14,13 +14,16 @@ __all__ = ["Optimizer"]
 class Optimizer(Protocol):
     """FIDE and all its rivals: minimize over [0, 1]^dim by ask and tell."""
 
-    name: str
     dim: int
     popsize: int
     evaluations: int
     """Points told so far."""
     times: dict[str, float]
     """Seconds spent so far in "encode" (losses and features), "train", "search"."""
+
+    @property
+    def name(self) -> str:
+        """Name in `fide_plugins.optimizers`."""
 
     @property
     def best(self) -> Solution | None:

@@ -1,0 +1,181 @@
+"""The run directory: what lies in it, and how it stays consistent.
+
+    run.json       settings, versions, machine, seeds, command, totals, status
+    curve.csv      one line for each evaluation
+    best.png       the best image so far
+    summary.png    target, first render, best, curve
+    run.ckpt       the loop's state; it names the file of the optimizer that belongs to it
+    optimizer-N.ckpt
+
+Each file is replaced atomically.  The optimizer's file is written first, under a new name, then
+`run.ckpt`, which points to it, then the old one is removed: a kill at any moment leaves a pair that
+belongs together.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins import checkpoint, files, optimizers
+from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.harness import machine
+from fide_plugins.harness.record import Record, RunResult
+
+if TYPE_CHECKING:
+    from fide_plugins.images import Float32
+    from fide_plugins.protocols import Optimizer
+
+__all__ = ["RunDirectory", "RunDirectoryError"]
+
+FORMAT = 1
+_KIND = "run"
+
+
+class RunDirectoryError(FideError, FileExistsError):
+    """A run directory belongs to another run, or is none."""
+
+
+class RunDirectory:
+    """One run's folder; made, checked for its settings, and probed before anything is rendered.
+
+    path: folder, made if need be.
+    settings: what defines the run; a folder with others is refused.
+    resume: whether a run that is there may be continued.
+    command: command line, to be recorded.
+
+    Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        settings: dict[str, Any],
+        *,
+        resume: bool,
+        command: list[str] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
+        files.check_writable(self.path)
+        self._run: dict[str, Any] = {
+            "format": FORMAT,
+            "status": "running",
+            "settings": self.settings,
+            "command": None if command is None else shlex.join(command),
+            "started": _now(),
+            "resumed": [],
+        }
+        before = self._read()
+        if before is not None:
+            self._check(before, resume)
+            self._run = {**before, "status": "running"}
+            self._run["resumed"] = [*before.get("resumed", []), _now()]
+        files.remove_leftovers(self.path)
+
+    # -- reading -----------------------------------------------------------------------------------
+
+    def restore(self) -> tuple[Record, Optimizer] | None:
+        """State of the run that was here; None if it never came to save one.
+
+        Raises CheckpointError (a ValueError) if it is damaged.
+        """
+        path = self.path / "run.ckpt"
+        if not path.exists():
+            return None
+        state = checkpoint.read(path, _KIND)
+        try:
+            name, record = state["optimizer"], Record.from_state(state["record"])
+            if name != Path(name).name:
+                raise ValueError(f"it names a file outside the run directory, {name!r}")
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise CheckpointError(f"{path}: impossible contents ({error})") from error
+        return record, optimizers.load(self.settings["optimizer"], self.path / name)
+
+    def _read(self) -> dict[str, Any] | None:
+        path = self.path / "run.json"
+        if not path.exists():
+            return None
+        try:
+            run = json.loads(path.read_text("utf-8"))
+            if run["format"] != FORMAT or not isinstance(run["settings"], dict):
+                raise ValueError(f"format {run['format']!r}, and this version reads {FORMAT}")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise RunDirectoryError(
+                f"{path} is not the record of a run of this version ({error}); "
+                "name another directory, or remove that file"
+            ) from error
+        return dict(run)
+
+    def _check(self, before: dict[str, Any], resume: bool) -> None:
+        theirs = before["settings"]
+        for key in [*self.settings, *(k for k in theirs if k not in self.settings)]:
+            if theirs.get(key) != self.settings.get(key):
+                raise RunDirectoryError(
+                    f"{self.path} holds a run with other settings: {key} is "
+                    f"{theirs.get(key)!r} there and {self.settings.get(key)!r} here; "
+                    "use the same settings, or name another directory"
+                )
+        if not resume:
+            raise RunDirectoryError(
+                f"{self.path} already holds a run with these settings; resume it (--resume), "
+                "or name another directory"
+            )
+
+    # -- writing -----------------------------------------------------------------------------------
+
+    def save(self, record: Record, optimizer: Optimizer) -> None:
+        """Write the state from which the run can go on."""
+        name = f"optimizer-{record.evaluations}.ckpt"
+        optimizer.save(self.path / name)
+        state = {"record": record.state(), "optimizer": name}
+        checkpoint.write(self.path / "run.ckpt", _KIND, state)
+        for old in self.path.glob("optimizer-*.ckpt"):
+            if old.name != name:
+                with suppress(OSError):
+                    old.unlink()
+
+    def write_curve(self, record: Record) -> None:
+        """Write `curve.csv`."""
+        losses, seconds = np.array(record.losses), np.array(record.seconds)
+        best = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
+        rows = zip(losses.tolist(), best.tolist(), seconds.tolist(), strict=True)
+        lines = ["evaluation,loss,best_loss,seconds"]
+        lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
+        files.write_text(self.path / "curve.csv", "\n".join(lines) + "\n")
+
+    def write_best(self, image: Float32 | None) -> None:
+        """Write `best.png`."""
+        if image is not None:
+            from fide_plugins.harness.figures import as_png
+
+            files.write_bytes(self.path / "best.png", as_png(image))
+
+    def write_summary(self, result: RunResult, target: Float32) -> None:
+        """Write `summary.png`."""
+        from fide_plugins.harness.figures import summary
+
+        files.write_bytes(self.path / "summary.png", summary(result, target))
+
+    def write_run(self, status: str = "running", result: RunResult | None = None) -> None:
+        """Write `run.json`."""
+        self._run |= {
+            "status": status,
+            "versions": machine.versions(),
+            "machine": machine.machine(),
+            "written": _now(),
+        }
+        if result is not None:
+            self._run["totals"] = {**result.summary(), "times": result.times}
+        files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,378 @@
+"""The run loop: ask, render, judge, tell, until the budget is spent.
+
+A generation is asked at once and rendered in pieces of a fixed size, so that results arrive, and
+can be saved, long before a slow generation is complete.  The size is fixed because the same seed
+must give the same run: a size that followed the renderer's speed would change the last bits of
+features that are computed in batches.
+
+Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
+pieces, when nothing is half done, together with the candidates that were asked and not yet told;
+and each evaluation of a noisy renderer has its own seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from fide_plugins import losses as losses_module, optimizers
+from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.harness.directory import RunDirectory
+from fide_plugins.harness.record import Progress, Record, RunResult
+from fide_plugins.harness.signals import Interrupted, Interrupts
+from fide_plugins.images import Float32, as_batch, as_target
+from fide_plugins.losses.base import ImageLoss
+from fide_plugins.points import Float64, whole_number
+from fide_plugins.protocols import Optimizer
+
+__all__ = ["PIECE", "Run", "Task", "prepare", "run"]
+
+PIECE = 32
+"""Most candidates that are rendered before their results are told."""
+
+_SAVE_SHARE = 20  # saving may take one part in so many of the time
+
+
+class Task(Protocol):
+    """What is fitted: `fide_tasks` has some, and anything with these three will do.
+
+    Optional: `name`, `seed`, and `reference(x)`, a noise-free image (H, W, 3) to judge x by.
+    """
+
+    @property
+    def dim(self) -> int:
+        """Number of parameters."""
+
+    @property
+    def target(self) -> Any:
+        """Picture to be found, (H, W, 3)."""
+
+    def render(self, X: Float64, seed: Any = None) -> Any:
+        """Images (n, H, W, 3) of candidates (n, dim); seeds [n] for those that are noisy."""
+
+
+def run(
+    task: str | Task,
+    optimizer: str | Callable[..., Optimizer] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+    **settings: Any,
+) -> RunResult:
+    """Fit `task` with `optimizer`; arguments and errors as in :func:`prepare` and `Run.execute`."""
+    return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
+
+
+def prepare(
+    task: str | Task,
+    optimizer: str | Callable[..., Optimizer] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    size: int | tuple[int, int] = 224,
+    task_seed: int = 0,
+    task_options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 5.0,
+    command: Sequence[str] | None = None,
+) -> Run:
+    """Check all that a run needs, and make or resume it; nothing is rendered yet.
+
+    Parameters
+    ----------
+    task
+        name in `fide_tasks`, or a `Task`.
+    size, task_seed, task_options
+        what a task that is named is made with.
+    optimizer
+        name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
+        (dim, target, loss=, seed=, **options).
+    loss
+        name in `fide_plugins.losses`, or a callable images -> (n,).
+    budget
+        number of renders, exactly.
+    seed
+        of the optimizer, and of the renderer's noise.
+    options
+        the optimizer's own, such as popsize.
+    out
+        run directory; None writes nothing.
+    resume
+        continue the run in `out` if there is one, and begin it otherwise.
+    checkpoint_every
+        seconds between checkpoints; at least twenty times as long as writing one took.
+    command
+        command line to record.
+
+    Raises
+    ------
+    OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors; OSError if
+    `out` cannot be written.
+    """
+    budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
+    task_options, options = dict(task_options or {}), dict(options or {})
+    if isinstance(task, str):
+        import fide_tasks
+
+        task = fide_tasks.make(task, size, task_seed, **task_options)
+    target = as_target(task.target)
+    judge = losses_module.resolve(loss, target)
+    settings = {
+        "task": _name(task),
+        "task_seed": getattr(task, "seed", None),
+        "task_options": task_options,
+        "size": list(target.shape[:2]),
+        "dim": task.dim,
+        "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
+        "optimizer": optimizer if isinstance(optimizer, str) else _name(optimizer),
+        "options": options,
+        "loss": judge.name,
+        "budget": budget,
+        "seed": seed,
+    }
+    searcher = _make_optimizer(optimizer, task.dim, target, loss, seed, options)
+    record = Record()
+    directory = None
+    if out is not None:
+        if not isinstance(optimizer, str):
+            raise OptionError(
+                "a run with a directory needs its optimizer by name, to load it again; "
+                "see fide_plugins.optimizers.register"
+            )
+        directory = RunDirectory(out, settings, resume=resume, command=_words(command))
+        restored = directory.restore()
+        if restored is not None:
+            record, searcher = restored
+        directory.write_run()
+    return Run(task, target, searcher, judge, settings, record, directory, checkpoint_every)
+
+
+class Run:
+    """A run that is ready to go, or to go on; made by :func:`prepare`."""
+
+    def __init__(
+        self,
+        task: Task,
+        target: Float32,
+        optimizer: Optimizer,
+        loss: ImageLoss,
+        settings: dict[str, Any],
+        record: Record,
+        directory: RunDirectory | None,
+        checkpoint_every: float,
+    ) -> None:
+        self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
+        self.settings, self.record = settings, record
+        self._directory, self._checkpoint_every = directory, checkpoint_every
+        self._budget: int = settings["budget"]
+        self._clipped = False
+        self._whole = True  # whether record and optimizer agree, so that they may be saved
+
+    @property
+    def out(self) -> Path | None:
+        """Run directory, if there is one."""
+        return None if self._directory is None else self._directory.path
+
+    @property
+    def progress(self) -> Progress:
+        """Where the run stands."""
+        r = self.record
+        return Progress(r.evaluations, self._budget, r.best_loss, r.wall_s, dict(r.times))
+
+    def execute(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+        """Run to the end of the budget.
+
+        Raises Interrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, RenderError if the
+        renderer fails, whatever the optimizer raises, OSError if the directory cannot be written.
+        In all these cases the state is saved first wherever it is whole.
+        """
+        self._clock = self._saved_at = time.perf_counter()
+        self._saving_took = 0.0
+        with Interrupts() as interrupts:
+            try:
+                if on_progress is not None:
+                    on_progress(self.progress)
+                while self.record.evaluations < self._budget:
+                    self._step(interrupts)
+                    if on_progress is not None:
+                        on_progress(self.progress)
+                    self._save_now_and_then()
+                    interrupts.check()
+            except Interrupted:
+                self._leave("interrupted")
+                raise
+            except BaseException:
+                self._leave("failed")
+                raise
+        return self._finish()
+
+    # -- one piece ---------------------------------------------------------------------------------
+
+    def _step(self, interrupts: Interrupts) -> None:
+        """Render, judge and tell one piece; ask for a generation if none is left."""
+        record = self.record
+        if record.pending is None or len(record.pending) == 0:
+            X = self._of_optimizer(self.optimizer.ask)
+            record.pending = X[: self._budget - record.evaluations]
+            self._whole = True
+        X, rest = record.pending[:PIECE], record.pending[PIECE:]
+        with interrupts.stoppable():
+            start = time.perf_counter()
+            images = self._render(X)
+            rendered = time.perf_counter()
+        batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._on_clip)
+        losses = self.loss.compute(batch)
+        record.times["render"] += rendered - start
+        record.times["encode"] += time.perf_counter() - rendered
+        self._of_optimizer(lambda: self.optimizer.tell(X, batch, losses))
+        self._tick()
+        record.add(X, batch, losses)
+        record.pending = rest
+        self._whole = True
+
+    def _render(self, X: Float64) -> Any:
+        first = self.settings["seed"] * 2**40 + self.record.evaluations
+        try:
+            return self.task.render(X, seed=[first + i for i in range(len(X))])
+        except FideError:
+            raise
+        except Exception as error:
+            raise RenderError(
+                f"{self.settings['task']} failed to render candidates "
+                f"{self.record.evaluations} to {self.record.evaluations + len(X) - 1}: {error!r}"
+            ) from error
+
+    def _of_optimizer(self, step: Callable[[], Any]) -> Any:
+        """Result of a step of the optimizer, whose time is split as the optimizer says.
+
+        It leaves the state not whole, until the caller has recorded the result.
+        """
+        self._whole = False
+        before, start = dict(self.optimizer.times), time.perf_counter()
+        result = step()
+        elapsed, times = time.perf_counter() - start, self.record.times
+        for part in ("encode", "train"):
+            spent = self.optimizer.times.get(part, 0.0) - before.get(part, 0.0)
+            times[part] += spent
+            elapsed -= spent
+        times["search"] += max(0.0, elapsed)
+        return result
+
+    def _on_clip(self, message: str) -> None:
+        if not self._clipped:  # once a run, not once a piece
+            from fide_plugins.images import warn_clipped
+
+            self._clipped = True
+            warn_clipped(message)
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        self.record.wall_s += now - self._clock
+        self._clock = now
+
+    # -- saving and leaving ------------------------------------------------------------------------
+
+    def _save_now_and_then(self) -> None:
+        """Save if the last time is long enough ago, measured by the clock and by what it took."""
+        since = time.perf_counter() - self._saved_at
+        if since >= max(self._checkpoint_every, _SAVE_SHARE * self._saving_took):
+            self._save()
+
+    def _save(self) -> None:
+        start = time.perf_counter()
+        if self._directory is not None:
+            self._directory.save(self.record, self.optimizer)
+            self._directory.write_curve(self.record)
+            self._directory.write_best(self.record.image)
+        self._saved_at = time.perf_counter()
+        self._saving_took = self._saved_at - start
+        self._tick()
+
+    def _leave(self, status: str) -> None:
+        """Save what is whole, before an exception goes on."""
+        if self._directory is None:
+            return
+        if self._whole:
+            self._tick()
+            self._save()
+        self._directory.write_run(status, self._result(self.record.image))
+
+    def _finish(self) -> RunResult:
+        """Judge the best candidate, and write everything."""
+        self._save()
+        result = self._result(self._reference())
+        if self._directory is not None:
+            self._directory.write_summary(result, self.target)
+            self._directory.write_run("finished", result)
+        return result
+
+    def _reference(self) -> Float32 | None:
+        """Image by which the best candidate is judged: free of noise where the task has one."""
+        reference = getattr(self.task, "reference", None)
+        if reference is None or self.record.x_best is None:
+            return self.record.image
+        return as_target(reference(self.record.x_best))
+
+    def _result(self, judged: Float32 | None) -> RunResult:
+        r, s = self.record, self.settings
+        mse = np.nan
+        if judged is not None:
+            mse = float(losses_module.make("mse", self.target)(judged[None])[0])
+        return RunResult(
+            task=s["task"],
+            optimizer=s["optimizer"],
+            loss=s["loss"],
+            seed=s["seed"],
+            task_seed=s["task_seed"],
+            dim=s["dim"],
+            budget=self._budget,
+            evaluations=r.evaluations,
+            best_loss=r.best_loss,
+            best_evaluation=r.best_evaluation,
+            mse=mse,
+            wall_s=r.wall_s,
+            times=dict(r.times),
+            x_best=None if r.x_best is None else r.x_best.copy(),
+            image=r.image,
+            first_image=r.first_image,
+            losses=np.array(r.losses),
+            seconds=np.array(r.seconds),
+        )
+
+
+def _make_optimizer(
+    optimizer: str | Callable[..., Optimizer],
+    dim: int,
+    target: Float32,
+    loss: str | Callable[..., object],
+    seed: int,
+    options: dict[str, Any],
+) -> Optimizer:
+    clash = sorted({"loss", "seed"} & set(options))
+    if clash:
+        raise OptionError(f"{clash[0]} is an argument of the run, not an option of its optimizer")
+    options = {"loss": loss, "seed": seed, **options}
+    if isinstance(optimizer, str):
+        return optimizers.make(optimizer, dim, target, **options)
+    return optimizer(dim, target, **options)
+
+
+def _name(thing: object) -> str:
+    """Name a task or a factory gives itself, or else that of its class or function."""
+    name = getattr(thing, "name", None) or getattr(thing, "__name__", None)
+    return name if isinstance(name, str) else type(thing).__name__
+
+
+def _words(command: Sequence[str] | None) -> list[str] | None:
+    return None if command is None else list(command)

@@ -1,0 +1,152 @@
+"""What a run knows of itself: progress, totals, the history of its losses.
+
+Notation: a *piece* is what is rendered and told at once; *overhead* is all time but rendering.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.images import Float32
+from fide_plugins.points import Float64
+
+__all__ = ["PARTS", "Progress", "Record", "RunResult"]
+
+PARTS = ("render", "encode", "train", "search")
+"""What time is spent on; encode includes the loss."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A run at one moment.
+
+    evaluations, budget: renders done and allowed.
+    best_loss: lowest loss so far; infinity before there is a finite one.
+    wall_s: seconds so far, interruptions left out.
+    times: seconds of it, by `PARTS`; the rest is the loop's own.
+    """
+
+    evaluations: int
+    budget: int
+    best_loss: float
+    wall_s: float
+    times: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What a run found, and what it took.
+
+    Times are in seconds and leave interruptions out; `overhead_s` is all but rendering.
+    losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
+    mse: of the best candidate's (reference) image, whatever loss was optimized.
+    x_best: (dim,); image: (H, W, 3) as it was rendered during the run.  Both are None if no
+        candidate had a finite loss.
+    first_image: (H, W, 3), the first render of all.
+    """
+
+    task: str
+    optimizer: str
+    loss: str
+    seed: int
+    task_seed: int | None
+    dim: int
+    budget: int
+    evaluations: int
+    best_loss: float
+    best_evaluation: int
+    mse: float
+    wall_s: float
+    times: dict[str, float]
+    x_best: Float64 | None
+    image: Float32 | None
+    first_image: Float32 | None
+    losses: Float64
+    seconds: Float64
+
+    @property
+    def render_s(self) -> float:
+        """Seconds spent rendering."""
+        return self.times["render"]
+
+    @property
+    def overhead_s(self) -> float:
+        """Seconds spent on anything but rendering."""
+        return self.wall_s - self.times["render"]
+
+    def summary(self) -> dict[str, Any]:
+        """Totals as JSON can hold them: what is not finite becomes None."""
+        return {
+            "task": self.task,
+            "optimizer": self.optimizer,
+            "loss": self.loss,
+            "seed": self.seed,
+            "task_seed": self.task_seed,
+            "dim": self.dim,
+            "budget": self.budget,
+            "evaluations": self.evaluations,
+            "best_loss": _finite(self.best_loss),
+            "mse": _finite(self.mse),
+            "wall_s": self.wall_s,
+            "render_s": self.render_s,
+            "overhead_s": self.overhead_s,
+            "x_best": None if self.x_best is None else self.x_best.tolist(),
+        }
+
+
+@dataclass
+class Record:
+    """Everything a run has seen; it can be stored and restored.
+
+    losses, seconds: one entry for each evaluation.
+    pending: (m, dim), candidates that were asked and not yet told.
+    """
+
+    losses: array[float] = field(default_factory=lambda: array("d"))
+    seconds: array[float] = field(default_factory=lambda: array("d"))
+    times: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
+    wall_s: float = 0.0
+    best_loss: float = math.inf
+    best_evaluation: int = -1
+    x_best: Float64 | None = None
+    image: Float32 | None = None
+    first_image: Float32 | None = None
+    pending: Float64 | None = None
+
+    @property
+    def evaluations(self) -> int:
+        """Renders so far."""
+        return len(self.losses)
+
+    def add(self, X: Float64, images: Float32, losses: Float64) -> None:
+        """Count a piece: candidates (n, dim), images (n, H, W, 3), losses (n,)."""
+        if self.first_image is None:
+            self.first_image = images[0].copy()
+        ranked = np.where(np.isfinite(losses), losses, np.inf)
+        winner = int(ranked.argmin())
+        if ranked[winner] < self.best_loss:
+            self.best_loss = float(ranked[winner])
+            self.best_evaluation = self.evaluations + winner
+            self.x_best, self.image = X[winner].copy(), images[winner].copy()
+        self.losses.extend(losses.tolist())
+        self.seconds.extend([self.wall_s] * len(losses))
+
+    def state(self) -> dict[str, Any]:
+        """Everything, for a checkpoint."""
+        fields: dict[str, Any] = dict(vars(self))
+        return {**fields, "losses": np.array(self.losses), "seconds": np.array(self.seconds)}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> Record:
+        """The record of which `state` was made."""
+        arrays = {key: array("d", state[key].tolist()) for key in ("losses", "seconds")}
+        return cls(**{**state, **arrays})
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
