@@ -35,9 +35,9 @@ from Phi (no normalization of bins), beta-smeared tones just beyond [0, 1].
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import inf, sqrt
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,6 +46,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
+from fide_plugins.points import whole_number
 
 __all__ = ["LocallyOrderlessLoss"]
 
@@ -83,18 +84,19 @@ class LocallyOrderlessLoss(LossOfTarget):
         self,
         target: object,
         *,
-        scales: Sequence[tuple[float, float]] = SCALES,
+        scales: Iterable[tuple[float, float]] = SCALES,
         tonal: float = 1 / 8,
         tones: int = 8,
     ) -> None:
         super().__init__(target)
-        _check_options(scales, tonal, tones)
+        pairs = _as_pairs(scales)
+        self.tonal = _as_positive("tonal", tonal)
+        count = whole_number("tones", tones, 2)
+        self.tones = np.linspace(-self.tonal, 1 + self.tonal, count, dtype=np.float32)
         height, width, _ = self.target.shape
-        self.tonal = float(tonal)
-        self.tones = np.linspace(-tonal, 1 + tonal, tones, dtype=np.float32)
         self._pyramid = [
-            _inner(height, width, sigma, sorted({a for s, a in scales if s == sigma}))
-            for sigma in sorted({s for s, _ in scales})
+            _inner(height, width, sigma, sorted({alpha for s, alpha in pairs if s == sigma}))
+            for sigma in sorted({sigma for sigma, _ in pairs})
         ]
         self._histograms = self.histograms(self.target)
 
@@ -154,13 +156,24 @@ def _extent(side: int, samples: int, alpha: float) -> Any:
     return gaussian_means(samples, places, alpha * samples / side)
 
 
-def _check_options(scales: Sequence[tuple[float, float]], tonal: float, tones: int) -> None:
-    pairs = [tuple(pair) for pair in scales]
-    if not pairs or not all(len(p) == 2 and 0 <= p[0] < np.inf and p[1] >= 0 for p in pairs):
+def _as_pairs(scales: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    try:
+        pairs = [(float(inner), float(extent)) for inner, extent in scales]
+    except (TypeError, ValueError):
+        pairs = []
+    if not pairs or not all(0 <= inner < inf and extent >= 0 for inner, extent in pairs):
         raise OptionError(
-            f"scales must be pairs (inner >= 0, extent >= 0), at least one, got {scales!r}"
+            "scales must be pairs (inner, extent), at least one, with 0 <= inner < inf and "
+            f"extent >= 0, not {scales!r}"
         )
-    if not (isfinite(tonal) and tonal > 0):
-        raise OptionError(f"tonal must be positive, in units of values, got {tonal!r}")
-    if tones < 2:
-        raise OptionError(f"tones must be at least 2, got {tones!r}")
+    return pairs
+
+
+def _as_positive(name: str, value: float) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = 0.0
+    if not 0 < number < inf:
+        raise OptionError(f"{name} must be a positive number, not {value!r}")
+    return number

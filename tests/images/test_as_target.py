@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
@@ -111,6 +111,7 @@ def test_refused(image: object, message: str) -> None:
     assert isinstance(error.value, FideError) and isinstance(error.value, ValueError)
 
 
+@settings(deadline=None)
 @given(
     hnp.arrays(
         np.float32,
@@ -207,6 +208,7 @@ def test_bad_files_are_refused(tmp_path: Path, content: bytes) -> None:
         as_target(path)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 255))
 def test_a_damaged_file_is_an_image_or_refused(position: int, value: int) -> None:
     stream = io.BytesIO()

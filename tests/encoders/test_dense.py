@@ -1,0 +1,185 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings, strategies as st
+
+from fide_plugins.encoders.dense import DenseEncoder, box_weights, grid
+
+RNG = np.random.default_rng(3)
+MEAN, RIGHT, DOWN, DIAGONAL = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+FINE, COARSE = slice(12, 16), slice(16, 20)
+
+
+def encode(images: np.ndarray) -> np.ndarray:
+    """Tokens [n, gh, gw, C] of images."""
+    tokens = DenseEncoder()(images).numpy()
+    return tokens.reshape(len(images), *grid(*images.shape[1:3]), -1)
+
+
+def smooth(size: int) -> np.ndarray:
+    """One image of a few colored waves, the same scene at any size."""
+    y, x = (np.mgrid[:size, :size] + 0.5) / size
+    waves = [
+        np.sin(2 * np.pi * (a * x + b * y) + c) for a, b, c in ((1, 2, 0), (3, 1, 1), (2, -2, 2))
+    ]
+    return (np.stack(waves, axis=-1)[None] / 2 + 0.5).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(224, 224), (30, 50), (5, 5), (1, 1)])
+@pytest.mark.parametrize("color", [(0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.25, 0.5, 0.75)])
+def test_a_constant_image_has_its_color_and_nothing_else(
+    size: tuple[int, int], color: tuple[float, float, float]
+) -> None:
+    tokens = encode(np.full((1, *size, 3), color, np.float32))
+    np.testing.assert_allclose(
+        tokens[..., MEAN], np.broadcast_to(color, tokens[..., MEAN].shape), atol=1e-6
+    )
+    np.testing.assert_allclose(tokens[..., 3:], 0.0, atol=2e-6)
+
+
+def test_the_first_channels_are_mean_colors() -> None:
+    image = RNG.random((2, 112, 224, 3), dtype=np.float32)
+    rows, columns = grid(112, 224)
+    assert (rows, columns) == (10, 20)
+    tokens = encode(image[:, :110, :220])  # 11 x 11 pixels a patch
+    expected = image[:, :110, :220].reshape(2, 10, 11, 20, 11, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(tokens[..., MEAN], expected, atol=1e-6)
+
+
+def test_the_mean_of_the_tokens_is_that_of_the_image_whatever_the_size() -> None:
+    image = RNG.random((1, 61, 97, 3), dtype=np.float32)
+    np.testing.assert_allclose(
+        encode(image)[..., MEAN].mean(axis=(1, 2)), image.mean(axis=(1, 2)), atol=1e-6
+    )
+
+
+def test_contrasts_by_hand() -> None:
+    image = np.zeros((1, 56, 56, 3), np.float32)  # 14 x 14 patches of 4 x 4 pixels
+    image[0, :4, 2:4] = (0.5, 0.25, 0.0)  # patch (0, 0): right half
+    image[0, 6:8, 4:8] = 0.5  # patch (1, 1): lower half
+    image[0, 8:10, 8:10] = image[0, 10:12, 10:12] = 0.5  # patch (2, 2): main diagonal
+    tokens = encode(image)[0]
+    np.testing.assert_allclose(tokens[0, 0, 3:12], [0.5, 0.25, 0] + [0] * 6, atol=1e-6)
+    np.testing.assert_allclose(tokens[1, 1, 3:12], [0] * 3 + [0.5] * 3 + [0] * 3, atol=1e-6)
+    np.testing.assert_allclose(tokens[2, 2, 3:12], [0] * 6 + [0.5] * 3, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("direction", "channel"),
+    [
+        ((1, 0), 0),
+        ((-1, 0), 0),
+        ((0, 1), 1),
+        ((0, -1), 1),
+        ((1, -1), 2),
+        ((1, 1), 3),
+        ((-1, -1), 3),
+    ],
+)
+def test_edges_answer_to_their_direction(direction: tuple[int, int], channel: int) -> None:
+    """The luminance grows along `direction` (x, y); an edge is perpendicular to it."""
+    y, x = np.mgrid[:56, :56] / 56
+    ramp = (0.5 + 0.2 * (direction[0] * x + direction[1] * y)).astype(np.float32)
+    tokens = encode(np.repeat(ramp[None, ..., None], 3, axis=3))[0, 2:-2, 2:-2]
+    slope = 0.2 * np.hypot(*direction) / 56
+    for scale, step in ((FINE, 2), (COARSE, 4)):
+        expected = np.zeros(4)
+        expected[channel] = slope * step
+        np.testing.assert_allclose(
+            tokens[..., scale], np.broadcast_to(expected, (10, 10, 4)), atol=1e-5
+        )
+
+
+def test_opposite_edges_do_not_cancel() -> None:
+    image = np.zeros((1, 56, 56, 3), np.float32)
+    image[0, :, 29:31] = 1.0  # a line through the middle of patch column 7
+    tokens = encode(image)[0, 7, 7]
+    np.testing.assert_allclose(tokens[RIGHT], 0.0, atol=1e-6)
+    assert tokens[12] > 0.4 and tokens[13:16].max() < 1e-6
+
+
+def test_a_shift_by_a_patch_shifts_tokens() -> None:
+    image = RNG.random((1, 112, 112, 3), dtype=np.float32)
+    tokens, shifted = encode(image), encode(np.roll(image, (8, 16), axis=(1, 2)))
+    np.testing.assert_allclose(shifted[:, 2:13, 3:13], tokens[:, 1:12, 1:11], atol=1e-6)
+
+
+SYMMETRIES: list[tuple[Callable[[np.ndarray], np.ndarray], list[int], list[int]]] = [
+    # of the image; order of the four edge channels; signs of right, down, diagonal
+    (lambda x: x[:, :, ::-1], [0, 1, 3, 2], [-1, 1, -1]),
+    (lambda x: x[:, ::-1], [0, 1, 3, 2], [1, -1, -1]),
+    (lambda x: x[:, ::-1, ::-1], [0, 1, 2, 3], [-1, -1, 1]),
+]
+
+
+@pytest.mark.parametrize(("mirror", "order", "signs"), SYMMETRIES)
+def test_mirrored_images(
+    mirror: Callable[[np.ndarray], np.ndarray], order: list[int], signs: list[int]
+) -> None:
+    image = RNG.random((1, 60, 60, 3), dtype=np.float32)
+    tokens, mirrored = encode(image), mirror(encode(np.ascontiguousarray(mirror(image))))
+    np.testing.assert_allclose(mirrored[..., MEAN], tokens[..., MEAN], atol=1e-5)
+    for channels, sign in zip((RIGHT, DOWN, DIAGONAL), signs, strict=True):
+        np.testing.assert_allclose(mirrored[..., channels], sign * tokens[..., channels], atol=1e-5)
+    for scale in (FINE, COARSE):
+        np.testing.assert_allclose(mirrored[..., scale][..., order], tokens[..., scale], atol=1e-5)
+
+
+def test_the_transposed_image_swaps_directions() -> None:
+    image = RNG.random((1, 60, 60, 3), dtype=np.float32)
+    tokens = encode(image).transpose(0, 2, 1, 3)
+    transposed = encode(np.ascontiguousarray(image.transpose(0, 2, 1, 3)))
+    order = [0, 1, 2, 6, 7, 8, 3, 4, 5, 9, 10, 11, 13, 12, 14, 15, 17, 16, 18, 19]
+    np.testing.assert_allclose(transposed, tokens[..., order], atol=1e-5)
+
+
+def test_linear_channels_are_linear() -> None:
+    a, b = RNG.random((2, 1, 50, 70, 3), dtype=np.float32)
+    mixed = encode(0.25 * a + 0.75 * b)[..., :12]
+    np.testing.assert_allclose(
+        mixed, 0.25 * encode(a)[..., :12] + 0.75 * encode(b)[..., :12], atol=1e-6
+    )
+
+
+def test_a_scene_has_the_same_tokens_at_any_resolution() -> None:
+    reference = encode(smooth(224))
+    for size in (112, 150, 448):
+        np.testing.assert_allclose(encode(smooth(size)), reference, atol=0.02)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(1, 5000), st.integers(1, 5000))
+def test_the_grid_is_bounded(height: int, width: int) -> None:
+    rows, columns = grid(height, width)
+    assert 1 <= rows <= height and 1 <= columns <= width and rows * columns <= 256
+    assert grid(width, height) == (columns, rows)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 4096), (4096, 16), (3, 2), (700, 500)])
+def test_extreme_sizes(size: tuple[int, int]) -> None:
+    images = RNG.random((2, *size, 3), dtype=np.float32)
+    tokens = encode(images)
+    assert np.isfinite(tokens).all()
+    assert tokens[..., MEAN].min() >= 0 and tokens[..., MEAN].max() <= 1
+    assert tokens[..., 3:12].min() >= -1.00001 and tokens[..., 3:12].max() <= 1.00001
+    assert tokens[..., 12:].min() >= 0 and tokens[..., 12:].max() <= np.sqrt(2) + 1e-5
+
+
+def test_range_of_black_and_white_noise() -> None:
+    tokens = encode((RNG.random((4, 56, 56, 1)) > 0.5).repeat(3, axis=3))
+    assert tokens[..., :3].min() >= 0 and tokens[..., :3].max() <= 1
+    assert np.abs(tokens[..., 3:12]).max() <= 1.00001
+    assert tokens[..., 12:].min() >= 0 and tokens[..., 12:].max() <= np.sqrt(2)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(1, 200), st.integers(1, 60))
+def test_boxes_share_out_every_pixel(pixels: int, boxes: int) -> None:
+    weights = box_weights(pixels, boxes, torch.device("cpu")).double()
+    torch.testing.assert_close(
+        weights.sum(1), torch.ones(boxes, dtype=torch.float64), atol=1e-6, rtol=0
+    )
+    share = torch.full((pixels,), boxes / pixels, dtype=torch.float64)
+    torch.testing.assert_close(weights.sum(0), share, atol=1e-5, rtol=1e-5)

@@ -1,0 +1,24 @@
+import numpy as np
+
+from fide_plugins.losses.mse import MeanSquaredError
+
+RNG = np.random.default_rng(6)
+
+
+def test_equals_numpy() -> None:
+    target, *images = RNG.random((6, 31, 17, 3), dtype=np.float32)
+    expected = [np.mean((x.astype(np.float64) - target) ** 2) for x in images]
+    assert MeanSquaredError(target)(images).tolist() == expected
+
+
+def test_by_hand() -> None:
+    image = np.zeros((1, 2, 2, 3))
+    image[0, 0, 0] = (1.0, 0.5, 0.0)
+    assert MeanSquaredError(np.zeros((2, 2, 3)))(image)[0] == 1.25 / 12
+
+
+def test_differences_below_single_precision_of_the_mean_count() -> None:
+    target = np.full((112, 112, 3), 0.5, np.float32)
+    image = target.copy()
+    image[0, 0, 0] += 2.0**-20
+    assert MeanSquaredError(target)(image[None])[0] == 2.0**-40 / target.size
