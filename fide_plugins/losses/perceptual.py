@@ -12,7 +12,7 @@ alike differ.
 Definition
 ----------
 v_l      image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is their spacing,
-         sqrt(H W) 2^l / 56, for l = 0..3: (h, w) samples
+         sqrt(H W) 2^l / 56, for l = 0..3; coarser scales are averages of the finest one's samples
 g_l      differences of neighboring samples of v_l, right and down, all three colors (six numbers)
 M        local mean: Gaussian of 2 samples width, at every second sample
 
@@ -34,7 +34,7 @@ import numpy as np
 
 from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
-from fide_plugins.losses.scales import gaussian_means, resample, samples_at
+from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 
 __all__ = ["PerceptualLoss"]
 
@@ -50,7 +50,10 @@ OPPONENT = np.array(
 
 @dataclass(frozen=True)
 class _Level:
-    """Weights of one scale: samples from pixels, and local means from samples, down and across."""
+    """Weights along both axes, in the order of the arrays: of samples, then of local means.
+
+    The finest level samples pixels, the others the finest one's samples.
+    """
 
     samples: tuple[Any, Any]
     local: tuple[Any, Any]
@@ -60,12 +63,12 @@ class _Level:
 class _Structure:
     """Features of one image at one scale.
 
-    values: [w, h, 3] opponent colors
-    gradient: [w, 6, h] differences to the right and down
-    energy: [w, h] squared length of the gradient
+    colors: [a, 3, b] opponent colors of a x b samples
+    gradient: [a, 6, b] their differences along both axes
+    energy: [a, b] squared length of the gradient
     """
 
-    values: Float32
+    colors: Float32
     gradient: Float32
     energy: Float32
 
@@ -78,13 +81,17 @@ class PerceptualLoss(LossOfTarget):
     def __init__(self, target: object) -> None:
         super().__init__(target)
         height, width, _ = self.target.shape
-        unit = FINEST * sqrt(height * width)
-        self._levels = [_level(height, width, unit * 2**level) for level in range(LEVELS)]
+        self._levels = _levels(height, width)
         self._structure = self._features(self.target)
 
     def _features(self, image: Float32) -> list[_Structure]:
-        colors = np.matmul(OPPONENT, image.transpose(0, 2, 1))  # (H, 3, W)
-        return [_structure(resample(colors, *level.samples)) for level in self._levels]
+        finest, *coarser = self._levels
+        rgb = resample(planes(image), *finest.samples)
+        colors = planes((rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape))
+        return [
+            _structure(colors),
+            *(_structure(planes(resample(colors, *level.samples))) for level in coarser),
+        ]
 
     def _distance(self, image: Float32) -> float:
         total = 0.0
@@ -92,27 +99,40 @@ class PerceptualLoss(LossOfTarget):
         for own, target, level in zip(features, self._structure, self._levels, strict=True):
             difference = own.gradient - target.gradient
             energies = np.stack([_energy(difference), own.energy + target.energy], axis=1)
-            means = resample(energies, *level.local)  # (r, s, 2)
+            means = resample(energies, *level.local)
             ratio = means[..., 0] / (means[..., 1] + FLOOR)
             total += float(ratio.mean(dtype=np.float64))
-        coarse = np.square(features[-1].values - self._structure[-1].values).sum(axis=2)
+        coarse = np.square(features[-1].colors - self._structure[-1].colors).sum(axis=1)
         return total / LEVELS + COLOR_WEIGHT * float(coarse.mean(dtype=np.float64))
 
 
-def _level(height: int, width: int, spacing: float) -> _Level:
-    h, w = samples_at(height, spacing), samples_at(width, spacing)
-    return _Level(
-        (gaussian_means(height, h, spacing), gaussian_means(width, w, spacing)),
-        (gaussian_means(w, samples_at(w, 2.0), 2.0), gaussian_means(h, samples_at(h, 2.0), 2.0)),
-    )
+def _levels(height: int, width: int) -> list[_Level]:
+    """Weights of all scales; each sampling exchanges the axes."""
+    unit = FINEST * sqrt(height * width)
+    h, w = samples_at(height, unit), samples_at(width, unit)
+    sampled = (gaussian_means(height, h, unit), gaussian_means(width, w, unit))
+    levels = [_Level(sampled, (_local(w), _local(h)))]
+    for level in range(1, LEVELS):
+        spacing = unit * 2**level
+        rows, columns = samples_at(height, spacing), samples_at(width, spacing)
+        blur = sqrt(spacing**2 - unit**2)  # on top of the finest one's
+        sampled = (
+            gaussian_means(w, columns, blur * w / width),
+            gaussian_means(h, rows, blur * h / height),
+        )
+        levels.append(_Level(sampled, (_local(rows), _local(columns))))
+    return levels
 
 
-def _structure(values: Float32) -> _Structure:
-    x = np.ascontiguousarray(values.transpose(0, 2, 1))  # (w, 3, h)
-    gradient = np.zeros((len(x), 6, x.shape[2]), np.float32)
-    np.subtract(x[1:], x[:-1], out=gradient[:-1, :3])
-    np.subtract(x[:, :, 1:], x[:, :, :-1], out=gradient[:, 3:, :-1])
-    return _Structure(values, gradient, _energy(gradient))
+def _local(samples: int) -> Any:
+    return gaussian_means(samples, samples_at(samples, 2.0), 2.0)
+
+
+def _structure(colors: Float32) -> _Structure:
+    gradient = np.zeros((len(colors), 6, colors.shape[2]), np.float32)
+    np.subtract(colors[1:], colors[:-1], out=gradient[:-1, :3])
+    np.subtract(colors[:, :, 1:], colors[:, :, :-1], out=gradient[:, 3:, :-1])
+    return _Structure(colors, gradient, _energy(gradient))
 
 
 def _energy(gradient: Float32) -> Float32:

@@ -50,7 +50,7 @@ def samples_at(side: int, scale: float) -> int:
 
 
 def planes(image: Float32) -> Float32:
-    """(H, W, 3) as (H, 3, W)."""
+    """(h, w, 3) as (h, 3, w), contiguous."""
     return np.ascontiguousarray(image.transpose(0, 2, 1))
 
 
