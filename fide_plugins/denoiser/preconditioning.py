@@ -27,8 +27,8 @@ def x_prediction(network: Network) -> Denoise:
     return denoise
 
 
-def whitened(network: Network, mean: Tensor, std: Tensor) -> Denoise:
-    """Denoiser of data with this `mean` [d] and `std` [d].
+def whitened(network: Network, mean: Tensor | float, std: Tensor | float) -> Denoise:
+    """Denoiser of data with this `mean` and `std`, [d] or one number for all.
 
     With u = (z - mean) / std and r = s / std, the estimate is
     u / (1 + r^2) + r / sqrt(1 + r^2) * network(u / sqrt(1 + r^2), r); the network's input and

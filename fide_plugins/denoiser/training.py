@@ -26,8 +26,16 @@ from torch import Tensor
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import Context
 
-__all__ = ["Conditional", "Objective", "Preconditioner", "XLoss", "adam_state", "fit"]
-__all__ += ["load_adam_state"]
+__all__ = [
+    "Conditional",
+    "Objective",
+    "Preconditioner",
+    "WhitenedLoss",
+    "XLoss",
+    "adam_state",
+    "fit",
+    "load_adam_state",
+]
 
 Preconditioner = Callable[[Network], Denoise]
 
@@ -65,6 +73,28 @@ class XLoss:
         s = t * std  # (B, d)
         eps = torch.randn(x.shape, generator=generator, device=x.device)  # ~ N(0, I)
         return (denoise(x + s * eps, s) - x).square().mean()
+
+
+class WhitenedLoss:
+    """For data spread as `std` says, with `preconditioning.whitened`: Karras et al. 2022, Table 1.
+
+    ln t ~ N(log_mean, log_std^2), and the weight (1 + t^2) / (t std)^2 makes the loss of a network
+    that gives nothing 1 at every noise level.
+    """
+
+    def __init__(self, log_mean: float = 0.0, log_std: float = 1.5) -> None:
+        self.log_mean, self.log_std = log_mean, log_std
+
+    def __call__(
+        self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        """One draw of time and noise for each example."""
+        normal = torch.randn(len(x), 1, generator=generator, device=x.device)
+        t = (self.log_mean + self.log_std * normal).exp()
+        s = t * std  # (B, d)
+        eps = torch.randn(x.shape, generator=generator, device=x.device)  # ~ N(0, I)
+        error = (denoise(x + s * eps, s) - x) / s
+        return ((1 + t * t) * error.square()).mean()
 
 
 def fit(

@@ -96,6 +96,8 @@ class DiffusionProposer:
         epoch, on the device.
         """
         network, optimizer = self._parts(*tokens.shape[1:])
+        for group in optimizer.param_groups:
+            group["lr"] = self.learning_rate  # may have been changed between generations
         network.train()
         losses = fit(
             network,
@@ -156,9 +158,11 @@ class DiffusionProposer:
         self.updates = int(state["updates"])
         self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
 
-    def _parts(self, image_tokens: int, channels: int) -> tuple[ParameterTransformer, Any]:
+    def _parts(
+        self, image_tokens: int, channels: int
+    ) -> tuple[ParameterTransformer, torch.optim.Adam]:
         """The network and its Adam, made on first use."""
-        if self._network is None:
+        if self._network is None or self._optimizer is None:
             generator = torch.Generator().manual_seed(self._weights_seed)
             network = ParameterTransformer(
                 self.dim, image_tokens, channels, generator=generator, **self._sizes

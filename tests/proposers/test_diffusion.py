@@ -36,7 +36,7 @@ def images_of(x: Floats) -> Tensor:
 def test_learns_to_read_the_parameters_from_the_image() -> None:
     """The loss falls far below the identity's, E[s^2], and proposals fall near the answer."""
     x, tokens = scene(200)
-    proposer = make(epochs=60, batch_size=20)
+    proposer = make(epochs=40, batch_size=20)
     losses = proposer.update(x, tokens, STD)
     identity = float((STD**2).mean() / 3)  # E[t^2] = 1/3
     assert float(losses[-1]) < 0.25 * identity

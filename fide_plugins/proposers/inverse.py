@@ -1,0 +1,97 @@
+"""The inverse predictor alone: which parameters of the box made an image (Sec. 4.1).
+
+It is the proposer without evolution: trained on uniform samples of the unit cube, started from
+pure noise, and so a sampler of the posterior, with all its modes.  Its very first step, at a
+noise so loud that z says nothing, is the regression E[x | image] that averages over the modes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fide_plugins.denoiser import Denoise, Network
+from fide_plugins.denoiser.preconditioning import whitened
+from fide_plugins.denoiser.training import WhitenedLoss
+from fide_plugins.errors import OptionError
+from fide_plugins.proposers.diffusion import DiffusionProposer
+
+__all__ = ["InversePredictor"]
+
+Floats = NDArray[np.float64]
+
+BOX_STD = 12**-0.5  # of the uniform law on [0, 1]
+LOUDEST, FAINTEST = 20.0, 0.02  # noise at the two ends of sampling, in units of BOX_STD
+FAINTEST_CHANNEL = 1e-3  # a channel of tokens that hardly varies is not blown up
+
+
+class InversePredictor:
+    """Samples of x given an image, for x uniform in the unit cube.
+
+    Parameters
+    ----------
+    dim : d, the number of parameters.
+    steps : of Euler's method for a sample; noise levels fall geometrically.
+    seed : of everything random.
+    **options : of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
+
+    Raises
+    ------
+    OptionError
+        if `steps` is below 1, or as the `DiffusionProposer`.
+    """
+
+    def __init__(self, dim: int, *, steps: int = 18, seed: int = 0, **options: Any) -> None:
+        if steps < 1:
+            raise OptionError(f"sampling takes at least one step, got {steps=}")
+        for_proposer, for_samples = np.random.SeedSequence(seed).spawn(2)
+        self.proposer = DiffusionProposer(
+            dim,
+            seed=int(for_proposer.generate_state(1)[0]),
+            objective=WhitenedLoss(),
+            precondition=_whiten_box,
+            **options,
+        )
+        self._std = np.full(dim, BOX_STD)
+        self._schedule = tuple(np.geomspace(LOUDEST, FAINTEST, steps).tolist())
+        self._rng = np.random.default_rng(for_samples)
+        self._scale: tuple[Tensor, Tensor] | None = None
+
+    def update(self, x: Floats, tokens: Tensor) -> Tensor:
+        """Train on uniform `x` (n, d) and the tokens (n, T, C) of their images.
+
+        Returns the mean loss of each epoch; 1 means that nothing was learned.
+        """
+        if self._scale is None:  # channels of the first images get mean 0 and variance 1
+            spread = tokens.std((0, 1), correction=0).clamp_min(FAINTEST_CHANNEL)
+            self._scale = tokens.mean((0, 1)), spread
+        return self.proposer.update(x, self._normalize(tokens), self._std)
+
+    def sample(self, n: int, target_tokens: Tensor) -> Floats:
+        """Draw n parameter vectors for an image's tokens (T, C); (n, d), within the unit cube."""
+        return self._solve(n, target_tokens, self._schedule)
+
+    def regress(self, target_tokens: Tensor, n: int = 256) -> Floats:
+        """Estimate E[x | image], (d,): one step from pure noise, averaged over n draws of it."""
+        one_step: Floats = self._solve(n, target_tokens, (LOUDEST,)).mean(axis=0)
+        return one_step
+
+    def _solve(self, n: int, target_tokens: Tensor, schedule: tuple[float, ...]) -> Floats:
+        noise = self._rng.standard_normal((n, self.proposer.dim))
+        self.proposer.schedule = schedule
+        z = 0.5 + schedule[0] * self._std * noise
+        x = self.proposer.propose(z, self._normalize(target_tokens), self._std)
+        return np.clip(x, 0, 1)
+
+    def _normalize(self, tokens: Tensor) -> Tensor:
+        if self._scale is None:
+            return tokens
+        mean, spread = self._scale
+        return (tokens - mean) / spread
+
+
+def _whiten_box(network: Network) -> Denoise:
+    return whitened(network, 0.5, BOX_STD)
