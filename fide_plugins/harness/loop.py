@@ -215,7 +215,7 @@ class Run:
             except BaseException:
                 self._leave("failed")
                 raise
-        return self._finish()
+            return self._finish()  # a signal no longer matters: everything is about to be written
 
     # -- one piece ---------------------------------------------------------------------------------
 

@@ -233,14 +233,14 @@ def render(X, seed=None):
     time.sleep(0.004 * len(X))
     return draw(X, seed)
 task.render = render
-harness.run(task, "cma", budget=1500, seed=9, out=sys.argv[1], resume=True, checkpoint_every=0.02)
+harness.run(task, "cma", budget=700, seed=9, out=sys.argv[1], resume=True, checkpoint_every=0.02)
 """
 
 
 def test_resuming_after_sigkill_gives_the_uninterrupted_result(tmp_path: Path) -> None:
     import fide_tasks
 
-    whole = harness.run(fide_tasks.make("voronoi", size=32, cells=2), "cma", budget=1500, seed=9)
+    whole = harness.run(fide_tasks.make("voronoi", size=32, cells=2), "cma", budget=700, seed=9)
     out = tmp_path / "run"
     evaluations: list[int] = []
     for _ in range(2):
@@ -255,7 +255,7 @@ def test_resuming_after_sigkill_gives_the_uninterrupted_result(tmp_path: Path) -
         assert json.loads((out / "run.json").read_text())["status"] == "running"
     (out / ".run.json.00.tmp").touch()  # what a killed writer leaves
     task = fide_tasks.make("voronoi", size=32, cells=2)
-    assert same(whole, harness.run(task, "cma", budget=1500, seed=9, out=out, resume=True))
+    assert same(whole, harness.run(task, "cma", budget=700, seed=9, out=out, resume=True))
     assert not list(out.glob(".*"))
 
 

@@ -1,0 +1,94 @@
+"""The command ``fide``: one module for each of its commands.
+
+Exit codes: 0 done; 1 a run failed; 2 wrong usage, one line on standard error says which; 130 and
+143 stopped by Ctrl-C and SIGTERM, with everything saved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from fide_plugins import __version__
+from fide_plugins.cli.messages import complain
+
+__all__ = ["main"]
+
+COMMANDS = {
+    "run": "fit a built-in task",
+    "fit": "fit a picture of your own",
+    "list": "names of tasks, optimizers, encoders, losses",
+    "doctor": "what can be used on this machine",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line `argv` (default: the process's own) and return its exit code."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    parser = _parser()
+    try:
+        if not argv:
+            parser.print_help(sys.stderr)
+            return 2
+        # Two steps, so that only the module of the command that was asked for is imported.
+        name = parser.parse_args(argv[:1]).command
+        module = import_module(f"fide_plugins.cli.{name}_command")
+        own = _Parser(f"fide {name}", module.__doc__ or "")
+        module.add_arguments(own)
+        code: int = module.execute(own.parse_args(argv[1:]), ["fide", *argv])
+        return code
+    except _Usage as usage:
+        return complain(usage.prog, f"{usage}; see {usage.prog} --help")
+    except _Done as done:
+        return int(done.args[0])
+    except KeyboardInterrupt:
+        complain("fide", "stopped")
+        return 130
+    except BrokenPipeError:  # such as: fide list tasks | head -1
+        sys.stderr.close()
+        return 0
+
+
+class _Usage(Exception):
+    def __init__(self, prog: str, message: str) -> None:
+        super().__init__(message)
+        self.prog = prog
+
+
+class _Done(Exception):
+    """Argparse has printed a help or a version."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises instead of leaving the process, and complains in one line."""
+
+    def __init__(self, prog: str, description: str, usage: str | None = None) -> None:
+        super().__init__(
+            prog=prog,
+            usage=usage,
+            description=description,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+
+    def error(self, message: str) -> NoReturn:
+        raise _Usage(self.prog, message)
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        raise _Done(status)
+
+
+def _parser() -> _Parser:
+    width = max(map(len, COMMANDS))
+    listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in COMMANDS.items())
+    description = (
+        f"Fit a black-box renderer to a picture.\n\n{listing}\n\n"
+        "fide COMMAND --help explains each. A good start: fide run voronoi --size 112"
+    )
+    parser = _Parser("fide", description, "fide COMMAND ...")
+    parser.add_argument("--version", action="version", version=f"fide {__version__}")
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help=argparse.SUPPRESS)
+    return parser

@@ -1,0 +1,89 @@
+"""Progress on standard error: a bar in a terminal, a line now and then elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from fide_plugins.cli.messages import duration, note, number
+from fide_plugins.harness import Progress
+from fide_plugins.harness.record import PARTS
+
+__all__ = ["reporting", "shares"]
+
+_EVERY = 5.0  # seconds between lines
+
+Report = Callable[[Progress], None]
+
+
+@contextmanager
+def reporting(what: str) -> Iterator[Report]:
+    """Give a function that shows the progress of `what`."""
+    if sys.stderr.isatty():
+        with _bar(what) as report:
+            yield report
+    else:
+        yield _Lines(what)
+
+
+def shares(progress: Progress) -> str:
+    """Share of the time that each part takes."""
+    total = max(progress.wall_s, 1e-9)
+    return "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
+
+
+class _Speed:
+    """Renders per second since the first look, which after resuming is not the beginning."""
+
+    def __init__(self) -> None:
+        self._first: tuple[int, float] | None = None
+
+    def __call__(self, progress: Progress) -> float:
+        if self._first is None:
+            self._first = progress.evaluations, progress.wall_s
+        done, seconds = self._first
+        return (progress.evaluations - done) / max(progress.wall_s - seconds, 1e-9)
+
+
+class _Lines:
+    def __init__(self, what: str) -> None:
+        self._what, self._speed, self._last = what, _Speed(), time.monotonic()
+
+    def __call__(self, progress: Progress) -> None:
+        speed, now = self._speed(progress), time.monotonic()
+        if now - self._last < _EVERY and progress.evaluations < progress.budget:
+            return
+        self._last = now
+        note(
+            f"{self._what}  {progress.evaluations}/{progress.budget}  "
+            f"best {number(progress.best_loss)}  {speed:.0f} renders/s  {shares(progress)}"
+        )
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bar, TextColumn
+
+    # One table for all: markup is off, since names may hold brackets.
+    columns = [
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=24),
+        TextColumn("{task.completed}/{task.total}", markup=False),
+        TextColumn("{task.fields[facts]}", markup=False),
+    ]
+    speed = _Speed()
+    with Bar(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
+        line = bar.add_task(what, total=None, facts="")
+
+        def report(progress: Progress) -> None:
+            rate = speed(progress)
+            left = (progress.budget - progress.evaluations) / rate if rate > 0 else 0.0
+            facts = f"best {number(progress.best_loss)}  {rate:.0f} renders/s  {shares(progress)}"
+            if left > 0:
+                facts += f"  {duration(left)} left"
+            bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
+
+        yield report

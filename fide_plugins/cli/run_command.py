@@ -1,0 +1,56 @@
+"""Fit a built-in task, and write a run directory with the result.
+
+    fide run voronoi --size 112 --budget 4000
+    fide run spline --optimizer cma --set popsize=50 --out runs/mine
+    fide run voronoi --task-set cells=12 --task-seed 3 --json
+
+The directory holds summary.png, best.png, curve.csv, run.json and what --resume needs.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from fide_plugins.cli.arguments import (
+    add_run_arguments,
+    free_directory,
+    optimizer_options,
+    setting,
+    whole,
+)
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide run``."""
+    parser.add_argument("task", metavar="TASK", help="see: fide list tasks")
+    add_run_arguments(parser, size="side of the image")
+    add = parser.add_argument
+    add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
+    add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+        help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Run it; returns the exit code."""
+    from fide_plugins import harness
+    from fide_plugins.cli.running import execute_run
+
+    def prepare() -> harness.Run:
+        return harness.prepare(
+            args.task,
+            args.optimizer,
+            args.loss,
+            args.budget,
+            args.seed,
+            size=args.size,
+            task_seed=args.task_seed,
+            task_options=dict(args.task_set),
+            options=optimizer_options(args),
+            out=free_directory(args, args.task),
+            resume=args.resume,
+            command=command,
+        )
+
+    return execute_run(args, command, prepare, args.task)

@@ -1,0 +1,338 @@
+"""The command line as a user meets it: output, exit codes, messages."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import fide_plugins
+from fide_plugins.cli import main
+from fide_plugins.cli.arguments import setting
+from fide_plugins.cli.messages import duration, plain
+
+KEYS = [
+    "task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations", "best_loss",
+    "mse", "wall_s", "render_s", "overhead_s", "x_best",
+]  # fmt: skip
+
+SMALL = ["--optimizer", "cma", "--size", "24"]
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_json_is_the_last_line_of_standard_output_with_these_keys(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert (
+        fide("run", "voronoi", *SMALL, "--budget", 40, "--seed", 3, "--task-seed", 2, "--json") == 0
+    )
+    captured = capsys.readouterr()
+    result = json.loads(captured.out.splitlines()[-1])
+    assert list(result) == KEYS
+    assert result["task"] == "voronoi" and result["optimizer"] == "cma" and result["loss"] == "mse"
+    assert (result["seed"], result["task_seed"], result["dim"]) == (3, 2, 40)
+    assert result["budget"] == result["evaluations"] == 40
+    assert result["best_loss"] == result["mse"] > 0
+    assert len(result["x_best"]) == 40 and all(0 <= x <= 1 for x in result["x_best"])
+    assert result["wall_s"] == pytest.approx(result["render_s"] + result["overhead_s"])
+    assert "40/40" in captured.err and "render" in captured.err
+
+
+def test_a_run_without_json_says_where_to_look(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("run", "spline", *SMALL, "--loss", "perceptual", "--budget", 20) == 0
+    out = capsys.readouterr().out
+    assert "best perceptual" in out and "MSE" in out and "after 20 renders" in out
+    assert "look at runs/spline-cma-perceptual-seed0/summary.png" in out
+    assert Path("runs/spline-cma-perceptual-seed0/summary.png").is_file()
+
+
+def test_runs_without_out_never_meet(capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        assert fide("run", "voronoi", *SMALL, "--budget", 5) == 0
+    names = sorted(os.listdir("runs"))
+    assert names == ["voronoi-cma-mse-seed0", "voronoi-cma-mse-seed0-2"]
+    assert fide("run", "voronoi", *SMALL, "--budget", 5, "--resume") == 0
+    assert sorted(os.listdir("runs")) == names
+    assert "runs/voronoi-cma-mse-seed0-2 is finished" in capsys.readouterr().err
+
+
+def test_options_reach_the_optimizer_and_the_task(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--set", "popsize=7", "--set", "sigma0=0.25", "--set", "restarts=ipop"]
+    words += ["--task-set", "cells=2", "--out", "r"]
+    assert fide("run", "voronoi", *SMALL, "--budget", 15, *words) == 0
+    settings = json.loads(Path("r/run.json").read_text())["settings"]
+    assert settings["options"] == {"popsize": 7, "sigma0": 0.25, "restarts": "ipop"}
+    assert settings["task_options"] == {"cells": 2} and settings["dim"] == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("a=5", 5), ("a=-5", -5), ("a=0.5", 0.5), ("a=1e-3", 1e-3), ("a=true", True),
+        ("a=False", False), ("a=None", None), ("a=word", "word"), ("a=b=c", "b=c"), ("a=", ""),
+    ],
+)  # fmt: skip
+def test_settings_are_typed(text: str, value: object) -> None:
+    key, parsed = setting(text)
+    assert key == "a" and parsed == value and type(parsed) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "nothing"], "no task is named 'nothing'; the tasks: spline, voronoi"),
+        (["run", "voronoi", "--optimizer", "cmaa"], "unknown optimizer 'cmaa'.*did you mean 'cma'"),
+        (["run", "voronoi", *SMALL, "--loss", "l3"], "unknown loss 'l3': known are loi, mse"),
+        (["run", "voronoi", *SMALL, "--set", "epochs=3"], "no option 'epochs'; its options: loss"),
+        (["run", "voronoi", *SMALL, "--set", "popsize=two"], "popsize must be .* not 'two'"),
+        (["run", "voronoi", *SMALL, "--set", "popsize"], "key=value, not 'popsize'"),
+        (["run", "voronoi", *SMALL, "--set", "seed=1"], "seed is an argument of the run"),
+        (["run", "voronoi", *SMALL, "--preset", "fast"], "cma has no option 'preset'"),
+        (["run", "voronoi", *SMALL, "--task-set", "colour=1"], "voronoi has no option 'colour'"),
+        (["run", "voronoi", *SMALL, "--budget", "0"], "--budget: a whole number >= 1, not '0'"),
+        (["run", "voronoi", *SMALL, "--budget", "many"], "a whole number >= 1, not 'many'"),
+        (["run", "voronoi", *SMALL, "--seed", "-1"], "a whole number >= 0, not '-1'"),
+        (["run", "voronoi", *SMALL, "--out", "/proc/nowhere"], "cannot write to the folder"),
+        (["run", "voronoi", *SMALL, "--bugdet", "5"], "unrecognized arguments: --bugdet"),
+        (["run", "voronoi", "--seed"], "expected one argument"),
+        (["run"], "arguments are required: TASK"),
+        (["fit", "none.png", "--model", "voronoi"], "none.png"),
+        (["fit", "none.png"], "required: --model"),
+        (["fit", "none.png", "--model", "ellipses"], "invalid choice: 'ellipses'"),
+        (["fit", "a.png", "--model", "spline", "--cells", "3"], "--cells belongs to --model voron"),
+        (["list", "everything"], "invalid choice: 'everything'"),
+        (["dance"], "invalid choice: 'dance'"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    line = one_line(capsys)
+    import re
+
+    assert re.search(message, line), line
+    assert not Path("runs").exists()
+
+
+def test_another_run_s_directory_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "voronoi", *SMALL, "--budget", "5", "--out", "r"]
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main([*words, "--seed", "1", "--resume"]) == 2
+    assert "other settings: seed is 0 there and 1 here" in one_line(capsys)
+    assert main(words) == 2
+    assert "already holds a run" in one_line(capsys)
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("--version") == 0
+    assert capsys.readouterr().out == f"fide {fide_plugins.__version__}\n"
+    for words in (["--help"], ["run", "--help"], ["fit", "-h"], ["list", "-h"], ["doctor", "-h"]):
+        assert main(words) == 0
+        assert "usage: fide" in capsys.readouterr().out
+    assert main([]) == 2
+    assert "fide doctor" in capsys.readouterr().err
+
+
+def test_list(capsys: pytest.CaptureFixture[str]) -> None:
+    expected = {
+        "tasks": {"spline", "voronoi"},
+        "optimizers": {"cma", "fide", "random"},
+        "encoders": {"dense", "patch"},
+        "losses": {"loi", "mse", "perceptual"},
+    }
+    for kind, names in expected.items():
+        assert fide("list", kind) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert names <= set(lines) and lines == sorted(lines)
+
+
+def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("doctor", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    for kind, name in [("tasks", "voronoi"), ("optimizers", "cma"), ("losses", "mse")]:
+        assert facts[kind][name] is None
+    assert set(facts["extras"]) >= {"nevergrad", "optuna", "robot", "mitsuba"}
+    from fide_plugins.cli.doctor_command import _text
+
+    facts["losses"]["lpips"] = "weights not found"
+    text = _text(facts)
+    assert "lpips" in text and "weights not found" in text and "CUDA" in text
+
+
+# -- a picture of one's own ------------------------------------------------------------------------
+
+
+def picture(path: str, mode: str, size: tuple[int, int]) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (*size[::-1], len(mode)), np.uint8)
+    Image.fromarray(pixels[..., 0] if mode == "L" else pixels).save(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "size", "fitted"),
+    [
+        ("photo.jpg", "RGB", (300, 200), (32, 21)),
+        ("tall.png", "RGBA", (40, 160), (8, 32)),
+        ("gray.png", "L", (20, 12), (20, 12)),  # small enough as it is
+    ],
+)
+def test_fit_takes_pictures_of_any_size(
+    name: str, mode: str, size: tuple[int, int], fitted: tuple[int, int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    picture(name, mode, size)
+    words = ["fit", name, "--optimizer", "cma", "--size", 32, "--budget", 12, "--json"]
+    assert fide(*words, "--model", "voronoi", "--cells", 60) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert list(result) == KEYS
+    assert result["task"] == "voronoi" and result["dim"] == 300
+    with Image.open(f"runs/{Path(name).stem}-voronoi-cma-mse-seed0/best.png") as png:
+        assert abs(png.width - fitted[0]) <= 1 and abs(png.height - fitted[1]) <= 1
+    assert fide(*words, "--model", "spline", "--control-points", 4) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["dim"] == 9
+
+
+def test_transparent_pixels_are_white(capsys: pytest.CaptureFixture[str]) -> None:
+    Image.new("RGBA", (16, 16), (0, 0, 0, 0)).save("clear.png")
+    assert fide("fit", "clear.png", "--model", "voronoi", "--cells", 1, "--optimizer", "cma",
+                "--budget", 300, "--json") == 0  # fmt: skip
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert result["mse"] < 1e-3 and min(result["x_best"][2:]) > 0.9
+
+
+def test_pictures_that_are_none(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("text.png").write_text("not a picture\x1b[31m")
+    Path("evil\x1b[31m\n.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    os.mkdir("folder.png")
+    for name in ("text.png", "evil\x1b[31m\n.png", "folder.png"):
+        assert fide("fit", name, "--model", "voronoi") == 2
+        assert "\x1b" not in one_line(capsys)
+
+
+# -- interruption ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupt_saves_and_resume_reaches_the_same_result(
+    signum: int, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "run",
+        "voronoi",
+        *SMALL,
+        "--task-set",
+        "cells=2",
+        "--budget",
+        "2500",
+        "--json",
+        "--out",
+    ]
+    assert main([*words, "whole"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "fide_plugins", *words, "cut"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not Path("cut/run.json").exists():  # it is written just before the first render
+        assert child.poll() is None
+        time.sleep(0.005)
+    time.sleep(0.1)
+    child.send_signal(signum)
+    out, err = child.communicate()
+    assert child.returncode == code, err
+    assert out == ""
+    assert "saved in cut" in err and "--out cut --resume" in err
+    assert json.loads(Path("cut/run.json").read_text())["status"] == "interrupted"
+    assert main([*words, "cut", "--resume"]) == 0
+    resumed = json.loads(capsys.readouterr().out)
+    for key in ("evaluations", "best_loss", "mse", "x_best"):
+        assert resumed[key] == whole[key]
+    curves = [
+        [line.rsplit(",", 1)[0] for line in Path(out, "curve.csv").read_text().splitlines()]
+        for out in ("whole", "cut")
+    ]
+    assert curves[0] == curves[1]
+
+
+def test_a_run_that_fails_is_exit_code_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fide_tasks.voronoi import Voronoi
+
+    def broken(*_: object) -> None:
+        raise MemoryError("no more")
+
+    monkeypatch.setattr(Voronoi, "_render", broken)
+    import fide_tasks
+
+    target = np.zeros((8, 8, 3))
+    task = fide_tasks.make("voronoi", target=target)
+    monkeypatch.setattr(fide_tasks, "make", lambda *a, **k: task)
+    assert fide("run", "voronoi", *SMALL, "--budget", 5) == 1
+    err = capsys.readouterr().err
+    assert "the run failed: voronoi failed to render candidates 0 to 4" in err
+    assert "Traceback" not in err
+
+
+# -- text ------------------------------------------------------------------------------------------
+
+
+def test_text_cannot_control_the_terminal() -> None:
+    assert plain("a\x1b[31m b\n\tc\u202e") == "a\\x1b[31m b c\\u202e"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.04, "0.0 s"), (59.9, "59.9 s"), (61, "1 min 01 s"), (7260, "2 h 01 min")],
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_the_bar_shows_speed_loss_and_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    import io
+
+    from fide_plugins.cli.progress import reporting
+    from fide_plugins.harness import Progress
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    times = {"render": 1.0, "encode": 0.5, "train": 0.25, "search": 0.25}
+    with reporting("[red]x") as report:
+        report(Progress(100, 1000, 0.5, 1.0, dict.fromkeys(times, 0.0)))
+        report(Progress(300, 1000, 0.0125, 2.0, times))
+    text = terminal.getvalue()
+    for part in ("[red]x", "300/1000", "best 0.0125", "200 renders/s", "render 50%", "encode 25%"):
+        assert part in text
