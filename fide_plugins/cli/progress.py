@@ -64,26 +64,34 @@ class _Lines:
 
 @contextmanager
 def _bar(what: str) -> Iterator[Report]:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.progress import BarColumn, Progress as Bar, TextColumn
+    from rich.text import Text
 
-    # One table for all: markup is off, since names may hold brackets.
-    columns = [
+    class TwoLines(Bar):
+        """A bar and, below it, the shares of the time, so that both fit a narrow terminal."""
+
+        below = ""
+
+        def get_renderables(self) -> Iterator[RenderableType]:
+            yield from super().get_renderables()
+            yield Text(self.below, style="dim", overflow="ellipsis", no_wrap=True)
+
+    speed = _Speed()
+    columns = [  # without markup, since names may hold brackets
         TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=24),
+        BarColumn(bar_width=16),
         TextColumn("{task.completed}/{task.total}", markup=False),
         TextColumn("{task.fields[facts]}", markup=False),
     ]
-    speed = _Speed()
-    with Bar(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
-        line = bar.add_task(what, total=None, facts="")
+    with TwoLines(*columns, console=Console(stderr=True), refresh_per_second=5) as bar:
+        line = bar.add_task(what, total=1, facts="")
 
         def report(progress: Progress) -> None:
             rate = speed(progress)
             left = (progress.budget - progress.evaluations) / rate if rate > 0 else 0.0
-            facts = f"best {number(progress.best_loss)}  {rate:.0f} renders/s  {shares(progress)}"
-            if left > 0:
-                facts += f"  {duration(left)} left"
+            facts = f"best {number(progress.best_loss)}  {rate:.0f} renders/s"
+            bar.below = shares(progress) + (f"  {duration(left)} left" if left > 0 else "")
             bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
 
         yield report

@@ -18,9 +18,7 @@ _PACKAGES = (
     "numpy",
     "scipy",
     "opencv-python-headless",
-    "numba",
     "cma",
-    "kornia",
     "matplotlib",
     "pillow",
 )
