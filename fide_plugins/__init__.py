@@ -1,6 +1,6 @@
 """FIDE: fit a black-box renderer to a picture.
 
-    >>> from fide_plugins import FIDE, losses, encoders
+    from fide_plugins import FIDE, encoders, losses
 
 Everything here is loaded when it is first used, so that importing the package takes milliseconds
 and loads no PyTorch.
