@@ -5,7 +5,7 @@
     best.png       the best image so far
     summary.png    target, first render, best, curve
     run.ckpt       the loop's state; it names the file of the optimizer that belongs to it
-    optimizer-N.ckpt
+    optimizer-N-M.ckpt   after N evaluations, with M candidates pending
 
 Each file is replaced atomically.  The optimizer's file is written first, under a new name, then
 `run.ckpt`, which points to it, then the old one is removed: a kill at any moment leaves a pair that
@@ -133,7 +133,8 @@ class RunDirectory:
 
     def save(self, record: Record, optimizer: Optimizer) -> None:
         """Write the state from which the run can go on."""
-        name = f"optimizer-{record.evaluations}.ckpt"
+        pending = 0 if record.pending is None else len(record.pending)
+        name = f"optimizer-{record.evaluations}-{pending}.ckpt"  # one name for each state
         optimizer.save(self.path / name)
         state = {"record": record.state(), "optimizer": name}
         checkpoint.write(self.path / "run.ckpt", _KIND, state)

@@ -149,7 +149,7 @@ def test_the_run_directory(tmp_path: Path) -> None:
     out = tmp_path / "runs" / "a"
     result = harness.run("spline", "cma", "mse", 80, 4, size=40, out=out, command=["fide", "a b"])
     assert {p.name for p in out.iterdir()} == {
-        "run.json", "curve.csv", "best.png", "summary.png", "run.ckpt", "optimizer-80.ckpt",
+        "run.json", "curve.csv", "best.png", "summary.png", "run.ckpt", "optimizer-80-0.ckpt",
     }  # fmt: skip
     run = json.loads((out / "run.json").read_text())
     assert run["status"] == "finished" and run["command"] == "fide 'a b'"
@@ -194,6 +194,32 @@ def test_resuming_after_ctrl_c_gives_the_uninterrupted_result(
     task = NoisyTint()
     assert same(whole, harness.run(task, optimizer, **settings, out=tmp_path, resume=True))
     assert task.calls == 0  # it was finished
+
+
+def test_a_kill_between_the_two_files_of_a_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fide_plugins import checkpoint
+
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 60, "options": {"popsize": 10}}
+    write = checkpoint.write
+
+    def killed(path: Any, kind: str, state: dict[str, Any]) -> None:
+        # The render is interrupted right after a save, when a new generation has been asked:
+        # the optimizer's file is written, and then the process dies.
+        if kind == "run" and len(state["record"]["pending"]) > 0:
+            raise OSError("killed")
+        write(path, kind, state)
+
+    task = Tint()
+    task.at_call[3] = raise_interrupt
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write", killed)
+        with pytest.raises(OSError, match="killed"):
+            harness.run(task, **settings, out=tmp_path, checkpoint_every=0.0)
+    assert len(list(tmp_path.glob("optimizer-*.ckpt"))) == 2
+    resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
+    assert same(resumed, harness.run(Tint(), **settings))
 
 
 def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path) -> None:
