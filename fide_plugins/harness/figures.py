@@ -92,8 +92,8 @@ def _curve(axes: Any, result: RunResult) -> None:
         axes.legend(loc="upper right", fontsize=8, frameon=False, markerscale=3)
     axes.set_xlim(0, max(2, len(losses)))
     axes.set_xlabel("renders", fontsize=9, color=_INK, labelpad=2)
-    axes.set_ylabel(f"loss ({_plain(result.loss)})", fontsize=9, color=_INK)
-    axes.tick_params(labelsize=8, colors=_MUTED)
+    axes.set_title(f"loss ({_plain(result.loss)})", fontsize=9, color=_INK, loc="left", pad=4)
+    axes.tick_params(which="both", labelsize=8, colors=_MUTED)
     axes.grid(axis="y", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
