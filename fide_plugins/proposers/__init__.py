@@ -1,1 +1,79 @@
 """Proposers: what an image says about where the next candidates should lie."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fide_plugins.points import Float64
+from fide_plugins.presets import Options
+
+__all__ = ["Proposer", "make_proposer"]
+
+
+class Proposer(Protocol):
+    """Learns parameters from images, and is asked for those of the target (lines 5 and 8)."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be asked."""
+
+    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> object:
+        """Learn from candidates x (n, d), tokens (n, T, C) of their images, losses (n,).
+
+        std: (d,), sqrt(diag Sigma) of the search distribution.
+        """
+
+    def propose(
+        self, z: Float64, target: Tensor, std: Float64, rng: np.random.Generator
+    ) -> Float64:
+        """Candidates (m, d), from samples z (m, d) and the target's tokens (T, C).
+
+        Values may leave the unit cube.
+        """
+
+    def influence(self) -> Float64 | None:
+        """How much each parameter moves each token, (T, d), where that is known."""
+
+    def forget(self) -> None:
+        """Another search begins."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Put back what `state_dict` gave."""
+
+
+def make_proposer(
+    options: Options, dim: int, popsize: int, seed: int, device: torch.device
+) -> Proposer | None:
+    """Proposer that the options name; None for "none"."""
+    if options.proposer == "linear":
+        from fide_plugins.proposers.linear import LinearProposer
+
+        return LinearProposer(
+            dim,
+            capacity=options.memory * popsize,
+            elite=options.elite,
+            ridge=options.ridge,
+            components=options.components,
+            temperature=options.temperature,
+            minimum=2 * popsize,
+        )
+    if options.proposer == "diffusion":
+        from fide_plugins.proposers.diffusion import DiffusionProposer
+
+        return DiffusionProposer(
+            dim,
+            seed=seed,
+            device=device,
+            epochs=options.epochs,
+            learning_rate=options.learning_rate,
+            batch_size=options.batch_size,
+            schedule=options.schedule,
+        )
+    return None

@@ -89,9 +89,21 @@ class DiffusionProposer:
         self._weights_seed = int(for_weights)
         self._generator = torch.Generator(self.device).manual_seed(int(for_noise))
 
-    def update(self, x: Floats, tokens: Tensor, std: Floats) -> Tensor:
+    @property
+    def ready(self) -> bool:
+        """True: as in Algorithm 1, the first proposals come from an untrained network."""
+        return True
+
+    def forget(self) -> None:
+        """Keep the weights: they are carried on (Algorithm 1)."""
+
+    def influence(self) -> None:
+        """Nothing is known of which parameter moves which token."""
+
+    def update(self, x: Floats, tokens: Tensor, losses: Floats | None, std: Floats) -> Tensor:
         """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
 
+        `losses` play no part.
         `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean loss of each
         epoch, on the device.
         """
@@ -115,14 +127,18 @@ class DiffusionProposer:
         return losses
 
     @torch.no_grad()
-    def propose(self, z: Floats, target_tokens: Tensor, std: Floats) -> Floats:
-        """Denoise samples `z` (m, d) of the search distribution towards the target (T, C).
+    def propose(
+        self, z: Floats, target: Tensor, std: Floats, rng: np.random.Generator | None = None
+    ) -> Floats:
+        """Denoise samples `z` (m, d) of the search distribution towards the target's tokens (T, C).
+
+        The sampler is deterministic: `rng` plays no part.
 
         Returns (m, d); values may leave the unit cube, the caller repairs as for its own samples.
         """
-        network, _ = self._parts(*target_tokens.shape)
+        network, _ = self._parts(*target.shape)
         network.eval()
-        context = network.encode_context(target_tokens.to(self.device, torch.float32)[None])
+        context = network.encode_context(target.to(self.device, torch.float32)[None])
         denoise = self.precondition(partial(network, context=context))
         proposed = euler(denoise, self._tensor(z), self._tensor(std), self.schedule)
         return proposed.cpu().numpy().astype(np.float64)

@@ -68,7 +68,7 @@ class InversePredictor:
         if self._scale is None:  # channels of the first images get mean 0 and variance 1
             spread = tokens.std((0, 1), correction=0).clamp_min(FAINTEST_CHANNEL)
             self._scale = tokens.mean((0, 1)), spread
-        return self.proposer.update(x, self._normalize(tokens), self._std)
+        return self.proposer.update(x, self._normalize(tokens), None, self._std)
 
     def sample(self, n: int, target_tokens: Tensor) -> Floats:
         """Draw n parameter vectors for an image's tokens (T, C); (n, d), within the unit cube."""

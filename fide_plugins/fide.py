@@ -1,0 +1,467 @@
+"""FIDE: feature-informed diffusion evolution (Algorithm 1 of the paper), by ask and tell.
+
+=====================================  ======================================================
+Algorithm 1                            here
+=====================================  ======================================================
+line 1, mu and Sigma                   `search.cma_es.CMAES`, begun by `search.restart.Restarts`
+line 2, the denoiser                   a `Proposer`: `proposers.linear`, `proposers.diffusion`
+lines 4 and 5, sample and denoise      `FIDE._draw_generation`
+line 6, render                         the user, between `ask` and `tell`
+line 7, features                       `FIDE.tell`, by an encoder
+line 8, train                          `FIDE._finish_generation`
+line 9, costs                          `FIDE.tell`, by a loss or the user
+line 10, mu and Sigma                  `FIDE._finish_generation`
+=====================================  ======================================================
+
+What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
+(``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
+proposer without evolution (`proposers.inverse`).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from fide_plugins import checkpoint, encoders, losses as losses_module
+from fide_plugins.devices import resolve_device
+from fide_plugins.errors import CheckpointError, LossError, OptionError
+from fide_plugins.images import Float32, as_batch, as_target, warn_clipped
+from fide_plugins.ledger import Candidate, Ledger
+from fide_plugins.losses.base import as_losses
+from fide_plugins.points import Float64, as_points, new_seed, whole_number
+from fide_plugins.presets import make_options
+from fide_plugins.proposers import Proposer, make_proposer
+from fide_plugins.proposers.share import adapt_share
+from fide_plugins.search import box
+from fide_plugins.search.cma_es import CMAES, default_popsize
+from fide_plugins.search.restart import Restarts
+from fide_plugins.solution import Solution
+
+__all__ = ["FIDE"]
+
+_KIND = "fide"
+_ENCODE_AT_ONCE = 64  # images whose features are computed together; bounds memory
+
+
+class FIDE:
+    """Find parameters in [0, 1]^dim whose image is the target.
+
+    Parameters
+    ----------
+    dim
+        number of parameters, at least 1.
+    target
+        picture to find: (H, W, 3) or (H, W), uint8 in [0, 255] or float in [0, 1]; also a path, a
+        PIL image or a torch tensor.
+    loss
+        name in `fide_plugins.losses`, or a callable from images to (n,) numbers; None: "mse".
+        Used where `tell` gets images without losses.
+    encoder
+        name in `fide_plugins.encoders`; None: the preset's own.
+    popsize
+        candidates a generation, at least 4; None: the preset's own.
+    sigma0
+        standard deviation of the first generation around 0.5, in each parameter.
+    preset
+        "fast", "balanced", "accurate", or "paper" for the published method.
+    seed
+        same seed, same run; None draws one.
+    device
+        of encoder and network: "auto" takes CUDA where there is one.
+    **options
+        any other field of `fide_plugins.presets.Options`.
+
+    Raises
+    ------
+    ImageError, OptionError, UnknownNameError
+        all ValueErrors: the target or an option is not what it must be.
+    """
+
+    name = "fide"
+
+    def __init__(
+        self,
+        dim: int,
+        target: object,
+        *,
+        loss: str | Callable[..., object] | None = None,
+        encoder: str | None = None,
+        popsize: int | None = None,
+        sigma0: float = 1 / 6,
+        preset: str = "balanced",
+        seed: int | None = None,
+        device: str = "auto",
+        **options: Any,
+    ) -> None:
+        self.dim = whole_number("dim", dim, 1)
+        self.target = as_target(target)
+        self.options = make_options(preset, {"encoder": encoder, "popsize": popsize, **options})
+        if not isinstance(sigma0, int | float) or not 0 < sigma0 <= 1:
+            raise OptionError(f"sigma0 must lie in (0, 1], not {sigma0!r}")
+        self.sigma0 = float(sigma0)
+        self.seed = new_seed(seed)
+        self.popsize = self.options.popsize or max(4, default_popsize(self.dim))
+        self._loss = losses_module.resolve(loss, self.target)
+        self._encoder = encoders.make(self.options.encoder, device=resolve_device(device))
+        self._target_tokens = self._encoder.compute(self.target[None])[0]  # (T, C)
+        self.evaluations = 0
+        self.not_finite = 0
+        """Points told so far whose loss was NaN or infinite."""
+        self.times = {"encode": 0.0, "train": 0.0, "search": 0.0}  # seconds
+        self._best: Solution | None = None
+        self._clipped = False  # whether the user was warned
+        self._begin()
+
+    def _begin(self) -> None:
+        """Lines 1 and 2."""
+        o = self.options
+        self._rng = np.random.default_rng(self.seed)
+        self._restarts = Restarts(
+            self.dim,
+            self.sigma0,
+            mode=o.restarts,
+            patience=o.patience,
+            improvement=o.improvement,
+            horizon=o.horizon,
+            group_std=o.group_std,
+            rest_std=o.rest_std,
+        )
+        self._search = self._new_search(*self._restarts.begin_full())
+        self._best_mean = self._search.mean
+        self._proposer: Proposer | None = make_proposer(
+            o, self.dim, self.popsize, self.seed, self._encoder.device
+        )
+        self._share = o.share
+        self._ledger = Ledger(self.popsize)
+        self._lessons: list[_Lesson] = []  # told, not yet learned from
+        self._guest: tuple[Float64, float] | None = None  # best of the points never asked
+        self._best_search = 1  # the search that found the best point
+
+    # -- ask and tell ------------------------------------------------------------------------------
+
+    @property
+    def best(self) -> Solution | None:
+        """Best point told so far; None before the first with a finite loss."""
+        return self._best
+
+    def ask(self, n: int | None = None) -> Float64:
+        """Candidates to render, float64 (n, dim) in [0, 1].
+
+        None: what is left of the present generation, or, if all of it is out and not all told,
+        another `popsize` from the same distribution, for users with more workers than that.
+        """
+        with self._timed("search"):
+            n = (self._ledger.left or self.popsize) if n is None else whole_number("n", n, 1)
+            X = np.empty((n, self.dim))
+            for row in X:
+                if not self._ledger.left:
+                    self._draw_generation()
+                row[:] = self._ledger.hand_out()
+        return X
+
+    def tell(self, X: object, images: object = None, losses: object = None) -> None:
+        """Report results, in any order and any number of pieces.
+
+        Parameters
+        ----------
+        X
+            (n, dim), points in [0, 1]: those that were asked, or any others.
+        images
+            (n, H, W, C) or a list of n images, of the target's size; None: only losses are known,
+            and the proposer does not learn from these points.
+        losses
+            (n,), the lower the better; None: the optimizer's own loss of the images.
+
+        Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
+        them, they can become `best`, and the best of those told during a generation takes the place
+        of its worst candidate if it is better than that, its step cut to what a sample's may be.
+
+        Losses that are NaN or infinite rank last and are counted in `not_finite`.
+
+        Raises
+        ------
+        PointsError, ImageError, LossError
+            all ValueErrors, before anything changes.
+        """
+        points = as_points(X, self.dim)
+        if images is None and losses is None:
+            raise LossError("tell needs images, losses, or both; got neither")
+        batch = None
+        if images is not None:
+            batch = as_batch(images, self.target.shape, n=len(points), on_clip=self._warn_clipped)
+        with self._timed("encode"):
+            values = as_losses(losses, len(points)) if losses is not None else self._cost(batch)
+            tokens = self._encode(batch)  # line 7
+        for i in range(len(points)):
+            image = None if batch is None else batch[i]
+            with self._timed("search"):
+                self._note(
+                    points[i], float(values[i]), image, None if tokens is None else tokens[i]
+                )
+            if self._ledger.complete:
+                self._finish_generation()
+
+    def recommend(self) -> Float64:
+        """Mean (dim,) of the search distribution that found the best point (line 12)."""
+        return box.into(self._best_mean)
+
+    # -- Algorithm 1 -------------------------------------------------------------------------------
+
+    def _draw_generation(self) -> None:
+        """Sample candidates (line 4) and put proposals in the place of some (line 5)."""
+        z = self._search.sample(self.popsize, self._rng)  # (k, d) ~ N(m, Sigma)
+        x = box.into(z)
+        proposed = np.zeros(self.popsize, bool)
+        m = self._number_to_propose()
+        if m and self._proposer is not None:
+            with self._timed("train", instead_of="search"):
+                denoised = self._proposer.propose(
+                    z[-m:], self._target_tokens, self._search.std, self._rng
+                )
+            x[-m:] = np.clip(denoised, 0.0, 1.0)
+            z[-m:] = box.near(x[-m:], self._search.mean)
+            proposed[-m:] = True
+        self._ledger.draw(x, z, proposed)
+
+    def _number_to_propose(self) -> int:
+        if self._proposer is None or not self._proposer.ready:
+            return 0
+        expected = self._share * self.popsize
+        return min(int(expected + self._rng.random()), self.popsize - 1)
+
+    def _cost(self, batch: Float32 | None) -> Float64:
+        """Line 9."""
+        if batch is None:
+            raise LossError("a loss of images needs images; got none")
+        return self._loss.compute(batch)
+
+    def _encode(self, batch: Float32 | None) -> torch.Tensor | None:
+        """Line 7: tokens (n, T, C)."""
+        if batch is None or self._proposer is None or not len(batch):
+            return None
+        pieces = [
+            self._encoder.compute(batch[i : i + _ENCODE_AT_ONCE])
+            for i in range(0, len(batch), _ENCODE_AT_ONCE)
+        ]
+        return torch.cat(pieces)
+
+    def _note(
+        self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
+    ) -> None:
+        """Enter one result in the books."""
+        finite = bool(np.isfinite(loss))
+        self.not_finite += not finite
+        loss = loss if finite else np.inf
+        index = self._ledger.take_back(x, loss)
+        if finite and tokens is not None:
+            self._lessons.append(
+                _Lesson(self._ledger.drawn if index is None else index, x, tokens, loss)
+            )
+        if finite and index is None and (self._guest is None or loss < self._guest[1]):
+            self._guest = (x, loss)
+        if finite and (self._best is None or loss < self._best.loss):
+            copy = None if image is None else image.copy()
+            self._best = Solution(x.copy(), loss, self.evaluations, copy)
+            self._best_search = self._restarts.searches
+        self.evaluations += 1
+
+    def _finish_generation(self) -> None:
+        """Train (line 8) and update the search distribution (line 10)."""
+        members, losses = self._ledger.close_generation()
+        with self._timed("train"):
+            self._teach()  # line 8
+        with self._timed("search"):
+            self._update_share(members, losses)
+            z = np.array([candidate.z for candidate in members])
+            foreign = np.array([candidate.proposed or candidate.late for candidate in members])
+            self._restarts.note(losses)
+            z, losses, foreign = self._with_guest(z, losses, foreign)
+            self._search.tell(z, losses, foreign & self.options.guard_search)  # line 10
+            if self._best_search == self._restarts.searches:
+                self._best_mean = self._search.mean
+            if self._restarts.is_over(self._search.std):
+                self._restart()
+
+    def _teach(self) -> None:
+        """Line 8: the proposer learns from what was told since the last time."""
+        lessons = sorted(self._lessons, key=lambda lesson: lesson.index)
+        self._lessons = []
+        if self._proposer is None or not lessons:
+            return
+        self._proposer.update(
+            np.array([lesson.x for lesson in lessons]),
+            torch.stack([lesson.tokens for lesson in lessons]),
+            np.array([lesson.loss for lesson in lessons]),
+            self._search.std,
+        )
+
+    def _update_share(self, members: list[Candidate], losses: Float64) -> None:
+        o = self.options
+        if o.share_rate:
+            self._share = adapt_share(
+                self._share,
+                losses,
+                np.array([candidate.proposed for candidate in members]),
+                smallest=o.smallest_share,
+                largest=o.largest_share,
+                rate=o.share_rate,
+            )
+
+    def _with_guest(
+        self, z: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]
+    ) -> tuple[Float64, Float64, npt.NDArray[np.bool_]]:
+        """Put the best point that was never asked in the place of the worst candidate."""
+        guest, self._guest = self._guest, None
+        worst = int(np.argmax(losses))
+        if guest is None or not guest[1] < losses[worst]:
+            return z, losses, foreign
+        z[worst], losses[worst] = box.near(guest[0], self._search.mean), guest[1]
+        foreign[worst] = True
+        return z, losses, foreign
+
+    def _restart(self) -> None:
+        """Begin another search; what the best of them found is kept."""
+        if self._best is None:  # nothing finite was ever told
+            self._search = self._new_search(*self._restarts.begin_full())
+            return
+        energy = None if self._proposer is None else self._proposer.influence()
+        begin = self._restarts.begin_next(self._best.x, self._best.loss, energy, self._rng)
+        self._search = self._new_search(*begin)
+        self._ledger.close_search()
+        if self._proposer is not None:
+            self._proposer.forget()
+
+    def _new_search(self, mean: Float64, std: Float64) -> CMAES:
+        return CMAES(mean, std, self.popsize, limit_std=self.options.guard_search)
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint from which `load` goes on bit for bit; no pickle.
+
+        Raises OSError if it cannot be written; a file that was there before is then intact.
+        """
+        loss = getattr(self._loss, "name", "")
+        state = {
+            "dim": self.dim,
+            "target": self.target,
+            "options": asdict(self.options),
+            "sigma0": self.sigma0,
+            "seed": self.seed,
+            "popsize": self.popsize,
+            "loss": loss if loss in losses_module.names() else None,
+            "best": None if self._best is None else asdict(self._best),
+            "lessons": [asdict(lesson) for lesson in self._lessons],
+            "guest": None if self._guest is None else list(self._guest),
+            "rng": self._rng.bit_generator.state,
+            "proposer": None if self._proposer is None else self._proposer.state_dict(),
+            "search": self._search.state_dict(),
+            "restarts": self._restarts.state_dict(),
+            "ledger": self._ledger.state_dict(),
+            **{name: getattr(self, name) for name in _PLAIN_STATE},
+        }
+        checkpoint.write(path, _KIND, state)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        loss: str | Callable[..., object] | None = None,
+        device: str = "auto",
+    ) -> Self:
+        """Optimizer that goes on where the one saved at `path` stood.
+
+        A loss that was a callable cannot be stored: give it again as `loss`, or tell losses.
+        Raises OSError, or CheckpointError (a ValueError) if the file is cut short, damaged, of
+        another version, or not of FIDE.
+        """
+        state = checkpoint.read(path, _KIND)
+        try:
+            o = state["options"]
+            o["schedule"] = tuple(o["schedule"])
+            if loss is None:
+                loss = state["loss"] if state["loss"] is not None else _not_stored
+            optimizer = cls(
+                state["dim"],
+                state["target"],
+                loss=loss,
+                sigma0=state["sigma0"],
+                seed=state["seed"],
+                device=device,
+                **{**o, "popsize": state["popsize"]},
+            )
+            optimizer._load_state(state)
+        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+            why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
+            raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
+        return optimizer
+
+    def _load_state(self, state: dict[str, Any]) -> None:
+        for name in _PLAIN_STATE:
+            setattr(self, name, state[name])
+        self._best = None if state["best"] is None else Solution(**state["best"])
+        self._lessons = [
+            _Lesson(**{**lesson, "tokens": torch.as_tensor(lesson["tokens"])})
+            for lesson in state["lessons"]
+        ]
+        self._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
+        self._rng.bit_generator.state = state["rng"]
+        self._search = CMAES.from_state(state["search"])
+        self._restarts.load_state_dict(state["restarts"])
+        self._ledger = Ledger.from_state(state["ledger"])
+        if self._proposer is not None:
+            self._proposer.load_state_dict(state["proposer"])
+
+    # -- small things ------------------------------------------------------------------------------
+
+    @contextmanager
+    def _timed(self, what: str, *, instead_of: str | None = None) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        elapsed = time.perf_counter() - start
+        self.times[what] += elapsed
+        if instead_of is not None:  # runs within a block that is timed as something else
+            self.times[instead_of] -= elapsed
+
+    def _warn_clipped(self, message: str) -> None:
+        if not self._clipped:
+            self._clipped = True
+            warn_clipped(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lesson:
+    """What a proposer learns from: index (order), parameters (d,), tokens (T, C), loss."""
+
+    index: int
+    x: Float64
+    tokens: torch.Tensor
+    loss: float
+
+
+_PLAIN_STATE = (
+    "evaluations",
+    "not_finite",
+    "times",
+    "_clipped",
+    "_share",
+    "_best_mean",
+    "_best_search",
+)
+
+
+def _not_stored(images: Float32) -> Float64:
+    raise LossError(
+        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
+        "give it again, load(path, loss=...), or tell losses"
+    )

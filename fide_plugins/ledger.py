@@ -1,0 +1,161 @@
+"""Who was asked what: the bookkeeping of generations for users who ask and tell as they please.
+
+A generation is complete as soon as `popsize` of the candidates that were asked have been told, in
+whatever order and pieces; its members are then put in the order in which they were asked, so that
+the result does not depend on the order of telling.
+
+- Asking for more than is left of a generation draws more from the same distribution.
+- A candidate told after its generation was completed counts for the generation in which it
+  arrives, marked as late: it is not of that generation's distribution.
+- A candidate asked before a restart, told twice, or never asked at all is a *guest*: it tells
+  about the renderer, not about the search distribution.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.points import Float64
+
+__all__ = ["Candidate", "Ledger"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A point of the cube on its way to the user and back.
+
+    index: its number among all candidates ever drawn.
+    x: (d,), what is rendered.
+    z: (d,), what the search distribution learns from; into(z) = x.
+    proposed: whether a proposer made it, and not the search distribution.
+    late: whether it was told after its own generation was complete.
+    """
+
+    index: int
+    x: Float64
+    z: Float64
+    proposed: bool
+    late: bool = False
+
+
+class Ledger:
+    """Candidates drawn, asked and told.
+
+    popsize: members of a generation.
+    """
+
+    def __init__(self, popsize: int) -> None:
+        self.popsize = popsize
+        self.drawn = 0  # candidates ever drawn
+        self._queue: deque[Candidate] = deque()  # drawn, not handed out
+        self._asked: dict[bytes, list[Candidate]] = {}  # handed out, not told
+        self._told: list[tuple[Candidate, float]] = []  # of the generation that is under way
+        self._generation_from = 0  # candidates of a lower index belong to an earlier generation
+        self._search_from = 0  # ... or to an earlier search
+
+    @property
+    def left(self) -> int:
+        """Candidates of this generation that were drawn and not yet handed out."""
+        return len(self._queue)
+
+    @property
+    def asked(self) -> int:
+        """Candidates that were handed out and not yet told."""
+        return sum(map(len, self._asked.values()))
+
+    def draw(self, x: Float64, z: Float64, proposed: npt.NDArray[np.bool_]) -> None:
+        """Queue candidates x (n, d) with their z (n, d)."""
+        for row in zip(x, z, proposed.tolist(), strict=True):
+            self._queue.append(Candidate(self.drawn, *row))
+            self.drawn += 1
+
+    def hand_out(self) -> Float64:
+        """Next candidate of the queue, (d,)."""
+        candidate = self._queue.popleft()
+        self._asked.setdefault(candidate.x.tobytes(), []).append(candidate)
+        return candidate.x
+
+    def take_back(self, x: Float64, loss: float) -> int | None:
+        """Note that x (d,) was told; returns its index, or None if it is a guest."""
+        waiting = self._asked.get(x.tobytes())
+        if not waiting:
+            return None
+        candidate = waiting.pop(0)
+        if not waiting:
+            del self._asked[x.tobytes()]
+        if candidate.index < self._search_from:
+            return None
+        if candidate.index < self._generation_from:
+            candidate = replace(candidate, late=True)
+        self._told.append((candidate, loss))
+        return candidate.index
+
+    @property
+    def complete(self) -> bool:
+        """Whether a whole generation has been told."""
+        return len(self._told) >= self.popsize
+
+    def close_generation(self) -> tuple[list[Candidate], Float64]:
+        """Members of the generation, in the order they were asked, and their losses (popsize,).
+
+        What was drawn for it and never handed out is thrown away.
+        """
+        told = sorted(self._told, key=lambda pair: pair[0].index)
+        self._told = []
+        self._queue.clear()
+        self._generation_from = self.drawn
+        return [candidate for candidate, _ in told], np.array([loss for _, loss in told])
+
+    def close_search(self) -> None:
+        """After a restart: whatever is still out becomes a guest when it comes back."""
+        self._search_from = self.drawn
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything, as arrays."""
+        waiting = [c for several in self._asked.values() for c in several]
+        return {
+            "popsize": self.popsize,
+            "drawn": self.drawn,
+            "generation_from": self._generation_from,
+            "search_from": self._search_from,
+            "queue": _pack(list(self._queue)),
+            "asked": _pack(sorted(waiting, key=lambda c: c.index)),
+            "told": _pack([c for c, _ in self._told]),
+            "losses": np.array([loss for _, loss in self._told], np.float64),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Ledger:
+        """Ledger as it was when `state_dict` was taken."""
+        ledger = cls(int(state["popsize"]))
+        ledger.drawn = int(state["drawn"])
+        ledger._generation_from = int(state["generation_from"])
+        ledger._search_from = int(state["search_from"])
+        ledger._queue.extend(_unpack(state["queue"]))
+        for candidate in _unpack(state["asked"]):
+            ledger._asked.setdefault(candidate.x.tobytes(), []).append(candidate)
+        losses = state["losses"].tolist()
+        ledger._told = list(zip(_unpack(state["told"]), losses, strict=True))
+        return ledger
+
+
+def _pack(candidates: list[Candidate]) -> dict[str, Any]:
+    return {
+        "index": np.array([c.index for c in candidates], np.int64),
+        "x": np.array([c.x for c in candidates]),
+        "z": np.array([c.z for c in candidates]),
+        "proposed": np.array([c.proposed for c in candidates], bool),
+        "late": np.array([c.late for c in candidates], bool),
+    }
+
+
+def _unpack(packed: Mapping[str, Any]) -> list[Candidate]:
+    flags = packed["proposed"].tolist(), packed["late"].tolist()
+    columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
+    return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]

@@ -1,0 +1,143 @@
+"""What can be set, and the named settings.
+
+`paper` is the published method, literally.  The others are points on the measured trade of time
+for accuracy (`docs/`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.points import whole_number
+
+__all__ = ["PRESETS", "Options", "make_options"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Everything about an optimizer that does not change while it runs.
+
+    encoder: name in `fide_plugins.encoders`.
+    popsize: k, candidates a generation; None: 4 + 3 ln d.
+    proposer: "linear" (closed form), "diffusion" (the published denoiser) or "none" (CMA-ES).
+
+    share: of a generation that is proposed at first.
+    smallest_share, largest_share, share_rate: limits and speed of its adaptation, see
+        `proposers.share`; rate 0 keeps it as it is.
+
+    memory: generations that the linear proposer remembers.
+    elite, ridge, components, temperature: see `proposers.linear`.
+
+    epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
+
+    guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
+    restarts, patience, improvement, horizon, group_std, rest_std: see `search.restart`.
+    """
+
+    encoder: str = "dense"
+    popsize: int | None = None
+    proposer: str = "linear"
+
+    share: float = 0.3
+    smallest_share: float = 0.05
+    largest_share: float = 0.8
+    share_rate: float = 0.1
+
+    memory: int = 20
+    elite: float = 0.06
+    ridge: float = 0.3
+    components: int = 64
+    temperature: float = 0.3
+
+    epochs: int = 20
+    learning_rate: float = 1e-3
+    batch_size: int = 50
+    schedule: tuple[float, ...] = (0.3, 0.2, 0.1)
+
+    guard_search: bool = True
+    restarts: str = "partial"
+    patience: int = 30
+    improvement: float = 0.01
+    horizon: int = 8
+    group_std: float = 0.15
+    rest_std: float = 0.01
+
+
+PRESETS: Mapping[str, Options] = {
+    "fast": Options(),
+    "balanced": Options(),
+    "accurate": Options(),
+    "paper": Options(
+        encoder="patch",
+        popsize=500,
+        proposer="diffusion",
+        share=0.5,
+        share_rate=0.0,
+        guard_search=False,
+        restarts="none",
+    ),
+}
+
+_CHOICES = {
+    "proposer": ("linear", "diffusion", "none"),
+    "restarts": ("partial", "full", "none"),
+}
+_WHOLE = {"popsize": 4, "memory": 1, "components": 1, "epochs": 1, "batch_size": 1}
+_WHOLE |= {"patience": 1, "horizon": 1}
+_POSITIVE = ("elite", "ridge", "learning_rate", "group_std", "rest_std")
+_SHARES = ("share", "smallest_share", "largest_share", "share_rate", "improvement")
+
+
+def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
+    """The preset's options with `changes`; None leaves one as the preset has it.
+
+    Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
+    """
+    if preset not in PRESETS:
+        raise UnknownNameError.of("preset", preset, PRESETS)
+    known = [field.name for field in fields(Options)]
+    for name in changes:
+        if name not in known:
+            raise OptionError(f"FIDE has no option {name!r}; its options: {', '.join(known)}")
+    given = {name: value for name, value in changes.items() if value is not None}
+    return replace(PRESETS[preset], **{name: _checked(name, v) for name, v in given.items()})
+
+
+def _checked(name: str, value: Any) -> Any:
+    if name in _CHOICES:
+        if value not in _CHOICES[name]:
+            raise OptionError(f"{name} must be one of {', '.join(_CHOICES[name])}, not {value!r}")
+        return value
+    if name in _WHOLE:
+        return whole_number(name, value, _WHOLE[name])
+    if name == "guard_search":
+        if not isinstance(value, bool):
+            raise OptionError(f"guard_search must be True or False, not {value!r}")
+        return value
+    if name == "encoder":
+        return value
+    if name == "schedule":
+        from fide_plugins.denoiser.sampling import check_schedule  # imports torch
+
+        return check_schedule(value)
+    number = _number(name, value)
+    if name in _POSITIVE and not number > 0:
+        raise OptionError(f"{name} must be positive, not {value!r}")
+    if name in _SHARES and not 0 <= number <= 1:
+        raise OptionError(f"{name} must lie in [0, 1], not {value!r}")
+    if name == "temperature" and number < 0:
+        raise OptionError(f"temperature must not be negative, got {value!r}")
+    return number
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if isinstance(value, bool) or not abs(number) < float("inf"):
+        raise OptionError(f"{name} must be a finite number, not {value!r}")
+    return number

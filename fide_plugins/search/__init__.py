@@ -1,0 +1,1 @@
+"""Search distributions: what is refined from generation to generation (Sec. 3.3)."""

@@ -1,0 +1,36 @@
+"""How candidates are kept in the unit cube: reflection, as a change of coordinates.
+
+The search distribution lives in R^d.  Its candidate z stands for the point `into(z)` of the unit
+cube, the triangle wave of period 2 in every coordinate; what is rendered is that point, what the
+distribution learns from is z itself.  So it optimizes the even, periodic continuation of the loss,
+and every step it is told is one it drew: samples are exactly N(m, Sigma), none is clipped,
+redrawn or moved, and the covariance is as unbiased as without bounds.  (Telling the repaired point
+instead would shrink the covariance across a nearby wall.)
+
+A candidate that comes from elsewhere, a proposal or a user's guess, is a point x of the cube and
+has many z; `near` takes the one closest to the mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.points import Float64
+
+__all__ = ["into", "near"]
+
+
+def into(z: Float64) -> Float64:
+    """Points of the unit cube that candidates `z`, of any shape, stand for."""
+    period = np.mod(z, 2.0)  # in [0, 2]
+    x: Float64 = np.minimum(period, 2.0 - period)
+    return np.clip(x, 0.0, 1.0)
+
+
+def near(x: Float64, mean: Float64) -> Float64:
+    """Return the z (n, d) with into(z) = x (n, d) that is closest to `mean` (d,)."""
+    turn = 2.0 * np.round((mean - x) / 2.0)
+    mirrored = -x + 2.0 * np.round((mean + x) / 2.0)
+    direct = x + turn
+    z: Float64 = np.where(np.abs(mirrored - mean) < np.abs(direct - mean), mirrored, direct)
+    return z
