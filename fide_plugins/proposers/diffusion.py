@@ -103,15 +103,15 @@ class DiffusionProposer:
     def update(self, x: Floats, tokens: Tensor, losses: Floats | None, std: Floats) -> Tensor:
         """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
 
-        `losses` play no part.
-        `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean loss of each
-        epoch, on the device.
+        `losses` of the images play no part.
+        `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean training loss
+        of each epoch, on the device.
         """
         network, optimizer = self._parts(*tokens.shape[1:])
         for group in optimizer.param_groups:
             group["lr"] = self.learning_rate  # may have been changed between generations
         network.train()
-        losses = fit(
+        history = fit(
             network,
             self.precondition,
             self.objective,
@@ -124,7 +124,7 @@ class DiffusionProposer:
             generator=self._generator,
         )
         self.updates += 1
-        return losses
+        return history
 
     @torch.no_grad()
     def propose(

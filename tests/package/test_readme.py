@@ -11,7 +11,6 @@ README = Path(__file__).parents[2] / "README.md"
 
 
 def test_the_readme_s_own_python_finds_the_disk(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("fide_plugins.fide")
     (code,) = re.findall(r"```python\n(.*?)```", README.read_text("utf-8"), re.DOTALL)
     names: dict[str, object] = {}
     exec(compile(code, str(README), "exec"), names)

@@ -37,7 +37,7 @@ def test_learns_to_read_the_parameters_from_the_image() -> None:
     """The loss falls far below the identity's, E[s^2], and proposals fall near the answer."""
     x, tokens = scene(200)
     proposer = make(epochs=40, batch_size=20)
-    losses = proposer.update(x, tokens, STD)
+    losses = proposer.update(x, tokens, None, STD)
     identity = float((STD**2).mean() / 3)  # E[t^2] = 1/3
     assert float(losses[-1]) < 0.25 * identity
     answer = np.array([0.55, 0.35])
@@ -52,7 +52,7 @@ def test_same_seed_same_everything() -> None:
     out = []
     for seed in (7, 7, 8):
         proposer = make(seed)
-        proposer.update(x, tokens, STD)
+        proposer.update(x, tokens, None, STD)
         out.append(proposer.propose(x, tokens[0], STD))
     assert np.array_equal(out[0], out[1])
     assert not np.array_equal(out[0], out[2])
@@ -64,13 +64,13 @@ def test_state_continues_bit_for_bit(generations: int) -> None:
     """Also through numpy arrays, as a checkpoint keeps them."""
     original = make(3)
     for g in range(generations):
-        original.update(*scene(30, seed=g), STD)
+        original.update(*scene(30, seed=g), None, STD)
     state = as_numpy(original.state_dict())
     copy = make(99)
-    copy.update(*scene(30, seed=9), STD)
+    copy.update(*scene(30, seed=9), None, STD)
     copy.load_state_dict(state)
     x, tokens = scene(30, seed=5)
-    assert torch.equal(original.update(x, tokens, STD), copy.update(x, tokens, STD))
+    assert torch.equal(original.update(x, tokens, None, STD), copy.update(x, tokens, None, STD))
     assert np.array_equal(original.propose(x, tokens[0], STD), copy.propose(x, tokens[0], STD))
     assert original.updates == copy.updates == generations + 1
 
@@ -87,18 +87,18 @@ def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
 def test_state_is_a_copy() -> None:
     proposer = make()
     x, tokens = scene(20)
-    proposer.update(x, tokens, STD)
+    proposer.update(x, tokens, None, STD)
     before = proposer.state_dict()
     kept = before["weights"]["parameter_out.bias"].clone()
-    proposer.update(x, tokens, STD)
+    proposer.update(x, tokens, None, STD)
     assert torch.equal(before["weights"]["parameter_out.bias"], kept)
 
 
 def test_weights_and_moments_are_carried_on() -> None:
     proposer = make(epochs=3, batch_size=10)
     x, tokens = scene(20)
-    first = proposer.update(x, tokens, STD)
-    second = proposer.update(x, tokens, STD)
+    first = proposer.update(x, tokens, None, STD)
+    second = proposer.update(x, tokens, None, STD)
     assert float(second[0]) < float(first[0])
     steps = {float(entry["step"]) for entry in proposer.state_dict()["adam"].values()}
     assert steps == {2 * 3 * 2.0}  # updates x epochs x minibatches
@@ -111,7 +111,7 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
         torch.manual_seed(seed)
         before = torch.get_rng_state()
         proposer = make()
-        proposer.update(x, tokens, STD)
+        proposer.update(x, tokens, None, STD)
         out.append(proposer.propose(x, tokens[0], STD))
         assert torch.equal(before, torch.get_rng_state())
     assert np.array_equal(out[0], out[1])
@@ -121,7 +121,7 @@ def test_inputs_are_not_changed() -> None:
     x, tokens = scene(20)
     x_before, tokens_before = x.copy(), tokens.clone()
     proposer = make()
-    proposer.update(x, tokens, STD)
+    proposer.update(x, tokens, None, STD)
     proposer.propose(x, tokens[0], STD)
     assert np.array_equal(x, x_before)
     assert torch.equal(tokens, tokens_before)
@@ -132,7 +132,7 @@ def test_inputs_are_not_changed() -> None:
 def test_finite_for_collapsed_and_for_wide_populations(n: int, scale: float) -> None:
     x, tokens = scene(n)
     proposer = make(batch_size=4)
-    losses = proposer.update(0.5 + scale * (x - 0.5), tokens, scale * STD)
+    losses = proposer.update(0.5 + scale * (x - 0.5), tokens, None, scale * STD)
     proposed = proposer.propose(x, tokens[0], scale * STD)
     assert bool(losses.isfinite().all())
     assert bool(np.isfinite(proposed).all())
@@ -141,9 +141,9 @@ def test_finite_for_collapsed_and_for_wide_populations(n: int, scale: float) -> 
 def test_other_images_are_refused_before_anything_changes() -> None:
     proposer = make()
     x, tokens = scene(10)
-    proposer.update(x, tokens, STD)
+    proposer.update(x, tokens, None, STD)
     with pytest.raises(OptionError, match=r"\(3, 1\).*got \(2, 1\)"):
-        proposer.update(x, tokens[:, :2], STD)
+        proposer.update(x, tokens[:, :2], None, STD)
     assert proposer.updates == 1
 
 
@@ -160,5 +160,5 @@ def test_bad_options(options: dict[str, Any]) -> None:
 def test_on_cuda() -> None:
     x, tokens = scene(40)
     proposer = make(device="cuda")
-    proposer.update(x, tokens, STD)
+    proposer.update(x, tokens, None, STD)
     assert np.isfinite(proposer.propose(x, tokens[0], STD)).all()
