@@ -161,8 +161,13 @@ class LinearProposer:
         residuals = (residuals - w @ residuals) * np.sqrt(2 * w)[:, None]
         return _Fit(_rank_weights(ranks, self.elite * n), coefficients, residuals)
 
-    def influence(self) -> Float64:
-        """How much each parameter moves each token, (T, d): energy of a ridge fit e ~ J u."""
+    def influence(self) -> Float64 | None:
+        """How much each parameter moves each token, (T, d): energy of a ridge fit e ~ J u.
+
+        None where no image was seen.
+        """
+        if not len(self._x):
+            return None
         u = self._x - self._x.mean(axis=0)
         u = u / np.maximum(u.std(axis=0), _TINY)
         features = self._features - self._features.mean(axis=0)

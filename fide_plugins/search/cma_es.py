@@ -37,6 +37,8 @@ __all__ = ["CMAES", "default_popsize"]
 
 _TINY = 1e-300
 _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
+_SMALLEST_STD = 1e-14  # of the widest parameter; below it samples in a box of side 1 are all equal
+_FARTHEST = 2**10  # from 1 that the scale of C may drift
 _LARGEST_CONDITION = 1e14  # of C; beyond it eigenvectors are noise
 
 
@@ -124,9 +126,13 @@ class CMAES:
         self._update_covariance(y, lengths, long_path)
         path = float(np.linalg.norm(self.p_sigma))
         self._scale_sigma(np.exp(min(1.0, self._c_sigma / self._d_sigma * (path / self._chi - 1))))
+        self._rescale()
         self._decompose()
-        if (widest := self.std.mean()) > self.largest_std:
-            self._scale_sigma(self.largest_std / widest)
+        std = self.std
+        if std.mean() > self.largest_std:
+            self._scale_sigma(self.largest_std / std.mean())
+        elif std.max() < _SMALLEST_STD:
+            self._scale_sigma(_SMALLEST_STD / std.max())
 
     def _steps(self, z: Float64, foreign: npt.NDArray[np.bool_]) -> tuple[Float64, Float64]:
         """Steps y (k, d), foreign ones cut, and their Mahalanobis lengths (k,)."""
@@ -160,6 +166,16 @@ class CMAES:
         rank_one = np.outer(self.p_c, self.p_c)
         self.C = keep * self.C + self._c_1 * rank_one + self._c_mu * (y.T * w) @ y
 
+    def _rescale(self) -> None:
+        """Give a scale of C that has drifted to sigma; the distribution is the same to the bit."""
+        scale = np.sqrt(np.trace(self.C) / self.dim)
+        if 1 / _FARTHEST <= scale <= _FARTHEST:
+            return
+        power = float(2.0 ** np.round(np.log2(scale)))
+        self.sigma *= power
+        self.p_c = self.p_c / power
+        self.C = self.C / power**2
+
     def _scale_sigma(self, factor: float) -> None:
         self.sigma = float(np.clip(self.sigma * factor, _SMALLEST_SIGMA, _LARGEST_SIGMA))
 
@@ -171,6 +187,7 @@ class CMAES:
         if eigenvalues[0] < floor:
             eigenvalues = np.maximum(eigenvalues, floor)
             self.C = (self._B * eigenvalues) @ self._B.T
+            self.C = (self.C + self.C.T) / 2
         self._D = np.sqrt(eigenvalues)
 
     def state_dict(self) -> dict[str, Any]:

@@ -1,0 +1,261 @@
+"""The search distribution: the numbers of `cmaes`, and what foreign candidates may do to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cmaes
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fide_plugins.points import Float64
+from fide_plugins.search.cma_es import CMAES, default_popsize
+
+
+def ellipsoid(z: Float64) -> Float64:
+    """Condition 1e4, and no eigenvector along an axis."""
+    d = z.shape[1]
+    rotation = np.linalg.qr(np.random.default_rng(5).standard_normal((d, d)))[0]
+    values: Float64 = (((z - 0.3) @ rotation) ** 2 * np.geomspace(1, 1e4, d)).sum(axis=1)
+    return values
+
+
+def own(n: int) -> npt.NDArray[np.bool_]:
+    return np.zeros(n, bool)
+
+
+def check_sane(search: CMAES) -> None:
+    assert np.isfinite(search.mean).all() and np.isfinite(search.sigma) and search.sigma > 0
+    np.testing.assert_array_equal(search.C, search.C.T)
+    assert np.linalg.eigvalsh(search.C)[0] > 0
+    z = search.sample(5, np.random.default_rng(0))
+    assert np.isfinite(z).all()
+    assert np.isfinite(search.std).all() and search.std.min() > 0
+
+
+@pytest.mark.parametrize(
+    ("d", "k"), [(1, 4), (1, 5), (2, 6), (2, 7), (5, 30), (10, 10), (40, 15), (40, 16), (3, 200)]
+)
+def test_numbers_are_those_of_the_library(d: int, k: int) -> None:
+    """Told the same candidates, generation after generation."""
+    ours = CMAES(np.full(d, 0.6), 0.3, k, limit_std=False)
+    theirs = cmaes.CMA(np.full(d, 0.6), 0.3, population_size=k)
+    rng = np.random.default_rng(d + k)
+    generations = 40 if d == 40 else 60
+    for g in range(generations):
+        z = ours.sample(k, rng)
+        losses = ellipsoid(z)
+        ours.tell(z, losses, own(k))
+        theirs.tell([(z[i].copy(), float(losses[i])) for i in range(k)])
+        if ours.std.max() < 1e-9:  # rounding is no longer small
+            break
+        np.testing.assert_allclose(ours.mean, theirs.mean, rtol=1e-9, atol=1e-9 * ours.std.max())
+        sigma2_c = ours.sigma**2 * ours.C
+        reference = theirs._sigma**2 * theirs._C
+        np.testing.assert_allclose(sigma2_c, reference, rtol=1e-7, atol=1e-8 * reference.max())
+    assert g >= 30 or ours.std.max() < 1e-9
+
+
+def test_sigma_and_covariance_separately_are_those_of_the_library() -> None:
+    ours = CMAES(np.zeros(4), 0.5, 9, limit_std=False)
+    theirs = cmaes.CMA(np.zeros(4), 0.5, population_size=9)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        z = ours.sample(9, rng)
+        ours.tell(z, ellipsoid(z), own(9))
+        theirs.tell([(row.copy(), float(loss)) for row, loss in zip(z, ellipsoid(z), strict=True)])
+        assert ours.sigma == pytest.approx(theirs._sigma, rel=1e-9)
+        np.testing.assert_allclose(ours.C, theirs._C, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(ours.p_c, theirs._pc, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(ours.p_sigma, theirs._p_sigma, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("d", [1, 2, 10, 100, 1000])
+def test_default_population_is_the_library_s(d: int) -> None:
+    assert default_popsize(d) == cmaes.CMA(np.zeros(d), 1.0).population_size
+
+
+def test_samples_have_the_distribution_s_mean_and_covariance() -> None:
+    search = CMAES(np.array([0.2, 0.8]), np.array([0.1, 0.4]), 6)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        z = search.sample(6, rng)
+        search.tell(z, ellipsoid(z), own(6))
+    n = 40_000
+    z = search.sample(n, rng)
+    sigma = search.sigma**2 * search.C
+    std = np.sqrt(np.diag(sigma))
+    np.testing.assert_allclose(search.std, std, rtol=1e-12)
+    assert (np.abs(z.mean(axis=0) - search.mean) < 5 * std / np.sqrt(n)).all()
+    np.testing.assert_allclose(np.cov(z.T), sigma, atol=5 * std.max() ** 2 * np.sqrt(2 / n))
+
+
+def test_a_standard_deviation_for_each_parameter() -> None:
+    std = np.array([0.01, 0.2, 0.15])
+    np.testing.assert_allclose(CMAES(np.zeros(3), std, 5).std, std, rtol=1e-14)
+
+
+@pytest.mark.parametrize("d", [1, 3, 40])
+def test_foreign_steps_are_cut_to_the_stated_length(d: int) -> None:
+    """Hansen 2011, eq. 3: sqrt(d) + 2 d / (d + 2); steps that are short enough stay as they are."""
+    limit = np.sqrt(d) + 2 * d / (d + 2)
+    direction = np.ones(d) / np.sqrt(d)
+    k = 8
+
+    def mean_after(length: float, foreign: bool) -> Float64:
+        search = CMAES(np.full(d, 0.5), 0.1, k)
+        z = np.full((k, d), 0.5)
+        z[3] += 0.1 * length * direction
+        flags = own(k)
+        flags[3] = foreign
+        search.tell(z, np.array([9.0, 8, 7, 1, 6, 5, 4, 3]), flags)
+        return search.mean
+
+    at_limit = mean_after(limit, True)
+    np.testing.assert_allclose(mean_after(50 * limit, True), at_limit, rtol=1e-12)
+    np.testing.assert_allclose(mean_after(0.9 * limit, True), mean_after(0.9 * limit, False))
+    assert (mean_after(50 * limit, False) > at_limit + 0.1).all()
+    assert (at_limit > mean_after(0.9 * limit, True)).all()
+
+
+def test_foreign_steps_are_measured_in_the_distribution_s_own_metric() -> None:
+    """The same step is long across a narrow direction and short along a wide one."""
+    std = np.array([1e-3, 1.0])
+    for axis, is_cut in ((0, True), (1, False)):
+        search = CMAES(np.zeros(2), std, 6, limit_std=False)
+        z = np.zeros((6, 2))
+        z[0, axis] = 0.5
+        plain = CMAES(np.zeros(2), std, 6, limit_std=False)
+        flags = own(6)
+        plain.tell(z.copy(), np.arange(6.0), flags)
+        flags[0] = True
+        search.tell(z, np.arange(6.0), flags)
+        assert (search.mean[axis] < 0.5 * plain.mean[axis]) == is_cut
+
+
+def test_mean_standard_deviation_never_exceeds_that_of_the_beginning() -> None:
+    """On a slope both CMA-ES widen; the limited one stops at its first width."""
+    limited, free = (CMAES(np.zeros(5), 0.2, 8, limit_std=limit) for limit in (True, False))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        for search in (limited, free):
+            z = search.sample(8, rng)
+            search.tell(z, z[:, 0], own(8))
+        assert limited.std.mean() <= 0.2 * (1 + 1e-12)
+    assert free.std.mean() > 1.0
+    assert limited.std.mean() > 0.1
+    assert limited.mean[0] < -1  # it still goes downhill
+
+
+DEGENERATE: dict[str, tuple[Float64, Float64]] = {
+    "all at the mean": (np.full((8, 4), 0.5), np.arange(8.0)),
+    "all at one other point": (np.full((8, 4), 0.7), np.arange(8.0)),
+    "two points": (np.repeat([[0.2] * 4, [0.9] * 4], 4, axis=0), np.arange(8.0)),
+    "all losses infinite": (np.random.default_rng(0).random((8, 4)), np.full(8, np.inf)),
+    "all losses equal": (np.random.default_rng(0).random((8, 4)), np.zeros(8)),
+    "one parameter never moves": (
+        np.random.default_rng(0).random((8, 4)) * [1, 1, 1, 0],
+        np.arange(8.0),
+    ),
+    "far away": (np.full((8, 4), 1e30), np.arange(8.0)),
+    "denormal losses": (np.random.default_rng(0).random((8, 4)), np.arange(8) * 5e-324),
+}
+
+
+@pytest.mark.parametrize("foreign", [False, True])
+@pytest.mark.parametrize("what", DEGENERATE)
+def test_symmetric_positive_definite_whatever_is_told(what: str, foreign: bool) -> None:
+    z, losses = DEGENERATE[what]
+    search = CMAES(np.full(4, 0.5), 0.1, 8)
+    for _ in range(60):
+        search.tell(z, losses, np.full(8, foreign))
+        check_sane(search)
+
+
+@pytest.mark.parametrize("std", [[1.0, 1e-8], [1.0, 1e-12], [1e-150, 1e150]])
+def test_condition_is_held(std: list[float]) -> None:
+    """C of condition 1e16 and beyond: no eigenvalue below 1e-14 of the largest."""
+    search = CMAES(np.zeros(2), np.array(std), 6, limit_std=False)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        z = search.sample(6, rng)
+        search.tell(z, np.abs(z[:, 0]), own(6))
+        check_sane(search)
+        eigenvalues = np.linalg.eigvalsh(search.C)
+        assert eigenvalues[-1] / eigenvalues[0] < 1.01e14
+
+
+@pytest.mark.parametrize("limit_std", [True, False])
+def test_a_search_that_has_arrived_can_still_be_moved(limit_std: bool) -> None:
+    """Long after convergence samples still differ, and a far candidate does not overflow."""
+    search = CMAES(np.full(2, 0.5), 0.2, 6, limit_std=limit_std)
+    rng = np.random.default_rng(0)
+    for _ in range(1500):
+        z = search.sample(6, rng)
+        search.tell(z, ((z - 0.3) ** 2).sum(axis=1), own(6))
+    assert search.std.max() >= 0.99e-14
+    np.testing.assert_allclose(search.mean, 0.3, atol=1e-9)
+    assert len(np.unique(search.sample(20, rng), axis=0)) > 10
+    flags = own(6)
+    flags[0] = True
+    for _ in range(3):
+        z = search.sample(6, rng)
+        z[0] = 0.9
+        search.tell(z, np.arange(6.0), flags)
+        check_sane(search)
+
+
+def test_a_scale_that_drifts_from_covariance_to_sigma_changes_nothing() -> None:
+    """The same distribution as sigma^2 C with C = I, and with C = 4^20 I: same to the bit."""
+    searches = [CMAES(np.zeros(3), 0.25, 7, limit_std=False) for _ in range(2)]
+    searches[1].C = searches[1].C * 4.0**20
+    searches[1].sigma /= 2.0**20
+    searches[1]._decompose()
+    for seed in range(5):
+        for search in searches:
+            z = search.sample(7, np.random.default_rng(seed))
+            search.tell(z, ellipsoid(z), own(7))
+        np.testing.assert_array_equal(searches[0].mean, searches[1].mean)
+        np.testing.assert_array_equal(searches[0].std, searches[1].std)
+        assert 1e-4 < np.trace(searches[1].C) < 1e4
+
+
+def test_only_the_order_of_losses_matters() -> None:
+    results = []
+    for transform in (np.asarray, np.exp, lambda losses: 1e-300 * losses):
+        search = CMAES(np.zeros(3), 0.2, 7)
+        z = np.random.default_rng(0).standard_normal((7, 3))
+        search.tell(z, transform(ellipsoid(z) / 1e5), own(7))
+        results.append((search.mean, search.sigma, search.C))
+    for other in results[1:]:
+        for a, b in zip(results[0], other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("d", [1, 2, 10])
+def test_sphere_converges(d: int) -> None:
+    search = CMAES(np.full(d, 0.5), 1 / 6, default_popsize(d))
+    rng = np.random.default_rng(d)
+    for _ in range(60 + 30 * d):
+        z = search.sample(search.popsize, rng)
+        search.tell(z, ((z - 0.3) ** 2).sum(axis=1), own(search.popsize))
+    np.testing.assert_allclose(search.mean, 0.3, atol=1e-6)
+
+
+def test_state_goes_on_bit_for_bit() -> None:
+    def go(search: CMAES, rng: np.random.Generator) -> list[Any]:
+        for _ in range(7):
+            z = search.sample(9, rng)
+            search.tell(z, ellipsoid(z), np.arange(9) % 4 == 0)
+        return [search.mean, search.sigma, search.C, search.p_c, search.p_sigma, search.generation]
+
+    original = CMAES(np.full(5, 0.4), np.linspace(0.1, 0.3, 5), 9)
+    go(original, np.random.default_rng(0))
+    state = {k: np.copy(v) for k, v in original.state_dict().items()}
+    copy = CMAES.from_state(state)
+    assert copy.largest_std == original.largest_std
+    a, b = (go(search, np.random.default_rng(1)) for search in (original, copy))
+    for ours, theirs in zip(a, b, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert original.state_dict().keys() == copy.state_dict().keys()
