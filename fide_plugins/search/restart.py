@@ -40,6 +40,8 @@ def has_stalled(history: list[float], patience: int, improvement: float) -> bool
     if len(history) <= patience:
         return False
     before, now = history[-1 - patience], history[-1]
+    if before == np.inf:
+        return now == np.inf
     return not now < before - improvement * abs(before)
 
 

@@ -42,8 +42,8 @@ def test_numbers_are_those_of_the_library(d: int, k: int) -> None:
     ours = CMAES(np.full(d, 0.6), 0.3, k, limit_std=False)
     theirs = cmaes.CMA(np.full(d, 0.6), 0.3, population_size=k)
     rng = np.random.default_rng(d + k)
-    generations = 40 if d == 40 else 60
-    for g in range(generations):
+    checked = 0
+    while checked < 50:
         z = ours.sample(k, rng)
         losses = ellipsoid(z)
         ours.tell(z, losses, own(k))
@@ -54,7 +54,8 @@ def test_numbers_are_those_of_the_library(d: int, k: int) -> None:
         sigma2_c = ours.sigma**2 * ours.C
         reference = theirs._sigma**2 * theirs._C
         np.testing.assert_allclose(sigma2_c, reference, rtol=1e-7, atol=1e-8 * reference.max())
-    assert g >= 30 or ours.std.max() < 1e-9
+        checked += 1
+    assert checked >= 30
 
 
 def test_sigma_and_covariance_separately_are_those_of_the_library() -> None:
