@@ -50,6 +50,8 @@ from fide_plugins.points import Float64
 __all__ = ["LinearProposer"]
 
 _TINY = 1e-300
+_SMALLEST_STD = 1e-12  # of a parameter; below it is rounding
+_SMALLEST_ENERGY = 1e-30
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +156,8 @@ class LinearProposer:
         eigenvalues, vectors = np.linalg.eigh(gram * root * root[:, None])
         eigenvalues, vectors = eigenvalues[-self.components :], vectors[:, -self.components :]
         eigenvalues = np.maximum(eigenvalues, 0.0)
-        penalty = self.ridge * eigenvalues.mean() + 1e-12 * eigenvalues[-1] + _TINY
+        rounding = 1e-14 * (self._origin @ self._origin) + _SMALLEST_ENERGY  # float32 features
+        penalty = self.ridge * eigenvalues.mean() + 1e-12 * eigenvalues[-1] + rounding
         coefficients = (vectors / (eigenvalues + penalty)) @ (vectors.T @ (u * root[:, None]))
         residuals = u - (gram * root) @ coefficients
         w = _rank_weights(ranks, 2 * self.elite * n)  # a wider look: the best are fitted too well
@@ -169,7 +172,7 @@ class LinearProposer:
         if not len(self._x):
             return None
         u = self._x - self._x.mean(axis=0)
-        u = u / np.maximum(u.std(axis=0), _TINY)
+        u = u / np.maximum(u.std(axis=0), _SMALLEST_STD)
         features = self._features - self._features.mean(axis=0)
         normal = u.T @ u + 0.01 * len(u) * np.eye(self.dim)
         jacobian = np.linalg.solve(normal, u.T @ features).T

@@ -160,7 +160,7 @@ DEGENERATE: dict[str, tuple[Float64, Float64]] = {
         np.arange(8.0),
     ),
     "far away": (np.full((8, 4), 1e30), np.arange(8.0)),
-    "denormal losses": (np.random.default_rng(0).random((8, 4)), np.arange(8) * 5e-324),
+    "denormal losses": (np.random.default_rng(0).random((8, 4)), np.arange(8.0) * 5e-324),
 }
 
 
