@@ -96,14 +96,20 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
 
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
     """
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, PRESETS)
     known = [field.name for field in fields(Options)]
     for name in changes:
         if name not in known:
             raise OptionError(f"FIDE has no option {name!r}; its options: {', '.join(known)}")
     given = {name: value for name, value in changes.items() if value is not None}
-    return replace(PRESETS[preset], **{name: _checked(name, v) for name, v in given.items()})
+    options = replace(PRESETS[preset], **{name: _checked(name, v) for name, v in given.items()})
+    if options.smallest_share > options.largest_share:
+        raise OptionError(
+            f"smallest_share, {options.smallest_share}, must not be above largest_share, "
+            f"{options.largest_share}"
+        )
+    return options
 
 
 def _checked(name: str, value: Any) -> Any:
@@ -118,6 +124,8 @@ def _checked(name: str, value: Any) -> Any:
             raise OptionError(f"guard_search must be True or False, not {value!r}")
         return value
     if name == "encoder":
+        if not isinstance(value, str):
+            raise OptionError(f"encoder must be a name in fide_plugins.encoders, not {value!r}")
         return value
     if name == "schedule":
         from fide_plugins.denoiser.sampling import check_schedule  # imports torch

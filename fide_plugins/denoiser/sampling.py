@@ -27,7 +27,10 @@ PAPER_SCHEDULE = (0.3, 0.2, 0.1)
 
 def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
     """Return `schedule` as a tuple; times must be finite, positive and falling."""
-    times = tuple(float(t) for t in schedule)
+    try:
+        times = tuple(float(t) for t in schedule)
+    except (TypeError, ValueError):
+        times = ()
     positive = bool(times) and all(0 < t < float("inf") for t in times)
     if not positive or any(later >= t for t, later in pairwise(times)):
         raise OptionError(

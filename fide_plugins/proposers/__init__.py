@@ -62,7 +62,7 @@ def make_proposer(
             ridge=options.ridge,
             components=options.components,
             temperature=options.temperature,
-            minimum=2 * popsize,
+            minimum=min(2, options.memory) * popsize,
         )
     if options.proposer == "diffusion":
         from fide_plugins.proposers.diffusion import DiffusionProposer
