@@ -105,12 +105,11 @@ class FIDE:
         self.dim = whole_number("dim", dim, 1)
         self.target = as_target(target)
         self.options = make_options(preset, {"encoder": encoder, "popsize": popsize, **options})
-        if not isinstance(sigma0, int | float) or not 0 < sigma0 <= 1:
-            raise OptionError(f"sigma0 must lie in (0, 1], not {sigma0!r}")
-        self.sigma0 = float(sigma0)
+        self.sigma0 = _standard_deviation(sigma0)
         self.seed = new_seed(seed)
         self.popsize = self.options.popsize or max(4, default_popsize(self.dim))
         self._loss = losses_module.resolve(loss, self.target)
+        self._loss_name = "mse" if loss is None else loss if isinstance(loss, str) else None
         self._encoder = encoders.make(self.options.encoder, device=resolve_device(device))
         self._target_tokens = self._encoder.compute(self.target[None])[0]  # (T, C)
         self.evaluations = 0
@@ -118,6 +117,7 @@ class FIDE:
         """Points told so far whose loss was NaN or infinite."""
         self.times = {"encode": 0.0, "train": 0.0, "search": 0.0}  # seconds
         self._best: Solution | None = None
+        self._best_index = 0  # number of the candidate that is the best
         self._clipped = False  # whether the user was warned
         self._begin()
 
@@ -262,17 +262,21 @@ class FIDE:
         self.not_finite += not finite
         loss = loss if finite else np.inf
         index = self._ledger.take_back(x, loss)
+        number = self._ledger.drawn if index is None else index
         if finite and tokens is not None:
-            self._lessons.append(
-                _Lesson(self._ledger.drawn if index is None else index, x, tokens, loss)
-            )
+            self._lessons.append(_Lesson(number, x, tokens, loss))
         if finite and index is None and (self._guest is None or loss < self._guest[1]):
             self._guest = (x, loss)
-        if finite and (self._best is None or loss < self._best.loss):
+        if finite and self._is_better(loss, number):
             copy = None if image is None else image.copy()
             self._best = Solution(x.copy(), loss, self.evaluations, copy)
-            self._best_search = self._restarts.searches
+            self._best_index, self._best_search = number, self._restarts.searches
         self.evaluations += 1
+
+    def _is_better(self, loss: float, number: int) -> bool:
+        """Whether a candidate is the best; of equals the one that was asked first is."""
+        best = self._best
+        return best is None or (loss, number) < (best.loss, self._best_index)
 
     def _finish_generation(self) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
@@ -350,7 +354,6 @@ class FIDE:
 
         Raises OSError if it cannot be written; a file that was there before is then intact.
         """
-        loss = getattr(self._loss, "name", "")
         state = {
             "dim": self.dim,
             "target": self.target,
@@ -358,7 +361,7 @@ class FIDE:
             "sigma0": self.sigma0,
             "seed": self.seed,
             "popsize": self.popsize,
-            "loss": loss if loss in losses_module.names() else None,
+            "loss": self._loss_name,
             "best": None if self._best is None else asdict(self._best),
             "lessons": [asdict(lesson) for lesson in self._lessons],
             "guest": None if self._guest is None else list(self._guest),
@@ -381,11 +384,14 @@ class FIDE:
     ) -> Self:
         """Optimizer that goes on where the one saved at `path` stood.
 
-        A loss that was a callable cannot be stored: give it again as `loss`, or tell losses.
+        A loss that was not a name cannot be stored: give it again as `loss`, or tell losses.
         Raises OSError, or CheckpointError (a ValueError) if the file is cut short, damaged, of
-        another version, or not of FIDE.
+        another version, or not of FIDE; as the constructor if `loss` or `device` is wrong.
         """
         state = checkpoint.read(path, _KIND)
+        device = str(resolve_device(device))
+        if loss is not None:
+            losses_module.resolve(loss, state.get("target"))
         try:
             o = state["options"]
             o["schedule"] = tuple(o["schedule"])
@@ -401,7 +407,7 @@ class FIDE:
                 **{**o, "popsize": state["popsize"]},
             )
             optimizer._load_state(state)
-        except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+        except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:
             why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
             raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
         return optimizer
@@ -449,12 +455,23 @@ class _Lesson:
     loss: float
 
 
+def _standard_deviation(value: Any) -> float:
+    try:
+        number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
+    except (TypeError, ValueError):
+        number = 0.0
+    if not 0 < number <= 1:
+        raise OptionError(f"sigma0 must lie in (0, 1], not {value!r}")
+    return number
+
+
 _PLAIN_STATE = (
     "evaluations",
     "not_finite",
     "times",
     "_clipped",
     "_share",
+    "_best_index",
     "_best_mean",
     "_best_search",
 )

@@ -46,7 +46,8 @@ def rank_weights(losses: Float64, elite: float) -> Float64:
     """exp(-rank / (elite n)), summing to 1."""
     w = np.empty(len(losses))
     w[np.argsort(losses, kind="stable")] = np.exp(-np.arange(len(losses)) / (elite * len(losses)))
-    return w / w.sum()
+    weights: Float64 = w / w.sum()
+    return weights
 
 
 class Reference:
@@ -281,7 +282,7 @@ def test_state_goes_on_bit_for_bit() -> None:
         proposer.update(x[25:], tokens[25:], losses[25:], STD)
         rng = np.random.default_rng(2)
         results.append(proposer.propose(np.zeros((6, D)), tokens[3], STD, rng))
-    np.testing.assert_array_equal(*results)
+    np.testing.assert_array_equal(results[0], results[1])
     assert original.ready and copy.ready
 
 
