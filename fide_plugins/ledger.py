@@ -57,7 +57,6 @@ class Ledger:
         self._asked: dict[bytes, list[Candidate]] = {}  # handed out, not told
         self._told: list[tuple[Candidate, float]] = []  # of the generation that is under way
         self._generation_from = 0  # candidates of a lower index belong to an earlier generation
-        self._search_from = 0  # ... or to an earlier search
 
     @property
     def left(self) -> int:
@@ -89,8 +88,6 @@ class Ledger:
         candidate = waiting.pop(0)
         if not waiting:
             del self._asked[x.tobytes()]
-        if candidate.index < self._search_from:
-            return None
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
         self._told.append((candidate, loss))
@@ -113,8 +110,8 @@ class Ledger:
         return [candidate for candidate, _ in told], np.array([loss for _, loss in told])
 
     def close_search(self) -> None:
-        """After a restart: whatever is still out becomes a guest when it comes back."""
-        self._search_from = self.drawn
+        """After a restart: forget what is still out; it is a guest if it comes back."""
+        self._asked.clear()
 
     def state_dict(self) -> dict[str, Any]:
         """Everything, as arrays."""
@@ -123,7 +120,6 @@ class Ledger:
             "popsize": self.popsize,
             "drawn": self.drawn,
             "generation_from": self._generation_from,
-            "search_from": self._search_from,
             "queue": _pack(list(self._queue)),
             "asked": _pack(sorted(waiting, key=lambda c: c.index)),
             "told": _pack([c for c, _ in self._told]),
@@ -136,7 +132,6 @@ class Ledger:
         ledger = cls(int(state["popsize"]))
         ledger.drawn = int(state["drawn"])
         ledger._generation_from = int(state["generation_from"])
-        ledger._search_from = int(state["search_from"])
         ledger._queue.extend(_unpack(state["queue"]))
         for candidate in _unpack(state["asked"]):
             ledger._asked.setdefault(candidate.x.tobytes(), []).append(candidate)
