@@ -225,7 +225,7 @@ class FIDE:
         if m and self._proposer is not None:
             with self._timed("train", instead_of="search"):
                 denoised = self._proposer.propose(
-                    z[-m:], self._target_tokens, self._search.std, self._rng
+                    z[-m:], self._target_tokens, self._search.mean, self._search.std, self._rng
                 )
             x[-m:] = np.clip(denoised, 0.0, 1.0)
             z[-m:] = box.near(x[-m:], self._search.mean)

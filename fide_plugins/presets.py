@@ -29,7 +29,7 @@ class Options:
         `proposers.share`; rate 0 keeps it as it is.
 
     memory: generations that the linear proposer remembers.
-    elite, ridge, components, temperature: see `proposers.linear`.
+    elite, ridge, sources, shortest_step, longest_step, noise: see `proposers.linear`.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
 
@@ -46,11 +46,13 @@ class Options:
     largest_share: float = 0.8
     share_rate: float = 0.1
 
-    memory: int = 20
-    elite: float = 0.06
-    ridge: float = 0.3
-    components: int = 64
-    temperature: float = 0.3
+    memory: int = 12
+    elite: float = 0.5
+    ridge: float = 0.02
+    sources: int = 5
+    shortest_step: float = 0.3
+    longest_step: float = 1.2
+    noise: float = 0.5
 
     epochs: int = 20
     learning_rate: float = 1e-3
@@ -85,9 +87,17 @@ _CHOICES = {
     "proposer": ("linear", "diffusion", "none"),
     "restarts": ("partial", "full", "none"),
 }
-_WHOLE = {"popsize": 4, "memory": 1, "components": 1, "epochs": 1, "batch_size": 1}
+_WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
 _WHOLE |= {"patience": 1, "horizon": 1}
-_POSITIVE = ("elite", "ridge", "learning_rate", "group_std", "rest_std")
+_POSITIVE = (
+    "elite",
+    "ridge",
+    "shortest_step",
+    "longest_step",
+    "learning_rate",
+    "group_std",
+    "rest_std",
+)
 _SHARES = ("share", "smallest_share", "largest_share", "share_rate", "improvement")
 
 
@@ -136,8 +146,8 @@ def _checked(name: str, value: Any) -> Any:
         raise OptionError(f"{name} must be positive, not {value!r}")
     if name in _SHARES and not 0 <= number <= 1:
         raise OptionError(f"{name} must lie in [0, 1], not {value!r}")
-    if name == "temperature" and number < 0:
-        raise OptionError(f"temperature must not be negative, got {value!r}")
+    if name == "noise" and number < 0:
+        raise OptionError(f"noise must not be negative, got {value!r}")
     return number
 
 

@@ -28,11 +28,16 @@ class Proposer(Protocol):
         """
 
     def propose(
-        self, z: Float64, target: Tensor, std: Float64, rng: np.random.Generator
+        self,
+        z: Float64,
+        target: Tensor,
+        mean: Float64,
+        std: Float64,
+        rng: np.random.Generator,
     ) -> Float64:
         """Candidates (m, d), from samples z (m, d) and the target's tokens (T, C).
 
-        Values may leave the unit cube.
+        mean, std: (d,), of the distribution of z.  Values may leave the unit cube.
         """
 
     def influence(self) -> Float64 | None:
@@ -60,8 +65,9 @@ def make_proposer(
             capacity=options.memory * popsize,
             elite=options.elite,
             ridge=options.ridge,
-            components=options.components,
-            temperature=options.temperature,
+            sources=options.sources,
+            step=(options.shortest_step, options.longest_step),
+            noise=options.noise,
             minimum=min(2, options.memory) * popsize,
         )
     if options.proposer == "diffusion":

@@ -128,11 +128,16 @@ class DiffusionProposer:
 
     @torch.no_grad()
     def propose(
-        self, z: Floats, target: Tensor, std: Floats, rng: np.random.Generator | None = None
+        self,
+        z: Floats,
+        target: Tensor,
+        mean: Floats,
+        std: Floats,
+        rng: np.random.Generator | None = None,
     ) -> Floats:
         """Denoise samples `z` (m, d) of the search distribution towards the target's tokens (T, C).
 
-        The sampler is deterministic: `rng` plays no part.
+        The sampler needs neither `mean` nor `rng`.
 
         Returns (m, d); values may leave the unit cube, the caller repairs as for its own samples.
         """

@@ -55,7 +55,7 @@ class InversePredictor:
             precondition=_whiten_box,
             **options,
         )
-        self._std = np.full(dim, BOX_STD)
+        self._mean, self._std = np.full(dim, 0.5), np.full(dim, BOX_STD)
         self._schedule = tuple(np.geomspace(LOUDEST, FAINTEST, steps).tolist())
         self._rng = np.random.default_rng(for_samples)
         self._scale: tuple[Tensor, Tensor] | None = None
@@ -82,8 +82,8 @@ class InversePredictor:
     def _solve(self, n: int, target_tokens: Tensor, schedule: tuple[float, ...]) -> Floats:
         noise = self._rng.standard_normal((n, self.proposer.dim))
         self.proposer.schedule = schedule
-        z = 0.5 + schedule[0] * self._std * noise
-        x = self.proposer.propose(z, self._normalize(target_tokens), self._std)
+        z = self._mean + schedule[0] * self._std * noise
+        x = self.proposer.propose(z, self._normalize(target_tokens), self._mean, self._std)
         return np.clip(x, 0, 1)
 
     def _normalize(self, tokens: Tensor) -> Tensor:

@@ -8,28 +8,29 @@ symbol   shape   meaning
 u        (n, d)  parameters of the buffer, in units of std = sqrt(diag Sigma)
 e        (n, f)  features of their images, flattened
 w        (n,)    weights, falling with the rank of the loss; they sum to 1
+z, m             a sample of the search distribution and its mean
 u_c e_c          deviations from the weighted means, times sqrt(w)
 G        (n, n)  e e^T, all scalar products of features
 K        (f, d)  ridge regression of parameters on features
-r        (n, d)  what it leaves unexplained, u_c - e_c K
 =======  ======  ================================================================================
 
 For (u, e) jointly Gaussian, the best prediction of the parameters of an image e* from a noisy u is
 linear, and when the noise is so loud that u says nothing it is E[u | e*] = mean + (e* - mean) K.
-The published denoiser starts from the search distribution; this one starts from an evaluated
-candidate, the *source* i, whose parameters and image are both known, and corrects it by what is
-wrong with its own image:
+The published denoiser starts from a sample of the search distribution; this one starts from an
+evaluated candidate, the *source* i, whose parameters and image are both known, and corrects it by
+what is wrong with its own image:
 
-    x_new = x_i + std * ((e* - e_i) K + temperature * noise),   noise ~ N(0, 2 Cov_w(r)).
+    x_new = x_i + a * std * (e* - e_i) K + r * (z - m),   a ~ U(step), r ~ U(0, noise).
 
 That is the linear denoiser trained on all ordered pairs of the buffer (source i, image e_j, answer
 x_j), in closed form: the differences u_j - u_i and e_j - e_i have twice the covariances of u and e,
-and the same regression.  The noise is that of a sample of the posterior, not of the search
-distribution: it is wide along parameters that the image does not explain, and only there.
+and the same regression.  Only part of the way is asked for, a random part, because the target lies
+outside of what the buffer has seen; and a part of the deviation of the sample z is kept (partial
+denoising), so that proposals do not fall on one point.
 
-The weights matter most.  A fit that counts all candidates alike is true on average over the
-distribution, which is not where the next candidate goes; one that counts the best of them is true
-near the target.  `docs/ablation.md` has the measurements.
+The weights say how local the fit is: a fit that counts all candidates alike is true on average over
+the distribution, one that counts only the best is true near the target, and greedy.
+`docs/ablation.md` has the measurements.
 
 Everything is computed from G, in n dimensions: an image costs n scalar products once, a generation
 one n x n eigendecomposition, whatever the number of features.
@@ -60,7 +61,6 @@ class _Fit:
 
     weights: Float64  # [n]
     coefficients: Float64  # [n, d]
-    residuals: Float64  # [n, d] rows whose random combination is the posterior's noise
 
 
 class LinearProposer:
@@ -71,9 +71,10 @@ class LinearProposer:
     dim : d, the number of parameters.
     capacity : n, evaluated candidates that are remembered, the latest.
     elite : weights fall as exp(-rank / (elite * n)).
-    ridge : penalty, in units of the mean of the `components` largest eigenvalues of e_c e_c^T.
-    components : principal components of the features that are kept.
-    temperature : of the posterior's noise; 0: each proposal is the posterior mean.
+    ridge : penalty, in units of the trace of e_c e_c^T over min(n, 64).
+    sources : the best so many candidates are corrected, one drawn for each proposal.
+    step : (low, high), how much of the way is asked for.
+    noise : largest share of a sample's deviation that is kept.
     minimum : candidates that must be known before anything is proposed.
     """
 
@@ -82,15 +83,16 @@ class LinearProposer:
         dim: int,
         *,
         capacity: int,
-        elite: float = 0.06,
-        ridge: float = 0.3,
-        components: int = 64,
-        temperature: float = 0.3,
+        elite: float = 0.5,
+        ridge: float = 0.02,
+        sources: int = 5,
+        step: tuple[float, float] = (0.3, 1.2),
+        noise: float = 0.5,
         minimum: int = 2,
     ) -> None:
-        self.dim, self.capacity = dim, capacity
-        self.elite, self.ridge, self.components = elite, ridge, components
-        self.temperature, self.minimum = temperature, minimum
+        self.dim, self.capacity, self.minimum = dim, capacity, minimum
+        self.elite, self.ridge = elite, ridge
+        self.sources, self.step, self.noise = sources, step, noise
         self.forget()
 
     def forget(self) -> None:
@@ -126,22 +128,29 @@ class LinearProposer:
         self._losses = np.concatenate([self._losses[old], losses[-self.capacity :]])
 
     def propose(
-        self, z: Float64, target: Tensor, std: Float64, rng: np.random.Generator
+        self,
+        z: Float64,
+        target: Tensor,
+        mean: Float64,
+        std: Float64,
+        rng: np.random.Generator,
     ) -> Float64:
-        """Correct the best len(z) candidates of the buffer towards the target's tokens (T, C).
+        """Correct some of the best candidates of the buffer towards the target's tokens (T, C).
 
-        std: (d,), sqrt(diag Sigma) of the search distribution.  Returns (len(z), d); values may
-        leave the unit cube.
+        z: (m, d), samples of the search distribution, whose mean and sqrt(diag Sigma) are mean and
+        std, (d,) each.  Returns (m, d); values may leave the unit cube.
         """
         ranks = _ranks(self._losses)
         fit = self._fit(ranks, std)
-        sources = np.argsort(ranks)[np.arange(len(z)) % len(ranks)]
+        best = np.argsort(ranks)[: self.sources]
+        sources = best[rng.integers(len(best), size=len(z))]
         wanted = target.detach().cpu().numpy().reshape(-1).astype(np.float64) - self._origin
         products = self._features @ wanted - self._gram[sources]  # (e* - e_i) . e_j
         products = (products - (products @ fit.weights)[:, None]) * np.sqrt(fit.weights)
-        noise = rng.standard_normal((len(z), len(ranks))) @ fit.residuals
-        step = products @ fit.coefficients + self.temperature * noise
-        proposals: Float64 = self._x[sources] + std * step
+        a = rng.uniform(*self.step, size=(len(z), 1))
+        r = rng.uniform(0.0, self.noise, size=(len(z), 1))
+        correction = a * std * (products @ fit.coefficients)
+        proposals: Float64 = self._x[sources] + correction + r * (z - mean)
         return proposals
 
     def _fit(self, ranks: npt.NDArray[np.intp], std: Float64) -> _Fit:
@@ -154,15 +163,11 @@ class LinearProposer:
         gram = self._gram - row - row[:, None] + w @ row  # products of deviations from the mean
         root = np.sqrt(w)
         eigenvalues, vectors = np.linalg.eigh(gram * root * root[:, None])
-        eigenvalues, vectors = eigenvalues[-self.components :], vectors[:, -self.components :]
         eigenvalues = np.maximum(eigenvalues, 0.0)
         rounding = 1e-14 * (self._origin @ self._origin) + _SMALLEST_ENERGY  # float32 features
-        penalty = self.ridge * eigenvalues.mean() + 1e-12 * eigenvalues[-1] + rounding
+        penalty = self.ridge * eigenvalues.sum() / min(n, 64) + rounding
         coefficients = (vectors / (eigenvalues + penalty)) @ (vectors.T @ (u * root[:, None]))
-        residuals = u - (gram * root) @ coefficients
-        w = _rank_weights(ranks, 2 * self.elite * n)  # a wider look: the best are fitted too well
-        residuals = (residuals - w @ residuals) * np.sqrt(2 * w)[:, None]
-        return _Fit(_rank_weights(ranks, self.elite * n), coefficients, residuals)
+        return _Fit(w, coefficients)
 
     def influence(self) -> Float64 | None:
         """How much each parameter moves each token, (T, d): energy of a ridge fit e ~ J u.

@@ -1,0 +1,174 @@
+"""Loss against renders: FIDE, its parts, and CMA-ES at every population, in one run.
+
+    python benchmarks/quality.py voronoi spline --out runs/quality.jsonl
+    python benchmarks/quality.py --table runs/quality.jsonl > docs/quality.md
+
+Every cell (task, target, optimizer, seed) is one line of the output file, appended when it is
+done; a second call does what is missing.  One thread a process; use `--part i/n` to share the
+cells among n processes.  All optimizers see the same targets, with the same seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from fide_plugins import harness
+from fide_plugins.harness.machine import machine
+
+MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
+BUDGET = {"voronoi": 25_000, "spline": 15_000}
+ARMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "FIDE": ("fide", {}),
+    "CMA-ES, default k, restarts": ("cma", {}),
+    "CMA-ES, k = 50": ("cma", {"popsize": 50}),
+    "CMA-ES, k = 500": ("cma", {"popsize": 500}),
+    "FIDE paper, 4 epochs": ("fide", {"preset": "paper", "epochs": 4}),
+    "FIDE paper, 10 epochs": ("fide", {"preset": "paper", "epochs": 10}),
+    "FIDE paper, 20 epochs": ("fide", {"preset": "paper"}),
+}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    arguments = parse_arguments()
+    if arguments.table:
+        print(table(read(arguments.table)))
+        return
+    out: Path = arguments.out
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part, parts = (int(number) for number in arguments.part.split("/"))
+    cells = [cell for i, cell in enumerate(grid(arguments)) if i % parts == part]
+    for cell in cells:
+        done = {key(row) for row in read(out)} if out.exists() else set()
+        if key(cell) in done:
+            continue
+        row = run_cell(cell)
+        with out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("tasks", nargs="*", help="voronoi, spline")
+    parser.add_argument("--arms", nargs="+", default=list(ARMS)[:4], metavar="ARM")
+    parser.add_argument("--targets", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--size", type=int, default=112)
+    parser.add_argument("--budget", type=int, default=None)
+    parser.add_argument("--out", type=Path, default=Path("runs/quality.jsonl"))
+    parser.add_argument("--part", default="0/1")
+    parser.add_argument("--table", type=Path, nargs="+")
+    return parser.parse_args()
+
+
+def grid(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """All cells, seeds outermost, so that a table can be made before the last is done."""
+    for seed in range(arguments.seeds):
+        for task in arguments.tasks:
+            for target in range(arguments.targets):
+                for arm in arguments.arms:
+                    budget = arguments.budget or BUDGET[task]
+                    yield {
+                        "task": task,
+                        "target": target,
+                        "arm": arm,
+                        "seed": seed,
+                        "size": arguments.size,
+                        "budget": budget,
+                    }
+
+
+def key(row: dict[str, Any]) -> tuple[Any, ...]:
+    """What makes a cell."""
+    return tuple(row[name] for name in ("task", "target", "arm", "seed", "size", "budget"))
+
+
+def run_cell(cell: dict[str, Any]) -> dict[str, Any]:
+    """One run, and its best loss at every mark."""
+    optimizer, options = ARMS[cell["arm"]]
+    result = harness.run(
+        cell["task"],
+        optimizer,
+        "mse",
+        cell["budget"],
+        cell["seed"],
+        size=cell["size"],
+        task_seed=cell["target"],
+        options=options,
+    )
+    best = np.minimum.accumulate(result.losses)
+    marks = {str(m): float(best[m - 1]) for m in MARKS if m <= cell["budget"]}
+    overhead = result.overhead_s / cell["budget"] * 1e3
+    return {
+        **cell,
+        "best": marks,
+        "overhead_ms": round(overhead, 3),
+        "wall_s": round(result.wall_s, 1),
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": machine(),
+    }
+
+
+def read(paths: Path | list[Path]) -> list[dict[str, Any]]:
+    """Rows of one or several files."""
+    several = paths if isinstance(paths, list) else [paths]
+    return [json.loads(line) for path in several for line in path.read_text().splitlines()]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Medians over targets and seeds, in Markdown, with the lead over the best CMA-ES."""
+    lines: list[str] = []
+    for task in dict.fromkeys(row["task"] for row in rows):
+        mine = [row for row in rows if row["task"] == task]
+        lines += [f"### {task}, {mine[0]['size']}x{mine[0]['size']}", ""]
+        marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
+        lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " | ms |"]
+        lines += ["|---" * (len(marks) + 3) + "|"]
+        arms = [arm for arm in ARMS if any(row["arm"] == arm for row in mine)]
+        arms += sorted({row["arm"] for row in mine} - set(arms))
+        medians = {arm: arm_medians(mine, arm, marks) for arm in arms}
+        for arm in arms:
+            group = [row for row in mine if row["arm"] == arm]
+            numbers = " | ".join(
+                medians[arm].get(m, "") and f"{medians[arm][m]:.5f}" for m in marks
+            )
+            cost = statistics.median(row["overhead_ms"] for row in group)
+            lines.append(f"| {arm} | {len(group)} | {numbers} | {cost:.2f} |")
+        lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} | |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def arm_medians(rows: list[dict[str, Any]], arm: str, marks: list[str]) -> dict[str, Any]:
+    """Median best loss of an arm at each mark it reached."""
+    group = [row["best"] for row in rows if row["arm"] == arm]
+    return {m: statistics.median(b[m] for b in group if m in b) for m in marks if m in group[0]}
+
+
+def leads(medians: dict[str, dict[str, Any]], marks: list[str]) -> str:
+    """FIDE's median over the smallest median of any CMA-ES, at each mark."""
+    rivals = [arm for arm in medians if arm.startswith("CMA-ES")]
+    cells = []
+    for m in marks:
+        best = min((medians[arm][m] for arm in rivals if m in medians[arm]), default=None)
+        mine = medians.get("FIDE", {}).get(m)
+        cells.append("" if best is None or mine is None else f"{mine / best:.2f}")
+    return " | ".join(cells)
+
+
+if __name__ == "__main__":
+    main()
