@@ -18,8 +18,10 @@ from PIL import Image
 
 from fide_plugins.fide import FIDE
 from fide_plugins.images import Float32
+from fide_plugins.ledger import Candidate
 from fide_plugins.points import Float64
 from fide_plugins.search import box
+from fide_plugins.search.cma_es import CMAES
 
 Render: TypeAlias = Callable[[Float64], Float32]
 StateOf: TypeAlias = Callable[[FIDE], bytes]
@@ -30,6 +32,11 @@ TINY_PAPER: dict[str, Any] = {"preset": "paper", "popsize": 6, "epochs": 1, "bat
 def sphere(X: Float64) -> Float64:
     values: Float64 = ((X - 0.3) ** 2).sum(axis=1)
     return values
+
+
+def outside_now(opt: FIDE) -> list[Candidate]:
+    """Candidates that were asked and not told, in that order."""
+    return [c for several in opt._ledger._asked.values() for c in several]
 
 
 def run(opt: FIDE, render: Render, generations: int) -> Float64:
@@ -165,6 +172,22 @@ def test_many_workers_late_results_and_lost_candidates(render: Render, target: F
     assert np.isfinite(opt._search.mean).all()
 
 
+def test_a_late_candidate_is_foreign(target: Float32) -> None:
+    """It was drawn elsewhere, so its step is cut, whatever its rank."""
+    opt = FIDE(2, target, seed=0, popsize=4, proposer="none", restarts="none")
+    late = opt.ask(1)
+    z_late = outside_now(opt)[0].z.copy()
+    other = opt.ask(4)
+    opt.tell(other, None, np.square(other - late).sum(axis=1))
+    opt._search.sigma /= 100  # as after many generations
+    plain = CMAES.from_state(opt._search.state_dict())
+    X = opt.ask(3)
+    z = np.array([z_late, *(c.z for c in outside_now(opt)[1:])])
+    opt.tell(np.concatenate([X, late]), None, [2.0, 3.0, 4.0, 1.0])
+    plain.tell(z, np.array([1.0, 2.0, 3.0, 4.0]), np.arange(4) == 0)
+    np.testing.assert_array_equal(opt._search.mean, plain.mean)
+
+
 def test_asking_ahead_does_not_stop_the_search(render: Render, target: Float32) -> None:
     """A user who always has two generations out still makes progress."""
     opt = FIDE(6, target, popsize=8, seed=0)
@@ -206,7 +229,7 @@ def test_nothing_proposed_gives_the_numbers_of_a_library(
     outside = 0
     for _ in range(30):
         X = opt.ask()
-        z = np.array([c.z for several in opt._ledger._asked.values() for c in several])
+        z = np.array([c.z for c in outside_now(opt)])
         np.testing.assert_array_equal(box.into(z), X)
         outside += int((z != X).any(axis=1).sum())
         losses = ((X - 0.05) ** 2).sum(axis=1)
@@ -234,7 +257,7 @@ def test_a_guest_takes_the_place_of_the_worst_if_it_is_better(target: Float32) -
     """The documented rule, against a CMA-ES that is told so by hand; others change nothing."""
     settings: dict[str, Any] = {"seed": 0, "popsize": 6, "proposer": "none", "restarts": "none"}
     opt, plain, bad = (FIDE(4, target, **settings) for _ in range(3))
-    guests = np.array([[0.45, 0.5, 0.5, 0.5], [0.52, 0.5, 0.5, 0.5]])
+    guests = np.array([[0.0, 0.0, 0.0, 0.0], [0.52, 0.5, 0.5, 0.5]])  # the first is cut
     X = opt.ask()
     losses = np.array([5.0, 3.0, np.inf, 6.0, 2.0, 4.0])
     opt.tell(guests, None, [1.0, 1.5])
@@ -245,12 +268,18 @@ def test_a_guest_takes_the_place_of_the_worst_if_it_is_better(target: Float32) -
     plain._search.tell(z, ranked, np.arange(6) == 2)
     np.testing.assert_array_equal(opt._search.mean, plain._search.mean)
     np.testing.assert_array_equal(opt._search.C, plain._search.C)
+    X = opt.ask()
+    z = np.array([c.z for c in outside_now(opt)])
+    opt.tell(X, None, losses)  # a guest counts once
+    plain._search.tell(z, losses, np.zeros(6, bool))
+    np.testing.assert_array_equal(opt._search.mean, plain._search.mean)
     bad.tell(np.full((1, 4), 0.9), None, [7.0])
     losses[2] = 6.5
     bad.tell(bad.ask(), None, losses)
     unguested = FIDE(4, target, **settings)
     unguested.tell(unguested.ask(), None, losses)
     np.testing.assert_array_equal(bad._search.mean, unguested._search.mean)
+    np.testing.assert_array_equal(bad._search.C, unguested._search.C)
 
 
 def test_the_proposer_learns_from_a_warm_start(
@@ -264,8 +293,7 @@ def test_the_proposer_learns_from_a_warm_start(
     run(opt, render, 1)
     X = opt.ask()
     losses = np.square(render(X).astype(np.float64) - target).mean(axis=(1, 2, 3))
-    asked = [c for several in opt._ledger._asked.values() for c in several]
-    proposed = np.array([c.proposed for c in asked])
+    proposed = np.array([c.proposed for c in outside_now(opt)])
     assert proposed.sum() >= 3
     assert np.median(losses[proposed]) < 0.3 * np.median(losses[~proposed])
 
@@ -276,7 +304,7 @@ def test_a_short_memory_proposes_too(memory: int, render: Render, target: Float3
     proposed = 0
     for _ in range(5):
         X = opt.ask()
-        proposed += sum(c.proposed for several in opt._ledger._asked.values() for c in several)
+        proposed += sum(c.proposed for c in outside_now(opt))
         opt.tell(X, render(X))
     assert proposed > 5
 
@@ -499,8 +527,7 @@ def test_the_published_method_runs_as_it_is(render: Render, target: Float32) -> 
     counts = []
     for _ in range(4):
         X = opt.ask()
-        asked = [c for several in opt._ledger._asked.values() for c in several]
-        counts.append(sum(c.proposed for c in asked))
+        counts.append(sum(c.proposed for c in outside_now(opt)))
         opt.tell(X, render(X))
     assert counts == [3, 3, 3, 3]
     assert opt._restarts.searches == 1

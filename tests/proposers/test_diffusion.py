@@ -14,7 +14,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
 
 Floats = NDArray[np.float64]
-STD = np.array([0.1, 0.2])
+MEAN, STD = np.array([0.5, 0.5]), np.array([0.1, 0.2])
 MIXING = torch.tensor([[1.0, 0.3], [-0.5, 1.0], [0.2, -0.7]])
 
 
@@ -42,7 +42,7 @@ def test_learns_to_read_the_parameters_from_the_image() -> None:
     assert float(losses[-1]) < 0.25 * identity
     answer = np.array([0.55, 0.35])
     z = 0.5 + STD * np.random.default_rng(1).standard_normal((100, 2))
-    proposed = proposer.propose(z, images_of(answer[None])[0], STD)
+    proposed = proposer.propose(z, images_of(answer[None])[0], MEAN, STD)
     before, after = (np.linalg.norm(p - answer, axis=1).mean() for p in (z, proposed))
     assert after < 0.35 * before
 
@@ -53,7 +53,7 @@ def test_same_seed_same_everything() -> None:
     for seed in (7, 7, 8):
         proposer = make(seed)
         proposer.update(x, tokens, None, STD)
-        out.append(proposer.propose(x, tokens[0], STD))
+        out.append(proposer.propose(x, tokens[0], MEAN, STD))
     assert np.array_equal(out[0], out[1])
     assert not np.array_equal(out[0], out[2])
     assert out[0].dtype == np.float64
@@ -71,7 +71,9 @@ def test_state_continues_bit_for_bit(generations: int) -> None:
     copy.load_state_dict(state)
     x, tokens = scene(30, seed=5)
     assert torch.equal(original.update(x, tokens, None, STD), copy.update(x, tokens, None, STD))
-    assert np.array_equal(original.propose(x, tokens[0], STD), copy.propose(x, tokens[0], STD))
+    assert np.array_equal(
+        original.propose(x, tokens[0], MEAN, STD), copy.propose(x, tokens[0], MEAN, STD)
+    )
     assert original.updates == copy.updates == generations + 1
 
 
@@ -112,7 +114,7 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
         before = torch.get_rng_state()
         proposer = make()
         proposer.update(x, tokens, None, STD)
-        out.append(proposer.propose(x, tokens[0], STD))
+        out.append(proposer.propose(x, tokens[0], MEAN, STD))
         assert torch.equal(before, torch.get_rng_state())
     assert np.array_equal(out[0], out[1])
 
@@ -122,7 +124,7 @@ def test_inputs_are_not_changed() -> None:
     x_before, tokens_before = x.copy(), tokens.clone()
     proposer = make()
     proposer.update(x, tokens, None, STD)
-    proposer.propose(x, tokens[0], STD)
+    proposer.propose(x, tokens[0], MEAN, STD)
     assert np.array_equal(x, x_before)
     assert torch.equal(tokens, tokens_before)
 
@@ -133,7 +135,7 @@ def test_finite_for_collapsed_and_for_wide_populations(n: int, scale: float) -> 
     x, tokens = scene(n)
     proposer = make(batch_size=4)
     losses = proposer.update(0.5 + scale * (x - 0.5), tokens, None, scale * STD)
-    proposed = proposer.propose(x, tokens[0], scale * STD)
+    proposed = proposer.propose(x, tokens[0], MEAN, scale * STD)
     assert bool(losses.isfinite().all())
     assert bool(np.isfinite(proposed).all())
 
@@ -161,4 +163,4 @@ def test_on_cuda() -> None:
     x, tokens = scene(40)
     proposer = make(device="cuda")
     proposer.update(x, tokens, None, STD)
-    assert np.isfinite(proposer.propose(x, tokens[0], STD)).all()
+    assert np.isfinite(proposer.propose(x, tokens[0], MEAN, STD)).all()

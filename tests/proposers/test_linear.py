@@ -23,10 +23,26 @@ def make(**changes: Any) -> LinearProposer:
         "capacity": 30,
         "elite": 0.1,
         "ridge": 0.2,
-        "components": 64,
-        "temperature": 0.0,
+        "sources": 1,
+        "step": (1.0, 1.0),
+        "noise": 0.0,
     }
     return LinearProposer(D, **(options | changes))
+
+
+def propose(
+    proposer: LinearProposer,
+    target: Tensor,
+    m: int = 1,
+    *,
+    z: Float64 | None = None,
+    std: Float64 = STD,
+    seed: int = 0,
+) -> Float64:
+    """Proposals (m, D) from samples z, by default all at the mean 0.5."""
+    mean = np.full(D, 0.5)
+    z = np.tile(mean, (m, 1)) if z is None else z
+    return proposer.propose(z, target, mean, std, np.random.default_rng(seed))
 
 
 def images_of(x: Float64, bend: float = 0.5) -> Tensor:
@@ -51,47 +67,35 @@ def rank_weights(losses: Float64, elite: float) -> Float64:
 
 
 class Reference:
-    """Weighted principal components regression with a ridge, with explicit features (n, f)."""
+    """Weighted ridge regression with explicit features (n, f)."""
 
-    def __init__(
-        self, x: Float64, tokens: Tensor, losses: Float64, p: LinearProposer, elite: float
-    ) -> None:
-        self.x, self.e = x, tokens.double().numpy().reshape(len(x), -1)
-        w = rank_weights(losses, elite)
-        u, e = x / STD, self.e
-        u_c = (u - w @ u) * np.sqrt(w)[:, None]
-        e_c = (e - w @ e) * np.sqrt(w)[:, None]
+    def __init__(self, x: Float64, tokens: Tensor, losses: Float64, p: LinearProposer) -> None:
         n = len(x)
-        _, singular, right = np.linalg.svd(e_c, full_matrices=False)
-        energy = np.zeros(n)  # eigenvalues of e_c e_c^T, descending
-        energy[: len(singular)] = singular**2
-        penalty = p.ridge * energy[: p.components].mean()
-        right = right[: p.components]
-        covariance = e_c.T @ e_c
-        inner = right @ covariance @ right.T + penalty * np.eye(len(right))
-        self.K = right.T @ np.linalg.solve(inner, right @ (e_c.T @ u_c))
-        self.residuals = (u - w @ u) - (e - w @ e) @ self.K
+        self.x, self.e = x, tokens.double().numpy().reshape(n, -1)
+        w = rank_weights(losses, p.elite)
+        u_c = (x / STD - w @ x / STD) * np.sqrt(w)[:, None]
+        e_c = (self.e - w @ self.e) * np.sqrt(w)[:, None]
+        penalty = p.ridge * np.square(e_c).sum() / min(n, 64)
+        self.K = np.linalg.solve(e_c.T @ e_c + penalty * np.eye(e_c.shape[1]), e_c.T @ u_c)
 
-    def propose(self, sources: Any, target: Tensor) -> Float64:
+    def step(self, source: int, target: Tensor) -> Float64:
+        """The whole way from candidate `source`."""
         wanted = target.double().numpy().reshape(-1)
-        proposals: Float64 = self.x[sources] + STD * ((wanted - self.e[sources]) @ self.K)
-        return proposals
+        step: Float64 = STD * ((wanted - self.e[source]) @ self.K)
+        return step
 
 
-@pytest.mark.parametrize("n", [3, 12, 30])
-@pytest.mark.parametrize("components", [2, 64])
+@pytest.mark.parametrize("n", [3, 12, 30, 100])
 @pytest.mark.parametrize("pieces", [1, 3])
-def test_products_give_the_regression_of_features(n: int, components: int, pieces: int) -> None:
+def test_products_give_the_regression_of_features(n: int, pieces: int) -> None:
     x, tokens, losses = scene(n)
-    proposer = make(components=components)
+    proposer = make(capacity=n)
     for part in np.array_split(np.arange(n), pieces):
         proposer.update(x[part], tokens[torch.as_tensor(part)], losses[part], STD)
     target = images_of(np.full((1, D), 0.55))[0]
-    m = min(5, n)
-    best = np.argsort(losses)[:m]
-    proposed = proposer.propose(np.zeros((m, D)), target, STD, np.random.default_rng(0))
-    expected = Reference(x, tokens, losses, proposer, proposer.elite).propose(best, target)
-    np.testing.assert_allclose(proposed, expected, rtol=0, atol=1e-6)
+    best = int(np.argmin(losses))
+    expected = x[best] + Reference(x, tokens, losses, proposer).step(best, target)
+    np.testing.assert_allclose(propose(proposer, target)[0], expected, rtol=0, atol=1e-6)
 
 
 def test_all_ordered_pairs_give_the_same_regression() -> None:
@@ -101,30 +105,61 @@ def test_all_ordered_pairs_give_the_same_regression() -> None:
     proposer.update(x, tokens, losses, STD)
     w = rank_weights(losses, 0.3)
     e = tokens.double().numpy().reshape(12, -1)
-    du = ((x[:, None] - x[None]) / STD).reshape(-1, D)
-    de = (e[:, None] - e[None]).reshape(144, -1)
     root = np.sqrt(np.outer(w, w)).reshape(-1, 1)
-    centered = (e - w @ e) * np.sqrt(w)[:, None]
-    energy = np.linalg.eigvalsh(centered @ centered.T)
-    penalty = 2 * proposer.ridge * energy.mean()  # twice, as the covariances
-    normal = (root * de).T @ (root * de) + penalty * np.eye(de.shape[1])
-    K = np.linalg.solve(normal, (root * de).T @ (root * du))
+    du = root * ((x[:, None] - x[None]) / STD).reshape(-1, D)
+    de = root * (e[:, None] - e[None]).reshape(144, -1)
+    penalty = proposer.ridge * np.square(de).sum() / 12
+    K = np.linalg.solve(de.T @ de + penalty * np.eye(de.shape[1]), de.T @ du)
     target = images_of(np.full((1, D), 0.45))[0]
-    best = np.argsort(losses)[:4]
+    best = int(np.argmin(losses))
     wanted = target.double().numpy().reshape(-1)
-    proposed = proposer.propose(np.zeros((4, D)), target, STD, np.random.default_rng(0))
     expected = x[best] + STD * ((wanted - e[best]) @ K)
-    np.testing.assert_allclose(proposed, expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(propose(proposer, target)[0], expected, rtol=0, atol=1e-6)
+
+
+def test_a_random_part_of_the_way_from_one_of_the_best() -> None:
+    """Each proposal lies at x_i + a * step_i; i and a are uniform."""
+    x, tokens, losses = scene(20)
+    proposer = make(sources=3, step=(0.2, 0.6))
+    proposer.update(x, tokens, losses, STD)
+    target = images_of(np.full((1, D), 0.6))[0]
+    reference = Reference(x, tokens, losses, proposer)
+    best = np.argsort(losses)[:3]
+    steps = np.array([reference.step(int(i), target) for i in best])
+    proposals = propose(proposer, target, 3000)
+    away = proposals[:, None] - x[best]  # (m, 3, D)
+    a = (away * steps).sum(axis=2) / (steps**2).sum(axis=1)
+    off = np.linalg.norm(away - a[..., None] * steps, axis=2)
+    source = off.argmin(axis=1)
+    assert off.min(axis=1).max() < 1e-6
+    np.testing.assert_allclose(np.bincount(source, minlength=3) / 3000, 1 / 3, atol=0.05)
+    part = a[np.arange(3000), source]
+    assert part.min() >= 0.2 - 1e-6 and part.max() <= 0.6 + 1e-6
+    assert part.mean() == pytest.approx(0.4, abs=0.01)
+    assert part.std() == pytest.approx(0.4 / np.sqrt(12), rel=0.05)
+
+
+def test_a_random_part_of_the_sample_s_deviation_is_kept() -> None:
+    x, tokens, losses = scene(20)
+    plain, noisy = make(), make(noise=0.5)
+    for proposer in (plain, noisy):
+        proposer.update(x, tokens, losses, STD)
+    z = np.tile(0.5 + STD, (2000, 1))
+    kept = propose(noisy, tokens[3], z=z) - propose(plain, tokens[3])
+    part = kept / STD
+    np.testing.assert_allclose(part, np.broadcast_to(part[:, :1], part.shape), atol=1e-9)
+    assert part.min() >= 0.0 and part.max() <= 0.5
+    assert part.mean() == pytest.approx(0.25, abs=0.02)
 
 
 def test_a_linear_renderer_is_solved_at_once() -> None:
     x, tokens, losses = scene(30, bend=0.0)
-    proposer = make(ridge=1e-7, elite=1.0)
+    proposer = make(ridge=1e-7, elite=1.0, sources=6)
     proposer.update(x, tokens, losses, STD)
     answer = np.array([0.62, 0.31, 0.9])  # far from what was seen
     target = images_of(answer[None], bend=0.0)[0]
-    proposed = proposer.propose(np.zeros((6, D)), target, STD, np.random.default_rng(0))
-    np.testing.assert_allclose(proposed, np.broadcast_to(answer, (6, D)), atol=1e-4)
+    proposed = propose(proposer, target, 20)
+    np.testing.assert_allclose(proposed, np.broadcast_to(answer, (20, D)), atol=1e-4)
 
 
 def test_a_source_that_shows_the_target_stays_where_it_is() -> None:
@@ -132,28 +167,7 @@ def test_a_source_that_shows_the_target_stays_where_it_is() -> None:
     losses[7] = -1.0
     proposer = make()
     proposer.update(x, tokens, losses, STD)
-    proposed = proposer.propose(np.zeros((1, D)), tokens[7], STD, np.random.default_rng(0))
-    np.testing.assert_allclose(proposed[0], x[7], atol=1e-7)
-
-
-def test_noise_has_twice_the_covariance_that_the_fit_leaves() -> None:
-    """And none along what the image explains."""
-    x, tokens, losses = scene(30)
-    x[:, 2] = 0.5 + STD[2] * np.random.default_rng(9).standard_normal(30)  # not in the image
-    proposer = make(temperature=0.7, ridge=1e-3, elite=0.3)
-    proposer.update(x, tokens, losses, STD)
-    n = 30 * 400
-    target = images_of(np.full((1, D), 0.5))[0]
-    rng = np.random.default_rng(0)
-    noisy = proposer.propose(np.zeros((n, D)), target, STD, rng)
-    proposer.temperature = 0.0
-    noise = (noisy - proposer.propose(np.zeros((n, D)), target, STD, rng)) / (0.7 * STD)
-    reference = Reference(x, tokens, losses, proposer, proposer.elite)
-    w = rank_weights(losses, 2 * proposer.elite)
-    r = reference.residuals - w @ reference.residuals
-    expected = 2 * (r.T * w) @ r
-    np.testing.assert_allclose(np.cov(noise.T), expected, atol=0.06 * np.abs(expected).max())
-    assert noise[:, 2].std() > 3 * noise[:, :2].std(axis=0).max()
+    np.testing.assert_allclose(propose(proposer, tokens[7])[0], x[7], atol=1e-7)
 
 
 def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
@@ -196,11 +210,12 @@ def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
 )
 def test_finite_when_the_buffer_has_collapsed(what: str, std: float) -> None:
     x, tokens, losses = collapsed(what)
-    proposer = make(temperature=0.5, ridge=1e-9)
+    proposer = make(sources=5, step=(0.3, 1.2), noise=0.5, ridge=1e-9)
     wide = np.full(D, std)
     proposer.update(x, tokens, losses, wide)
+    z = 0.5 + std * np.random.default_rng(0).standard_normal((20, D))
     target = images_of(np.full((1, D), 0.7))[0]
-    proposed = proposer.propose(np.zeros((20, D)), target, wide, np.random.default_rng(0))
+    proposed = propose(proposer, target, z=z, std=wide)
     assert proposed.shape == (20, D)
     assert np.isfinite(proposed).all()
     influence = proposer.influence()
@@ -212,10 +227,8 @@ def test_an_image_that_says_nothing_moves_nothing() -> None:
     x, tokens, losses = collapsed("images equal")
     proposer = make()
     proposer.update(x, tokens, losses, STD)
-    proposed = proposer.propose(
-        np.zeros((12, D)), images_of(np.full((1, D), 0.7))[0], STD, np.random.default_rng(0)
-    )
-    np.testing.assert_allclose(proposed, x[np.argsort(losses)], atol=1e-6)
+    proposed = propose(proposer, images_of(np.full((1, D), 0.7))[0])
+    np.testing.assert_allclose(proposed[0], x[np.argmin(losses)], atol=1e-6)
 
 
 def test_the_buffer_holds_the_latest() -> None:
@@ -224,13 +237,13 @@ def test_the_buffer_holds_the_latest() -> None:
     target = images_of(np.full((1, D), 0.6))[0]
     expected = None
     for pieces in ([20], [5] * 4, [1, 25], [50], [48, 2], [3, 45, 2]):
-        proposer = make(capacity=20)
+        proposer = make(capacity=20, sources=20)
         start = 50 - sum(pieces)
         for n in pieces:
             part = slice(start, start + n)
             proposer.update(x[part], tokens[part], losses[part], STD)
             start += n
-        proposed = proposer.propose(np.zeros((20, D)), target, STD, np.random.default_rng(0))
+        proposed = propose(proposer, target, 50)
         expected = proposed if expected is None else expected
         np.testing.assert_allclose(proposed, expected, atol=1e-8, err_msg=str(pieces))
 
@@ -249,11 +262,7 @@ def test_ready_from_the_stated_minimum_and_not_after_forgetting() -> None:
     fresh = make(minimum=6)
     for p in (proposer, fresh):
         p.update(x, tokens, losses, STD)
-    target = tokens[0]
-    a, b = (
-        p.propose(np.zeros((3, D)), target, STD, np.random.default_rng(0))
-        for p in (proposer, fresh)
-    )
+    a, b = (propose(p, tokens[0], 3) for p in (proposer, fresh))
     np.testing.assert_array_equal(a, b)
 
 
@@ -273,15 +282,14 @@ def test_influence_is_the_energy_of_the_jacobian() -> None:
 
 
 def test_state_goes_on_bit_for_bit() -> None:
-    original, copy = make(temperature=0.5), make(temperature=0.5)
+    original, copy = make(noise=0.5, sources=4), make(noise=0.5, sources=4)
     x, tokens, losses = scene(40)
     original.update(x[:25], tokens[:25], losses[:25], STD)
     copy.load_state_dict({key: np.copy(v) for key, v in original.state_dict().items()})
     results = []
     for proposer in (original, copy):
         proposer.update(x[25:], tokens[25:], losses[25:], STD)
-        rng = np.random.default_rng(2)
-        results.append(proposer.propose(np.zeros((6, D)), tokens[3], STD, rng))
+        results.append(propose(proposer, tokens[3], z=x[:6], seed=2))
     np.testing.assert_array_equal(results[0], results[1])
     assert original.ready and copy.ready
 
@@ -291,7 +299,7 @@ def test_what_is_given_is_not_changed() -> None:
     before = x.copy(), tokens.clone(), losses.copy()
     proposer = make()
     proposer.update(x, tokens, losses, STD)
-    proposer.propose(np.zeros((3, D)), tokens[0], STD, np.random.default_rng(0))
+    propose(proposer, tokens[0], 3)
     np.testing.assert_array_equal(x, before[0])
     assert torch.equal(tokens, before[1])
     np.testing.assert_array_equal(losses, before[2])
