@@ -60,9 +60,9 @@ class Options:
     schedule: tuple[float, ...] = (0.3, 0.2, 0.1)
 
     guard_search: bool = True
-    restarts: str = "partial"
-    patience: int = 30
-    improvement: float = 0.01
+    restarts: str = "full"
+    patience: int = 20
+    improvement: float = 0.1
     horizon: int = 8
     group_std: float = 0.15
     rest_std: float = 0.01
@@ -85,7 +85,7 @@ PRESETS: Mapping[str, Options] = {
 
 _CHOICES = {
     "proposer": ("linear", "diffusion", "none"),
-    "restarts": ("partial", "full", "none"),
+    "restarts": ("mixed", "partial", "full", "none"),
 }
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
 _WHOLE |= {"patience": 1, "horizon": 1}

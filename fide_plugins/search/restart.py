@@ -11,6 +11,10 @@ of generations, or when its distribution has collapsed.  Then:
   the place where it is stuck without throwing the others away.
 - A *full* restart begins at the center again, knowing nothing.
 
+Where one of eight searches finds the right arrangement and seven end in a wrong one, the eight are
+worth more than patience with one; where the loss has one long valley, going on from the best point
+is.  A scene does not say which it is, so "mixed" spends the same number of renders on both kinds.
+
 A partial search is abandoned early when, at the rate of its last generations, it will not get
 below the best loss within a stated number of generations.
 """
@@ -81,7 +85,7 @@ class Restarts:
     ----------
     dim : number of parameters.
     sigma0 : standard deviation at a full restart.
-    mode : "partial", "full" or "none" (one search, to the end).
+    mode : "mixed", "partial", "full" or "none" (one search, to the end).
     patience, improvement : of `has_stalled`.
     horizon : of `is_hopeless`.
     group_std, rest_std : standard deviations of a partial restart, in its group and outside.
@@ -92,9 +96,9 @@ class Restarts:
         dim: int,
         sigma0: float,
         *,
-        mode: str = "partial",
-        patience: int = 30,
-        improvement: float = 0.01,
+        mode: str = "mixed",
+        patience: int = 20,
+        improvement: float = 0.1,
         horizon: int = 8,
         group_std: float = 0.15,
         rest_std: float = 0.01,
@@ -105,6 +109,7 @@ class Restarts:
         self.searches = 1  # begun so far
         self._history: list[float] = []  # best loss after each generation of this search
         self._goal = np.inf  # what a partial search has to beat
+        self._spent = {"full": 0, "partial": 0}  # candidates told, by the kind of their search
         self._energy: Float64 | None = None  # [T, d], of the best search
 
     def begin_full(self) -> tuple[Float64, Float64]:
@@ -116,6 +121,7 @@ class Restarts:
         """Note the losses (k,) of one generation."""
         before = self._history[-1] if self._history else np.inf
         self._history.append(min(before, float(np.min(losses))))
+        self._spent["partial" if self._goal < np.inf else "full"] += len(losses)
 
     def is_over(self, std: Float64) -> bool:
         """Whether to begin another search; std: (d,), of the present distribution."""
@@ -137,7 +143,8 @@ class Restarts:
         self.searches += 1
         if self._history and self._history[-1] <= loss and energy is not None:
             self._energy = energy
-        if self.mode != "partial" or self._energy is None:
+        behind = self._spent["partial"] <= self._spent["full"]
+        if self._energy is None or self.mode == "full" or (self.mode == "mixed" and not behind):
             return self.begin_full()
         group = related_parameters(overlap(self._energy), rng)
         self._history, self._goal = [], loss
@@ -149,6 +156,7 @@ class Restarts:
             "searches": self.searches,
             "history": np.array(self._history, np.float64),
             "goal": self._goal,
+            "spent": self._spent,
             "energy": self._energy,
         }
 
@@ -156,3 +164,4 @@ class Restarts:
         """Put back what `state_dict` gave."""
         self.searches, self._goal = int(state["searches"]), float(state["goal"])
         self._history, self._energy = state["history"].tolist(), state["energy"]
+        self._spent = dict(state["spent"])
