@@ -128,17 +128,14 @@ class FIDE:
         self._restarts = Restarts(
             self.dim,
             self.sigma0,
-            mode=o.restarts,
+            enabled=o.restarts,
             patience=o.patience,
             improvement=o.improvement,
-            horizon=o.horizon,
-            group_std=o.group_std,
-            rest_std=o.rest_std,
         )
-        self._search = self._new_search(*self._restarts.begin_full())
+        self._search = self._new_search()
         self._best_mean = self._search.mean
         self._proposer: Proposer | None = make_proposer(
-            o, self.dim, self.popsize, self.seed, self._encoder.device
+            o, self.dim, self.popsize, self.seed, self._encoder
         )
         self._share = o.share
         self._ledger = Ledger(self.popsize)
@@ -334,17 +331,13 @@ class FIDE:
 
     def _restart(self) -> None:
         """Begin another search; what the best of them found is kept."""
-        if self._best is None:  # nothing finite was ever told
-            self._search = self._new_search(*self._restarts.begin_full())
-            return
-        energy = None if self._proposer is None else self._proposer.influence()
-        begin = self._restarts.begin_next(self._best.x, self._best.loss, energy, self._rng)
-        self._search = self._new_search(*begin)
+        self._search = self._new_search()
         self._ledger.close_search()
         if self._proposer is not None:
             self._proposer.forget()
 
-    def _new_search(self, mean: Float64, std: Float64) -> CMAES:
+    def _new_search(self) -> CMAES:
+        mean, std = self._restarts.begin()
         return CMAES(mean, std, self.popsize, limit_std=self.options.guard_search)
 
     # -- saving ------------------------------------------------------------------------------------
@@ -394,7 +387,7 @@ class FIDE:
             losses_module.resolve(loss, state.get("target"))
         try:
             o = state["options"]
-            o["schedule"] = tuple(o["schedule"])
+            o["schedule"], o["views"] = tuple(o["schedule"]), tuple(o["views"])
             if loss is None:
                 loss = state["loss"] if state["loss"] is not None else _not_stored
             optimizer = cls(

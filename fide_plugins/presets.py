@@ -21,6 +21,8 @@ class Options:
     """Everything about an optimizer that does not change while it runs.
 
     encoder: name in `fide_plugins.encoders`.
+    views: sets of leading channels of its tokens for the linear proposer, such as (3, 20); empty:
+        the encoder's own.
     popsize: k, candidates a generation; None: 4 + 3 ln d.
     proposer: "linear" (closed form), "diffusion" (the published denoiser) or "none" (CMA-ES).
 
@@ -34,10 +36,11 @@ class Options:
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
 
     guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
-    restarts, patience, improvement, horizon, group_std, rest_std: see `search.restart`.
+    restarts, patience, improvement: see `search.restart`.
     """
 
     encoder: str = "dense"
+    views: tuple[int, ...] = ()
     popsize: int | None = None
     proposer: str = "linear"
 
@@ -60,12 +63,9 @@ class Options:
     schedule: tuple[float, ...] = (0.3, 0.2, 0.1)
 
     guard_search: bool = True
-    restarts: str = "full"
+    restarts: bool = True
     patience: int = 20
     improvement: float = 0.1
-    horizon: int = 8
-    group_std: float = 0.15
-    rest_std: float = 0.01
 
 
 PRESETS: Mapping[str, Options] = {
@@ -79,24 +79,20 @@ PRESETS: Mapping[str, Options] = {
         share=0.5,
         share_rate=0.0,
         guard_search=False,
-        restarts="none",
+        restarts=False,
     ),
 }
 
-_CHOICES = {
-    "proposer": ("linear", "diffusion", "none"),
-    "restarts": ("mixed", "partial", "full", "none"),
-}
+_CHOICES = {"proposer": ("linear", "diffusion", "none")}
+_SWITCHES = ("guard_search", "restarts")
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
-_WHOLE |= {"patience": 1, "horizon": 1}
+_WHOLE |= {"patience": 1}
 _POSITIVE = (
     "elite",
     "ridge",
     "shortest_step",
     "longest_step",
     "learning_rate",
-    "group_std",
-    "rest_std",
 )
 _SHARES = ("share", "smallest_share", "largest_share", "share_rate", "improvement")
 
@@ -129,9 +125,9 @@ def _checked(name: str, value: Any) -> Any:
         return value
     if name in _WHOLE:
         return whole_number(name, value, _WHOLE[name])
-    if name == "guard_search":
+    if name in _SWITCHES:
         if not isinstance(value, bool):
-            raise OptionError(f"guard_search must be True or False, not {value!r}")
+            raise OptionError(f"{name} must be True or False, not {value!r}")
         return value
     if name == "encoder":
         if not isinstance(value, str):
@@ -141,6 +137,9 @@ def _checked(name: str, value: Any) -> Any:
         from fide_plugins.denoiser.sampling import check_schedule  # imports torch
 
         return check_schedule(value)
+    if name == "views":
+        several = value if isinstance(value, tuple | list) else (value,)
+        return tuple(whole_number("each of views", number, 1) for number in several)
     number = _number(name, value)
     if name in _POSITIVE and not number > 0:
         raise OptionError(f"{name} must be positive, not {value!r}")

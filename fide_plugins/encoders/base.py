@@ -25,6 +25,8 @@ class PatchEncoder(ABC):
     name: ClassVar[str]
     version: ClassVar[str]
     """Changes whenever the features of an image do."""
+    views: ClassVar[tuple[int | None, ...]] = (None,)
+    """Sets of features for linear models: so many leading channels; None: all."""
 
     def __init__(self, *, device: str | torch.device = "cpu") -> None:
         self.device = resolve_device(device)

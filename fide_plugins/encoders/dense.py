@@ -82,6 +82,7 @@ class DenseEncoder(PatchEncoder):
 
     name: ClassVar[str] = "dense"
     version: ClassVar[str] = "dense-1"
+    views: ClassVar[tuple[int | None, ...]] = (3, None)  # colors alone, and with edges
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) = (gh gw, 20)."""

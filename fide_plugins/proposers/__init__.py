@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-import torch
 from torch import Tensor
 
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.points import Float64
 from fide_plugins.presets import Options
 
@@ -40,9 +40,6 @@ class Proposer(Protocol):
         mean, std: (d,), of the distribution of z.  Values may leave the unit cube.
         """
 
-    def influence(self) -> Float64 | None:
-        """How much each parameter moves each token, (T, d), where that is known."""
-
     def forget(self) -> None:
         """Another search begins."""
 
@@ -54,7 +51,7 @@ class Proposer(Protocol):
 
 
 def make_proposer(
-    options: Options, dim: int, popsize: int, seed: int, device: torch.device
+    options: Options, dim: int, popsize: int, seed: int, encoder: PatchEncoder
 ) -> Proposer | None:
     """Proposer that the options name; None for "none"."""
     if options.proposer == "linear":
@@ -63,6 +60,7 @@ def make_proposer(
         return LinearProposer(
             dim,
             capacity=options.memory * popsize,
+            views=options.views or encoder.views,
             elite=options.elite,
             ridge=options.ridge,
             sources=options.sources,
@@ -76,7 +74,7 @@ def make_proposer(
         return DiffusionProposer(
             dim,
             seed=seed,
-            device=device,
+            device=encoder.device,
             epochs=options.epochs,
             learning_rate=options.learning_rate,
             batch_size=options.batch_size,

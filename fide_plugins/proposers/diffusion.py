@@ -97,9 +97,6 @@ class DiffusionProposer:
     def forget(self) -> None:
         """Keep the weights: they are carried on (Algorithm 1)."""
 
-    def influence(self) -> None:
-        """Nothing is known of which parameter moves which token."""
-
     def update(self, x: Floats, tokens: Tensor, losses: Floats | None, std: Floats) -> Tensor:
         """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
 

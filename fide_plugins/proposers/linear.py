@@ -39,7 +39,6 @@ one n x n eigendecomposition, whatever the number of features.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,16 +50,41 @@ from fide_plugins.points import Float64
 __all__ = ["LinearProposer"]
 
 _TINY = 1e-300
-_SMALLEST_STD = 1e-12  # of a parameter; below it is rounding
 _SMALLEST_ENERGY = 1e-30
 
 
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """Regression in the space of the buffer: e -> (products of e with e_c) @ coefficients."""
+class _View:
+    """What one set of channels says of the buffer: features (n, f) and their products (n, n)."""
 
-    weights: Float64  # [n]
-    coefficients: Float64  # [n, d]
+    def __init__(self, channels: int | None) -> None:
+        self.channels = channels
+        self.features: Float64 = np.empty((0, 0))
+        self.gram: Float64 = np.empty((0, 0))
+        self.origin: Float64 = np.empty(0)
+
+    def flatten(self, tokens: Tensor) -> Float64:
+        """Tokens (n, T, C) as rows (n, f), without the channels of other views."""
+        seen = tokens.detach()[..., : self.channels].cpu().numpy()
+        return seen.reshape(len(tokens), -1).astype(np.float64)
+
+    def add(self, tokens: Tensor, capacity: int) -> None:
+        """Append images, and forget all but the last `capacity`."""
+        features = self.flatten(tokens)
+        if not len(self.features):  # products of deviations from some image lose no digits
+            self.origin = features.mean(axis=0)
+            self.features = np.empty((0, features.shape[1]))
+        new = (features - self.origin)[-capacity:]
+        old = slice(max(0, len(self.features) + len(new) - capacity), None)
+        kept = self.features[old]
+        cross = new @ kept.T
+        self.gram = np.block([[self.gram[old, old], cross.T], [cross, new @ new.T]])
+        self.features = np.concatenate([kept, new])
+
+    def products(self, target: Tensor, sources: npt.NDArray[np.intp]) -> Float64:
+        """(e* - e_i) . e_j for the sources i and all j, (m, n)."""
+        wanted = self.flatten(target[None])[0] - self.origin
+        missing: Float64 = self.features @ wanted - self.gram[sources]
+        return missing
 
 
 class LinearProposer:
@@ -70,6 +94,8 @@ class LinearProposer:
     ----------
     dim : d, the number of parameters.
     capacity : n, evaluated candidates that are remembered, the latest.
+    views : sets of features, each the leading channels of the tokens, None all; every proposal uses
+        one of them, drawn at random.
     elite : weights fall as exp(-rank / (elite * n)).
     ridge : penalty, in units of the trace of e_c e_c^T over min(n, 64).
     sources : the best so many candidates are corrected, one drawn for each proposal.
@@ -83,6 +109,7 @@ class LinearProposer:
         dim: int,
         *,
         capacity: int,
+        views: tuple[int | None, ...] = (None,),
         elite: float = 0.5,
         ridge: float = 0.02,
         sources: int = 5,
@@ -91,6 +118,7 @@ class LinearProposer:
         minimum: int = 2,
     ) -> None:
         self.dim, self.capacity, self.minimum = dim, capacity, minimum
+        self.views = views
         self.elite, self.ridge = elite, ridge
         self.sources, self.step, self.noise = sources, step, noise
         self.forget()
@@ -98,11 +126,8 @@ class LinearProposer:
     def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""
         self._x: Float64 = np.empty((0, self.dim))
-        self._tokens = 1
         self._losses: Float64 = np.empty(0)
-        self._features: Float64 = np.empty((0, 0))
-        self._gram: Float64 = np.empty((0, 0))
-        self._origin: Float64 = np.empty(0)
+        self._views = [_View(channels) for channels in self.views]
 
     @property
     def ready(self) -> bool:
@@ -111,21 +136,10 @@ class LinearProposer:
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
-        self._tokens = tokens.shape[1]
-        features = tokens.detach().cpu().numpy().reshape(len(x), -1).astype(np.float64)
-        if not len(self._x):  # products of deviations from some image lose no digits
-            self._origin = features.mean(axis=0)
-            self._features = np.empty((0, features.shape[1]))
-        new = features - self._origin
-        keep = max(0, self.capacity - len(x))
-        old = slice(max(0, len(self._x) - keep), None)
-        new = new[-self.capacity :]
-        kept = self._features[old]
-        cross = new @ kept.T
-        self._gram = np.block([[self._gram[old, old], cross.T], [cross, new @ new.T]])
-        self._features = np.concatenate([kept, new])
-        self._x = np.concatenate([self._x[old], x[-self.capacity :]])
-        self._losses = np.concatenate([self._losses[old], losses[-self.capacity :]])
+        for view in self._views:
+            view.add(tokens, self.capacity)
+        self._x = np.concatenate([self._x, x])[-self.capacity :]
+        self._losses = np.concatenate([self._losses, losses])[-self.capacity :]
 
     def propose(
         self,
@@ -141,65 +155,54 @@ class LinearProposer:
         std, (d,) each.  Returns (m, d); values may leave the unit cube.
         """
         ranks = _ranks(self._losses)
-        fit = self._fit(ranks, std)
         best = np.argsort(ranks)[: self.sources]
         sources = best[rng.integers(len(best), size=len(z))]
-        wanted = target.detach().cpu().numpy().reshape(-1).astype(np.float64) - self._origin
-        products = self._features @ wanted - self._gram[sources]  # (e* - e_i) . e_j
-        products = (products - (products @ fit.weights)[:, None]) * np.sqrt(fit.weights)
+        used = rng.integers(len(self._views), size=len(z))
+        correction = np.empty_like(z)
+        for v, view in enumerate(self._views):
+            if (mine := used == v).any():
+                correction[mine] = std * self._correct(view, sources[mine], target, ranks, std)
         a = rng.uniform(*self.step, size=(len(z), 1))
         r = rng.uniform(0.0, self.noise, size=(len(z), 1))
-        correction = a * std * (products @ fit.coefficients)
-        proposals: Float64 = self._x[sources] + correction + r * (z - mean)
+        proposals: Float64 = self._x[sources] + a * correction + r * (z - mean)
         return proposals
 
-    def _fit(self, ranks: npt.NDArray[np.intp], std: Float64) -> _Fit:
-        """Solve the regression; stable when the buffer has collapsed to a point."""
+    def _correct(
+        self,
+        view: _View,
+        sources: npt.NDArray[np.intp],
+        target: Tensor,
+        ranks: npt.NDArray[np.intp],
+        std: Float64,
+    ) -> Float64:
+        """(e* - e_i) K for the sources i, (m, d); stable when the buffer has collapsed."""
         n = len(ranks)
         w = _rank_weights(ranks, self.elite * n)
+        root = np.sqrt(w)
         u = self._x / np.maximum(std, _TINY)
         u = u - w @ u
-        row = self._gram @ w
-        gram = self._gram - row - row[:, None] + w @ row  # products of deviations from the mean
-        root = np.sqrt(w)
+        row = view.gram @ w
+        gram = view.gram - row - row[:, None] + w @ row  # products of deviations from the mean
         eigenvalues, vectors = np.linalg.eigh(gram * root * root[:, None])
         eigenvalues = np.maximum(eigenvalues, 0.0)
-        rounding = 1e-14 * (self._origin @ self._origin) + _SMALLEST_ENERGY  # float32 features
+        rounding = 1e-14 * (view.origin @ view.origin) + _SMALLEST_ENERGY  # float32 features
         penalty = self.ridge * eigenvalues.sum() / min(n, 64) + rounding
         coefficients = (vectors / (eigenvalues + penalty)) @ (vectors.T @ (u * root[:, None]))
-        return _Fit(w, coefficients)
-
-    def influence(self) -> Float64 | None:
-        """How much each parameter moves each token, (T, d): energy of a ridge fit e ~ J u.
-
-        None where no image was seen.
-        """
-        if not len(self._x):
-            return None
-        u = self._x - self._x.mean(axis=0)
-        u = u / np.maximum(u.std(axis=0), _SMALLEST_STD)
-        features = self._features - self._features.mean(axis=0)
-        normal = u.T @ u + 0.01 * len(u) * np.eye(self.dim)
-        jacobian = np.linalg.solve(normal, u.T @ features).T
-        energy: Float64 = np.square(jacobian).reshape(self._tokens, -1, self.dim).sum(axis=1)
-        return energy
+        products = view.products(target, sources)
+        corrections: Float64 = ((products - (products @ w)[:, None]) * root) @ coefficients
+        return corrections
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
-        return {
-            "x": self._x,
-            "losses": self._losses,
-            "features": self._features,
-            "gram": self._gram,
-            "origin": self._origin,
-            "tokens": self._tokens,
-        }
+        views = [{"features": v.features, "gram": v.gram, "origin": v.origin} for v in self._views]
+        return {"x": self._x, "losses": self._losses, "views": views}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Put back what `state_dict` gave."""
         self._x, self._losses = state["x"], state["losses"]
-        self._features, self._gram = state["features"], state["gram"]
-        self._origin, self._tokens = state["origin"], int(state["tokens"])
+        for view, saved in zip(self._views, state["views"], strict=True):
+            view.features, view.gram = saved["features"], saved["gram"]
+            view.origin = saved["origin"]
 
 
 def _ranks(losses: Float64) -> npt.NDArray[np.intp]:

@@ -22,7 +22,7 @@ StateOf: TypeAlias = Callable[[FIDE], bytes]
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "linear": {"popsize": 8, "patience": 4},
-    "linear with full restarts": {"popsize": 8, "patience": 4, "restarts": "full"},
+    "one search, one view": {"popsize": 8, "restarts": False, "views": (3,)},
     "losses only": {"popsize": 8, "proposer": "none"},
     "paper": {"preset": "paper", "popsize": 6, "epochs": 1, "batch_size": 6},
     "other loss and encoder": {"popsize": 8, "loss": "perceptual", "encoder": "patch"},

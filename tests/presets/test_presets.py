@@ -19,7 +19,7 @@ def test_the_paper_s_values() -> None:
     assert (paper.proposer, paper.share, paper.share_rate) == ("diffusion", 0.5, 0.0)
     assert (paper.epochs, paper.learning_rate, paper.schedule) == (20, 1e-3, (0.3, 0.2, 0.1))
     assert not paper.guard_search
-    assert paper.restarts == "none"
+    assert not paper.restarts
 
 
 def test_names() -> None:
@@ -74,7 +74,6 @@ def test_unknown_names() -> None:
         ("epochs", [0, -3]),
         ("batch_size", [0]),
         ("patience", [0]),
-        ("horizon", [0]),
         ("share", [-0.1, 1.1, float("nan"), "half", True]),
         ("smallest_share", [-0.1, 1.1]),
         ("largest_share", [-0.1, 1.1]),
@@ -85,14 +84,13 @@ def test_unknown_names() -> None:
         ("longest_step", [0, float("inf")]),
         ("ridge", [0, -1, float("nan")]),
         ("learning_rate", [0, -1e-3]),
-        ("group_std", [0]),
-        ("rest_std", [-1]),
         ("noise", [-0.1, float("nan"), float("inf")]),
         ("proposer", ["linaer", 3, "", ["linear"]]),
-        ("restarts", ["always", True]),
+        ("restarts", ["always", 1]),
         ("guard_search", [1, "yes"]),
         ("schedule", [[], [0.1, 0.2], "steep", [float("nan")], 0.3, [0.3, -0.1]]),
         ("encoder", [3, ["dense"]]),
+        ("views", [0, [0, 3], 2.5, "colors"]),
     ],
 )
 def test_a_wrong_value_is_named_with_its_rule(name: str, values: list[Any]) -> None:
