@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 Image = NDArray[np.float32]  # (H, W, 3), or (n, H, W, 3) for a batch; values in [0, 1]
 Vector = NDArray[np.float64]
 
+_REFERENCE_FRAMES = 64  # of a noisy task, of which the mean judges a candidate
+_RESERVED = 2**100  # begins the noise seeds of `reference` and `noise_level`
+
 
 class Parameter(NamedTuple):
     """One coordinate of x, mapped linearly from [0, 1] to the physical range [low, high]."""
@@ -88,13 +91,32 @@ class Task(ABC):
         self._render(self._physical(x), out, self._noise_seeds(len(x), seed))
         return out
 
+    def noise_level(self, x: ArrayLike, frames: int = 16) -> Image:
+        """Estimate the standard error of a render of x, (dim,), per pixel: float32 (H, W, 3).
+
+        It is the standard deviation of `frames` renders, at least 2, each with its own noise (the
+        same every time), in units of the image; zero for a task without noise.
+        """
+        values = self._one(x)
+        if whole_number("frames", frames, minimum=2) and not self.stochastic:
+            return np.zeros(self.shape, np.float32)
+        deviation: Image = self._frames(values, frames).std(axis=0, ddof=1)
+        return deviation
+
+    def reference(self, x: ArrayLike) -> Image:
+        """Render x, (dim,), for judging it: float32 (H, W, 3) with little noise or none.
+
+        The same x gives the same image. The noise is none that `render` without a seed, or with
+        seeds below 2^100, has shown.
+        """
+        return self._reference(self._one(x))
+
     def decode(self, x: ArrayLike) -> dict[str, dict[str, float]]:
         """Name the physical values of one candidate x, (dim,): {group: {"name [unit]": value}}.
 
         Pixel coordinates count from the upper left corner of the image, x to the right, y down.
         """
-        x = np.asarray(x)
-        values = self._physical(self._checked(x[None] if x.ndim == 1 else x, rows=1))[0]
+        values = self._one(x)
         decoded: dict[str, dict[str, float]] = {}
         for parameter, value in zip(self.parameters, values.tolist(), strict=True):
             group = decoded.setdefault(parameter.group, {})
@@ -104,6 +126,18 @@ class Task(ABC):
     @abstractmethod
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
         """Draw the physical values, (n, dim), into out, (n, H, W, 3); seeds: (n,), for noise."""
+
+    def _reference(self, values: Vector) -> Image:
+        """Draw the physical values, (dim,), for judging; by default the mean of many frames."""
+        frames = _REFERENCE_FRAMES if self.stochastic else 1
+        image: Image = self._frames(values, frames).mean(axis=0, dtype=np.float64)
+        return image.astype(np.float32)
+
+    def _frames(self, values: Vector, n: int) -> Image:
+        """Draw the physical values, (dim,), n times with noise that nobody else has seen."""
+        out: Image = np.empty((n, *self.shape), np.float32)
+        self._render(np.tile(values, (n, 1)), out, reserved_seeds(n))
+        return out
 
     def _make_x_star(self) -> Vector | None:
         """Return the parameters of the generated target; None if it is not of this renderer."""
@@ -133,6 +167,12 @@ class Task(ABC):
         low, width = self._range
         return low + x * width
 
+    def _one(self, x: ArrayLike) -> Vector:
+        """Physical values, (dim,), of one candidate."""
+        x = np.asarray(x)
+        values: Vector = self._physical(self._checked(x[None] if x.ndim == 1 else x, rows=1))[0]
+        return values
+
     def _checked(self, X: ArrayLike, rows: int | None = None) -> Vector:
         x = np.asarray(X)
         if x.dtype.kind not in "biuf":
@@ -161,6 +201,12 @@ class Task(ABC):
             return np.array([s.generate_state(1)[0] for s in states], np.uint32)
         state = np.random.SeedSequence(whole_number("seed", seed, minimum=0)).generate_state(n)
         return state.astype(np.uint32, copy=False)
+
+
+def reserved_seeds(n: int, stream: int = 0) -> NDArray[np.uint32]:
+    """Return n noise seeds, always the same, that differ from those of all other streams."""
+    states = [np.random.SeedSequence((_RESERVED + stream, i)) for i in range(n)]
+    return np.array([s.generate_state(1)[0] for s in states], np.uint32)
 
 
 def whole_number(name: str, value: Any, minimum: int) -> int:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from fide_tasks.base import Task
 
 _TASKS = {  # name: module that holds it, class
+    "beads": ("fide_tasks.beads", "Beads"),
     "spline": ("fide_tasks.spline", "Spline"),
     "voronoi": ("fide_tasks.voronoi", "Voronoi"),
 }
@@ -58,5 +59,13 @@ def _load(name: str) -> Any:
 
 
 def _option_defaults(task_class: Any) -> dict[str, Any]:
-    parameters = inspect.signature(task_class).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+    """Keyword-only arguments of the constructor, and of those it passes **options on to."""
+    defaults: dict[str, Any] = {}
+    for cls in task_class.__mro__:
+        if "__init__" in vars(cls):
+            parameters = inspect.signature(cls.__init__).parameters.values()
+            own = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+            defaults = {**own, **defaults}
+            if all(p.kind is not p.VAR_KEYWORD for p in parameters):
+                break
+    return defaults

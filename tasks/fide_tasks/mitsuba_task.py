@@ -1,0 +1,189 @@
+"""What every Mitsuba task shares: fidelity, variants, noise, and the way from x to an image.
+
+Notation: L [H, W, 3] linear radiance, the mean over `spp` paths through every pixel; the image is
+sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.
+
+Paths are independent and a pixel is the plain mean of its own ones (a box filter), so the noise of
+different pixels is independent, and a frame is the same to the last bit on any number of threads.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fide_tasks import mitsuba_variant
+from fide_tasks.base import Image, Task, Vector, reserved_seeds, whole_number
+
+_CHUNK = 2**22  # most paths that are traced at once, which bounds the memory
+
+
+class MitsubaTask(Task):
+    """A scene that is loaded once and rendered at many values of its parameters.
+
+    A subclass declares `parameters` (as every task), `default_spp`, `default_max_depth`, `_scene`
+    and `_update`, and may override `_integrator`.
+
+    Options, the same in every Mitsuba task
+    ---------------------------------------
+    spp: paths a pixel, at least 1; the noise falls with its root. None is the task's own default.
+    max_depth: longest path in segments; 1 is what shines by itself, 2 adds direct light, -1 is any
+        length. None is the task's own default.
+    variant: "auto", "cuda", "llvm" or "scalar"; see `mitsuba_variant.choose`. Afterwards the
+        attribute `variant` is Mitsuba's name of the one in use.
+    denoise: whether OptiX denoises each frame (not the reference), with variant "cuda" only.
+    threads: number of threads; None for all cores.
+    reference_spp: paths a pixel of `reference` and of a generated target.
+    target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
+
+    Attributes
+    ----------
+    times: seconds spent so far in "load", "update", "render" (its first frame compiles) and "copy"
+        (out of the renderer and encoded into the image), and the number of "frames".
+    """
+
+    stochastic = True
+    default_spp: ClassVar[int]
+    default_max_depth: ClassVar[int]
+
+    def __init__(
+        self,
+        size: int | tuple[int, int] = 224,
+        seed: int = 0,
+        *,
+        spp: int | None = None,
+        max_depth: int | None = None,
+        variant: str = "auto",
+        denoise: bool = False,
+        threads: int | None = None,
+        reference_spp: int = 1024,
+        target: ArrayLike | None = None,
+    ) -> None:
+        super().__init__(size, seed, picture=target)
+        self.spp = whole_number("spp", self.default_spp if spp is None else spp, minimum=1)
+        self.reference_spp = whole_number("reference_spp", reference_spp, minimum=1)
+        depth = self.default_max_depth if max_depth is None else max_depth
+        self.max_depth = depth if depth == -1 else whole_number("max_depth", depth, minimum=1)
+        self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
+        self.variant = mitsuba_variant.choose(variant)
+        self.denoise = denoise
+        self.times = {"load": 0.0, "update": 0.0, "render": 0.0, "copy": 0.0, "frames": 0}
+        self._loaded: _Loaded | None = None
+
+    @abstractmethod
+    def _scene(self, mi: Any) -> dict[str, Any]:
+        """Return the scene as a dictionary for `mi.load_dict`.
+
+        Its "sensor" needs neither film nor sampler, and an integrator is not needed. Objects that
+        are loaded already may be among its values.
+        """
+
+    @abstractmethod
+    def _update(self, mi: Any, params: Any, values: Vector) -> None:
+        """Set the physical values, (dim,), in `params`, `mi.traverse` of the scene."""
+
+    def _integrator(self) -> dict[str, Any]:
+        """Return the integrator as a dictionary; by default a path tracer."""
+        return {"type": "path", "max_depth": self.max_depth}
+
+    def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
+        with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
+            for v, seed, frame in zip(values, seeds.tolist(), out, strict=True):
+                radiance = self._radiance(mi, v, seed, self.spp)
+                start = time.perf_counter()
+                to_srgb(radiance, frame)
+                self.times["copy"] += time.perf_counter() - start
+
+    def _reference(self, values: Vector) -> Image:
+        return self._converged(values, stream=1)
+
+    def _make_target(self) -> Image:
+        if self._x_star is None:
+            return super()._make_target()
+        return self._converged(self._one(self._x_star), stream=2 + self.seed)
+
+    def _converged(self, values: Vector, stream: int) -> Image:
+        """Render with `reference_spp` paths a pixel, so many at a time that memory is bounded."""
+        height, width = self.size
+        most = max(1, _CHUNK // (height * width))
+        parts = [most] * (self.reference_spp // most) + [self.reference_spp % most]
+        total = np.zeros(self.shape)
+        with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
+            for spp, seed in zip(parts, reserved_seeds(len(parts), stream).tolist(), strict=True):
+                if spp:
+                    total += spp * self._radiance(mi, values, seed, spp)
+        image: Image = np.empty(self.shape, np.float32)
+        to_srgb((total / self.reference_spp).astype(np.float32), image)
+        return image
+
+    def _radiance(self, mi: Any, values: Vector, seed: int, spp: int) -> NDArray[np.float32]:
+        """Return the linear radiance L, (H, W, 3), at the physical values, (dim,)."""
+        if self._loaded is None:
+            self._loaded = _Loaded(self, mi)
+        loaded, clock = self._loaded, time.perf_counter
+        began = clock()
+        self._update(mi, loaded.params, values)
+        loaded.params.update()
+        updated = clock()
+        radiance = loaded.render(seed, spp)
+        rendered = clock()
+        array = np.array(radiance)
+        self.times["update"] += updated - began
+        self.times["render"] += rendered - updated
+        self.times["copy"] += clock() - rendered
+        self.times["frames"] += 1
+        return array
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what belongs to this process."""
+        return {**self.__dict__, "_loaded": None}
+
+
+class _Loaded:
+    """A scene in memory, with its camera and integrator."""
+
+    def __init__(self, task: MitsubaTask, mi: Any) -> None:
+        start = time.perf_counter()
+        height, width = task.size
+        description = task._scene(mi)
+        film = {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "rfilter": {"type": "box"},
+            "pixel_format": "rgb",
+            "component_format": "float32",
+        }
+        camera = {**description["sensor"], "film": film, "sampler": {"type": "independent"}}
+        self.scene = mi.load_dict({**description, "sensor": camera})
+        self.integrator = mi.load_dict(task._integrator())
+        self.sensor = self.scene.sensors()[0]
+        self.params = mi.traverse(self.scene)
+        task.times["load"] += time.perf_counter() - start
+
+    def render(self, seed: int, spp: int) -> Any:
+        """Return L, computed, as Mitsuba's tensor (H, W, 3)."""
+        import drjit as dr
+
+        tensor = self.integrator.render(self.scene, self.sensor, seed=seed, spp=spp)
+        dr.eval(tensor)
+        dr.sync_thread()
+        return tensor
+
+
+def to_srgb(radiance: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Encode linear radiance for a screen, in `out`, which must be another array.
+
+    Radiance above 1 is clipped; what is not finite (a path that failed) is black.
+    """
+    np.nan_to_num(radiance, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    np.clip(radiance, 0.0, 1.0, out=radiance)
+    np.power(radiance, np.float32(1 / 2.4), out=out)
+    out *= np.float32(1.055)
+    out -= np.float32(0.055)
+    np.multiply(radiance, np.float32(12.92), out=out, where=radiance <= 0.0031308)
+    np.clip(out, 0.0, 1.0, out=out)

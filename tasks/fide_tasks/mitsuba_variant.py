@@ -1,0 +1,210 @@
+"""Which of Mitsuba's variants runs on this machine, and with which LLVM library.
+
+Mitsuba compiles its kernels for a GPU (CUDA) or for the processor's vector units (LLVM), or runs
+them ray by ray ("scalar"). LLVM is a library of the system: some releases are not found, and some
+abort the whole process at the first kernel (14 and 15 do). So a variant is tried in a process of
+its own before this one relies on it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import logging
+import os
+import re
+import site
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from glob import glob
+from typing import Any
+
+from fide_tasks.base import one_of
+
+__all__ = ["VARIANTS", "choose", "in_variant"]
+
+VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
+"""Short names of the variants, in the order of preference, and Mitsuba's names."""
+
+_log = logging.getLogger(__name__)
+_LOCK = threading.RLock()  # the variant and the number of threads belong to the whole process
+_TRIAL_SECONDS = 120.0  # for a first frame, of which about one is needed
+_LIBRARY = "DRJIT_LIBLLVM_PATH"  # read when Mitsuba is first imported
+_LIBRARY_PLACES = (
+    "/usr/lib/*-linux-gnu/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+)
+_TRIAL = """
+import sys, numpy, mitsuba as mi
+mi.set_variant(sys.argv[1])
+box = mi.cornell_box()
+box["bead"] = {"type": "sphere", "radius": 0.2, "bsdf": {"type": "dielectric"}}
+box["sensor"]["film"] |= {"width": 4, "height": 4, "rfilter": {"type": "box"}}
+assert numpy.isfinite(numpy.array(mi.render(mi.load_dict(box), spp=1))).all()
+"""
+_INSTALL_LLVM = (
+    "install an LLVM library of version 16 or later (on Debian 12: apt-get install libllvm19), "
+    f"or name one in the environment variable {_LIBRARY}"
+)
+_REMEDIES = {
+    "cuda": "it needs an NVIDIA GPU and its driver",
+    "llvm": _INSTALL_LLVM,
+    "scalar": "reinstall it: pip install --force-reinstall mitsuba",
+}
+
+
+def choose(variant: str) -> str:
+    """Return Mitsuba's name of the variant to be used; "auto" takes the fastest that runs.
+
+    `variant` is "auto", "cuda", "llvm", "scalar", or one of Mitsuba's three names for them.
+
+    Raises ImportError if Mitsuba is not installed, ValueError if the variant is unknown or does not
+    run here; both say what to do.
+    """
+    names = {**VARIANTS, **{full: full for full in VARIANTS.values()}}
+    one_of("variant", variant, ("auto", *names))
+    if importlib.util.find_spec("mitsuba") is None:
+        raise ImportError(
+            "this task renders with Mitsuba 3, which is not installed: "
+            "pip install 'fide-plugins[mitsuba]'"
+        )
+    if variant == "auto":
+        return _best()
+    (short,) = (s for s, full in VARIANTS.items() if variant in (s, full))
+    problem = problem_with(short)
+    if problem is not None:
+        raise ValueError(
+            f"Mitsuba's variant {names[variant]} does not run here ({problem}); "
+            f"{_REMEDIES[short]}, or choose variant='auto'"
+        )
+    return names[variant]
+
+
+@cache
+def problem_with(short: str) -> str | None:
+    """What keeps the variant `short` from running here; None if nothing does."""
+    if short == "scalar":
+        return None
+    return _problem_with_cuda() if short == "cuda" else _problem_with_llvm()
+
+
+@contextmanager
+def in_variant(variant: str, threads: int | None = None) -> Iterator[Any]:
+    """Give Mitsuba with `variant` active, on so many threads; afterwards all is as before.
+
+    Mitsuba has one active variant and one set of threads for the whole process, so only one thread
+    of Python can be in here at a time. Changing from one variant to another and back takes some
+    tens of milliseconds.
+    """
+    with _LOCK:
+        _export_library()
+        import drjit
+        import mitsuba
+
+        mi: Any = mitsuba
+        dr: Any = drjit
+        before = mi.variant(), dr.thread_count()
+        try:
+            mi.set_variant(variant)
+            if threads is not None:
+                dr.set_thread_count(threads)
+            yield mi
+        finally:
+            if before[0] not in (None, variant):
+                mi.set_variant(before[0])
+            dr.set_thread_count(before[1])
+
+
+@cache
+def _best() -> str:
+    """The fastest variant that runs here, said once."""
+    short = next(short for short in VARIANTS if problem_with(short) is None)
+    full = VARIANTS[short]
+    if short == "scalar":
+        _log.warning(
+            "Mitsuba renders with %s, several times slower than it could: %s; %s",
+            full, problem_with("llvm"), _INSTALL_LLVM,
+        )  # fmt: skip
+    else:
+        library = f" and {os.environ.get(_LIBRARY, 'an LLVM library of its own choice')}"
+        _log.info("Mitsuba renders with %s%s", full, library if short == "llvm" else "")
+    return full
+
+
+def _problem_with_cuda() -> str | None:
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return "there is no NVIDIA driver"
+    return _trial(VARIANTS["cuda"], None)
+
+
+def _problem_with_llvm() -> str | None:
+    """Try the libraries that are there, newest first, and keep the first that works."""
+    given = os.environ.get(_LIBRARY)
+    candidates = [given] if given else [*_libraries(), None]  # None: let Mitsuba search
+    problems = []
+    for library in candidates:
+        problem = _trial(VARIANTS["llvm"], library)
+        if problem is None:
+            if library is not None:
+                os.environ[_LIBRARY] = library
+            return None
+        problems.append(f"{library}: {problem}" if library else problem)
+    return "; ".join(problems)
+
+
+def _libraries() -> list[str]:
+    """LLVM libraries in the usual places, each once, the newest version first."""
+    found = {os.path.realpath(path) for place in _LIBRARY_PLACES for path in glob(place)}
+    return sorted(found, key=_version, reverse=True)
+
+
+def _version(path: str) -> tuple[int, ...]:
+    """Version in the name of a library: (19, 1) for libLLVM.so.19.1 and for libLLVM-19.1.so."""
+    return tuple(map(int, re.findall(r"\d+", os.path.basename(path))))
+
+
+def _export_library() -> None:
+    """Tell Mitsuba, before it is first imported, of the newest library there is, if of none yet."""
+    if "drjit" not in sys.modules and _LIBRARY not in os.environ:
+        for library in _libraries()[:1]:
+            os.environ[_LIBRARY] = library
+
+
+def _trial(variant: str, library: str | None) -> str | None:
+    """Render in a process of its own; returns what went wrong.
+
+    Its home is empty, so that no kernel compiled by another library is found in a cache there.
+    """
+    with tempfile.TemporaryDirectory() as home:
+        environment = {**os.environ, "HOME": home, "TMP": home, "TEMP": home}
+        environment["PYTHONUSERBASE"] = site.getuserbase()  # where packages of this user lie
+        if library is not None:
+            environment[_LIBRARY] = library
+        try:
+            run = subprocess.run(
+                [sys.executable, "-c", _TRIAL, variant],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=_TRIAL_SECONDS,
+            )
+        except subprocess.TimeoutExpired:
+            return f"it rendered nothing within {_TRIAL_SECONDS:.0f} s"
+    if run.returncode == 0:
+        return None
+    if run.returncode < 0:
+        return f"it aborts the process (signal {-run.returncode})"
+    lines = run.stderr.decode(errors="replace").strip().splitlines()
+    return lines[-1] if lines else f"exit code {run.returncode}"
