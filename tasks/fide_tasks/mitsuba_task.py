@@ -9,8 +9,11 @@ different pixels is independent, and a frame is the same to the last bit on any 
 
 from __future__ import annotations
 
+import copy
 import time
 from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks import mitsuba_variant
 from fide_tasks.base import Image, Task, Vector, reserved_seeds, whole_number
+from fide_tasks.render_workers import Job, RenderWorkers, cores
 
 _CHUNK = 2**22  # most paths that are traced at once, which bounds the memory
 
@@ -36,7 +40,9 @@ class MitsubaTask(Task):
     variant: "auto", "cuda", "llvm" or "scalar"; see `mitsuba_variant.choose`. Afterwards the
         attribute `variant` is Mitsuba's name of the one in use.
     denoise: whether OptiX denoises each frame (not the reference), with variant "cuda" only.
-    threads: number of threads; None for all cores.
+    workers: number of processes that share the candidates of one `render`; 1 renders in this one.
+        It pays off where frames are small, and on the variant "scalar"; see docs/tasks.md.
+    threads: number of threads of each process; None shares all cores among the processes.
     reference_spp: paths a pixel of `reference` and of a generated target.
     target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
 
@@ -59,6 +65,7 @@ class MitsubaTask(Task):
         max_depth: int | None = None,
         variant: str = "auto",
         denoise: bool = False,
+        workers: int = 1,
         threads: int | None = None,
         reference_spp: int = 1024,
         target: ArrayLike | None = None,
@@ -69,10 +76,22 @@ class MitsubaTask(Task):
         depth = self.default_max_depth if max_depth is None else max_depth
         self.max_depth = depth if depth == -1 else whole_number("max_depth", depth, minimum=1)
         self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
+        self.workers = whole_number("workers", workers, minimum=1)
         self.variant = mitsuba_variant.choose(variant)
-        self.denoise = denoise
+        self.denoise = self._checked_denoise(denoise)
         self.times = {"load": 0.0, "update": 0.0, "render": 0.0, "copy": 0.0, "frames": 0}
         self._loaded: _Loaded | None = None
+        self._pool: RenderWorkers | None = None
+
+    def _checked_denoise(self, denoise: bool) -> bool:
+        if not isinstance(denoise, bool):
+            raise ValueError(f"denoise must be True or False, not {denoise!r}")
+        if denoise and not self.variant.startswith("cuda"):
+            raise ValueError(
+                "denoise=True needs Mitsuba's OptiX denoiser, which runs with variant 'cuda' only; "
+                f"here it is {self.variant}: leave denoise out, and raise spp for less noise"
+            )
+        return denoise
 
     @abstractmethod
     def _scene(self, mi: Any) -> dict[str, Any]:
@@ -91,12 +110,8 @@ class MitsubaTask(Task):
         return {"type": "path", "max_depth": self.max_depth}
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
-        with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
-            for v, seed, frame in zip(values, seeds.tolist(), out, strict=True):
-                radiance = self._radiance(mi, v, seed, self.spp)
-                start = time.perf_counter()
-                to_srgb(radiance, frame)
-                self.times["copy"] += time.perf_counter() - start
+        pairs = zip(values, seeds.tolist(), strict=True)
+        self._draw_all([Job(v, seed, self.spp, encoded=True) for v, seed in pairs], out)
 
     def _reference(self, values: Vector) -> Image:
         return self._converged(values, stream=1)
@@ -111,43 +126,75 @@ class MitsubaTask(Task):
         height, width = self.size
         most = max(1, _CHUNK // (height * width))
         parts = [most] * (self.reference_spp // most) + [self.reference_spp % most]
+        seeds = reserved_seeds(len(parts), stream).tolist()
+        jobs = [Job(values, s, n, encoded=False) for s, n in zip(seeds, parts, strict=True) if n]
         total = np.zeros(self.shape)
-        with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
-            for spp, seed in zip(parts, reserved_seeds(len(parts), stream).tolist(), strict=True):
-                if spp:
-                    total += spp * self._radiance(mi, values, seed, spp)
+        some: Image = np.empty((self.workers, *self.shape), np.float32)
+        for i in range(0, len(jobs), self.workers):
+            batch = jobs[i : i + self.workers]
+            self._draw_all(batch, some[: len(batch)])
+            for job, radiance in zip(batch, some, strict=False):
+                total += job.spp * radiance
         image: Image = np.empty(self.shape, np.float32)
         to_srgb((total / self.reference_spp).astype(np.float32), image)
         return image
 
-    def _radiance(self, mi: Any, values: Vector, seed: int, spp: int) -> NDArray[np.float32]:
-        """Return the linear radiance L, (H, W, 3), at the physical values, (dim,)."""
-        if self._loaded is None:
-            self._loaded = _Loaded(self, mi)
-        loaded, clock = self._loaded, time.perf_counter
-        began = clock()
-        self._update(mi, loaded.params, values)
-        loaded.params.update()
+    def _draw_all(self, jobs: list[Job], out: Image) -> None:
+        """Draw frames into out, (n, H, W, 3), in this process or in others."""
+        if self.workers == 1:
+            with self.open():
+                for job, frame in zip(jobs, out, strict=True):
+                    self.draw(job, frame)
+        elif jobs:
+            if self._pool is None or self._pool.closed:
+                share = self.threads or max(1, cores() // self.workers)
+                self._pool = RenderWorkers(self._alone(share), self.workers, self.shape)
+            self._pool.render(jobs, out)
+
+    def _alone(self, threads: int) -> MitsubaTask:
+        """Return this task as one process has it; its times are these."""
+        task = copy.copy(self)
+        task.workers, task.threads, task.times = 1, threads, self.times
+        return task
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Load the scene if need be; within this context `draw` may be called."""
+        with mitsuba_variant.in_variant(self.variant, self.threads) as mi:
+            if self._loaded is None:
+                start = time.perf_counter()
+                self._loaded = _Loaded(self, mi)
+                self.times["load"] += time.perf_counter() - start
+            yield
+
+    def draw(self, job: Job, out: Image) -> None:
+        """Draw one frame into out, (H, W, 3), encoded or as linear radiance; see `open`."""
+        assert self._loaded is not None
+        scene, clock = self._loaded, time.perf_counter
+        start = clock()
+        self._update(scene.mi, scene.params, job.values)
+        scene.params.update()
         updated = clock()
-        radiance = loaded.render(seed, spp)
+        radiance = scene.render(job.seed, job.spp, denoised=self.denoise and job.encoded)
         rendered = clock()
-        array = np.array(radiance)
-        self.times["update"] += updated - began
+        if job.encoded:
+            to_srgb(np.array(radiance), out)
+        else:
+            out[:] = np.array(radiance)
+        self.times["update"] += updated - start
         self.times["render"] += rendered - updated
         self.times["copy"] += clock() - rendered
         self.times["frames"] += 1
-        return array
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out what belongs to this process."""
-        return {**self.__dict__, "_loaded": None}
+        return {**self.__dict__, "_loaded": None, "_pool": None}
 
 
 class _Loaded:
     """A scene in memory, with its camera and integrator."""
 
     def __init__(self, task: MitsubaTask, mi: Any) -> None:
-        start = time.perf_counter()
         height, width = task.size
         description = task._scene(mi)
         film = {
@@ -159,17 +206,20 @@ class _Loaded:
             "component_format": "float32",
         }
         camera = {**description["sensor"], "film": film, "sampler": {"type": "independent"}}
+        self.mi = mi
         self.scene = mi.load_dict({**description, "sensor": camera})
         self.integrator = mi.load_dict(task._integrator())
         self.sensor = self.scene.sensors()[0]
         self.params = mi.traverse(self.scene)
-        task.times["load"] += time.perf_counter() - start
+        self._denoiser = mi.OptixDenoiser([width, height]) if task.denoise else None
 
-    def render(self, seed: int, spp: int) -> Any:
+    def render(self, seed: int, spp: int, denoised: bool) -> Any:
         """Return L, computed, as Mitsuba's tensor (H, W, 3)."""
         import drjit as dr
 
         tensor = self.integrator.render(self.scene, self.sensor, seed=seed, spp=spp)
+        if denoised and self._denoiser is not None:
+            tensor = self._denoiser(tensor)
         dr.eval(tensor)
         dr.sync_thread()
         return tensor

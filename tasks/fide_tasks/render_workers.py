@@ -1,0 +1,241 @@
+"""Processes that render frames for a task, and what happens when one of them dies or hangs.
+
+A candidate goes to whichever process is free. A process that dies is noticed at once, one that
+hangs when a frame takes far longer than the slowest before it. Either way all processes are ended
+and `RenderWorkerError` is raised; the next frame asked for starts new ones.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing import connection
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from fide_tasks.base import Image, Vector
+
+__all__ = ["Artist", "Job", "RenderWorkerError", "RenderWorkers", "cores"]
+
+LOADING_SECONDS = 300.0  # that a process may take to load the renderer and the scene
+COMPILING_SECONDS = 120.0  # that the first frame of so many paths may take in addition
+PATIENCE_SECONDS = 10.0  # that any frame may take, however fast the others were
+_SLOWER = 20.0  # times the slowest frame so far that a frame may take in addition
+_SECONDS_A_PATH = 1e-3  # taken for the slowest before there is one
+_SLICE = 1.0  # seconds; a longer pause between two looks was this process's own
+
+
+class RenderWorkerError(RuntimeError):
+    """A process that renders for a task has died or hangs."""
+
+
+class Job(NamedTuple):
+    """One frame: physical values (dim,), noise seed, paths a pixel, and whether it is encoded."""
+
+    values: Vector
+    seed: int
+    spp: int
+    encoded: bool
+
+
+class Artist(Protocol):
+    """What a process is started with; it is sent there by pickling.
+
+    times: seconds by what they were spent on; the process's own are added to it.
+    """
+
+    times: dict[str, float]
+
+    def open(self) -> Any:
+        """Load everything and return a context in which `draw` may be called."""
+
+    def draw(self, job: Job, out: Image) -> None:
+        """Draw one frame into out, (H, W, 3)."""
+
+
+class RenderWorkers:
+    """So many processes, each with a renderer of its own."""
+
+    def __init__(self, artist: Artist, count: int, shape: tuple[int, int, int]) -> None:
+        self._artist, self._slowest = artist, _SECONDS_A_PATH
+        self._measured = False
+        context = multiprocessing.get_context("spawn")
+        self._workers = [_Worker(context, artist, shape) for _ in range(count)]
+        self._lock = threading.Lock()
+        self._finalizer = weakref.finalize(self, _end, self._workers)
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids."""
+        return [worker.pid for worker in self._workers]
+
+    @property
+    def closed(self) -> bool:
+        """Whether the processes have been ended."""
+        return not self._finalizer.alive
+
+    def close(self) -> None:
+        """End the processes."""
+        self._finalizer()
+
+    def render(self, jobs: Sequence[Job], out: Image) -> None:
+        """Draw the jobs into out, (n, H, W, 3).
+
+        Raises RenderWorkerError if a process dies or hangs, and what `draw` raises. Whatever is
+        raised, the processes are ended.
+        """
+        with self._lock:
+            try:
+                self._render(jobs, out)
+            except BaseException:
+                self.close()
+                raise
+
+    def _render(self, jobs: Sequence[Job], out: Image) -> None:
+        waiting = list(enumerate(jobs))[::-1]
+        while waiting or any(worker.frame is not None for worker in self._workers):
+            for worker in self._workers:
+                if waiting and worker.idle:
+                    index, job = waiting.pop()
+                    worker.send(job, index, PATIENCE_SECONDS + _SLOWER * self._slowest * job.spp)
+            for worker in self._look():
+                self._take(worker, jobs, out)
+
+    def _look(self) -> list[_Worker]:
+        """Wait a little; returns the processes that have something to say.
+
+        Time is counted in slices, so that a while in which this process was itself stopped (by
+        Ctrl-Z, say) does not count against the others.
+        """
+        busy = [worker for worker in self._workers if not worker.idle]
+        handles = [h for worker in busy for h in (worker.pipe, worker.process.sentinel)]
+        start = time.monotonic()
+        ready = set(connection.wait(handles, timeout=_SLICE))
+        elapsed = min(time.monotonic() - start, _SLICE)
+        speaking = [w for w in busy if w.pipe in ready or w.process.sentinel in ready]
+        for worker in busy:
+            worker.patience -= elapsed
+            if worker.patience < 0 and worker not in speaking:
+                raise RenderWorkerError(
+                    f"a render process (pid {worker.pid}) hangs: nothing came of it for "
+                    f"{worker.granted:.0f} s; all render processes were ended, and the next render "
+                    "starts new ones"
+                )
+        return speaking
+
+    def _take(self, worker: _Worker, jobs: Sequence[Job], out: Image) -> None:
+        """Receive what a process says: that it is ready, a frame, or an exception."""
+        try:
+            word = worker.pipe.recv()
+            if isinstance(word, BaseException):
+                raise word
+            if word is not None:
+                assert worker.frame is not None
+                worker.pipe.recv_bytes_into(out[worker.frame].data.cast("B"))
+        except (EOFError, ConnectionError):
+            raise RenderWorkerError(worker.obituary()) from None
+        if word is not None:
+            self._count(word, jobs[worker.frame].spp)  # type: ignore[index]
+        worker.frame, worker.idle = None, True
+
+    def _count(self, times: dict[str, float], spp: int) -> None:
+        for part, spent in times.items():
+            self._artist.times[part] += spent
+        slowness = sum(times[part] for part in ("update", "render", "copy")) / spp
+        self._slowest = max(self._slowest, slowness) if self._measured else slowness
+        self._measured = True
+
+
+class _Worker:
+    """One of the processes, seen from the one that started it.
+
+    frame: index of the frame it draws; None while it loads, or has nothing to do.
+    patience, granted: seconds that are left until it counts as hanging, and that it was given.
+    """
+
+    def __init__(self, context: Any, artist: Artist, shape: tuple[int, int, int]) -> None:
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, artist, shape), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.pid: int = self.process.pid
+        self.frame: int | None = None
+        self.idle = False
+        self._compiled: set[int] = set()  # numbers of paths
+        self.patience = self.granted = LOADING_SECONDS
+
+    def send(self, job: Job, index: int, patience: float) -> None:
+        self.frame, self.idle = index, False
+        self.patience = patience + (0.0 if job.spp in self._compiled else COMPILING_SECONDS)
+        self.granted = self.patience
+        self._compiled.add(job.spp)
+        with suppress(ConnectionError):  # it is dead, as the next look will show
+            self.pipe.send(job)
+
+    def obituary(self) -> str:
+        self.process.join(timeout=5)
+        code = self.process.exitcode
+        how = f"exit code {code}" if code is None or code >= 0 else f"signal {-code}"
+        when = "while it started" if self.frame is None else f"while it drew frame {self.frame}"
+        hint = ""
+        if self.frame is None and code == 1:
+            hint = (
+                "; a script that starts processes must do its work under if __name__ == '__main__'"
+            )
+        return (
+            f"a render process (pid {self.pid}) died {when} ({how}){hint}; "
+            "all render processes were ended, and the next render starts new ones"
+        )
+
+
+def cores() -> int:
+    """Cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _end(workers: list[_Worker]) -> None:
+    for worker in workers:
+        worker.process.kill()  # it holds nothing that would have to be saved
+        worker.pipe.close()
+    for worker in workers:
+        worker.process.join(timeout=5)
+
+
+def _serve(pipe: Any, artist: Artist, shape: tuple[int, int, int]) -> None:
+    """Draw what comes through the pipe, until it is closed; the life of one process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
+    out: Image = np.empty(shape, np.float32)
+    before = dict(artist.times)
+    try:
+        with artist.open():
+            pipe.send(None)
+            while True:
+                artist.draw(pipe.recv(), out)
+                pipe.send({part: spent - before[part] for part, spent in artist.times.items()})
+                before = dict(artist.times)
+                pipe.send_bytes(out.data.cast("B"))
+    except (EOFError, ConnectionError):
+        pass
+    except Exception as error:
+        with suppress(ConnectionError):
+            pipe.send(_sendable(error))
+
+
+def _sendable(error: Exception) -> Exception:
+    """The exception itself where it can be sent to another process, or else what it says."""
+    import pickle
+
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RenderWorkerError(f"a render process failed: {error!r}")
+    return error
