@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shlex
 import traceback
 from collections.abc import Callable
@@ -60,6 +61,11 @@ def _report(result: Any, out: str) -> None:
     parts = "  ".join(f"{part} {duration(s)}" for part, s in result.times.items() if s >= 0.05)
     mse = "" if result.loss == "mse" else f", MSE {number(result.mse)}"
     print(f"best {result.loss} {number(result.best_loss)}{mse} after {result.evaluations} renders")
+    if result.reference_loss != result.best_loss and math.isfinite(result.reference_loss):
+        print(
+            f"without noise {number(result.reference_loss)}, "
+            f"the recommended candidate {number(result.recommended_loss)}"
+        )
     print(f"{duration(result.wall_s)}: {parts}")
     print(f"look at {out}/summary.png")
 

@@ -3,6 +3,7 @@
     run.json       settings, versions, machine, seeds, command, totals, status
     curve.csv      one line for each evaluation
     best.png       the best image so far
+    reference.png  of a noisy task, the image by which the best candidate was judged
     summary.png    target, first render, best, curve
     run.ckpt       the loop's state; it names the file of the optimizer that belongs to it
     optimizer-N-M.ckpt   after N evaluations, with M candidates pending
@@ -159,6 +160,13 @@ class RunDirectory:
 
             files.write_bytes(self.path / "best.png", as_png(image))
 
+    def write_reference(self, result: RunResult) -> None:
+        """Write `reference.png` if it is another image than the best of the run."""
+        from fide_plugins.harness.figures import as_png, noisy
+
+        if result.reference is not None and noisy(result):
+            files.write_bytes(self.path / "reference.png", as_png(result.reference))
+
     def write_summary(self, result: RunResult, target: Float32) -> None:
         """Write `summary.png`."""
         from fide_plugins.harness.figures import summary
@@ -174,7 +182,7 @@ class RunDirectory:
             "written": _now(),
         }
         if result is not None:
-            self._run["totals"] = {**result.summary(), "times": result.times}
+            self._run["totals"] = {**result.summary(), **result.details()}
         files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
 
 

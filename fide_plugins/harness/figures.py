@@ -32,17 +32,13 @@ def summary(result: RunResult, target: Float32) -> bytes:
 
     figure = Figure(figsize=(9.0, 6.6), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
-    images = figure.add_gridspec(1, 3, left=0.03, right=0.975, top=0.885, bottom=0.475, wspace=0.05)
+    panels = _panels(result, target)
+    images = figure.add_gridspec(
+        1, len(panels), left=0.03, right=0.975, top=0.885, bottom=0.475, wspace=0.05
+    )
     curve = figure.add_axes((0.085, 0.145, 0.89, 0.275))
     times = figure.add_axes((0.085, 0.055, 0.89, 0.018))
     _title(figure, result)
-    blank = np.zeros_like(target)
-    start, best = result.first_image, result.image
-    panels = [
-        ("target", "", target),
-        ("first render", _mse(start, target), blank if start is None else start),
-        ("best", f"MSE {result.mse:.3g}", blank if best is None else best),
-    ]
     for column, (name, note, image) in enumerate(panels):
         _image(figure.add_subplot(images[0, column]), name, note, image)
     _curve(curve, result)
@@ -50,6 +46,27 @@ def summary(result: RunResult, target: Float32) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
+
+
+def noisy(result: RunResult) -> bool:
+    """Whether the best candidate's reference image is another one than its render."""
+    if result.image is None or result.reference is None:
+        return False
+    return not np.array_equal(result.image, result.reference)
+
+
+def _panels(result: RunResult, target: Float32) -> list[tuple[str, str, Float32]]:
+    """Name, note and image (H, W, 3) of each panel."""
+    blank = np.zeros_like(target)
+    start, best = result.first_image, result.image
+    panels = [
+        ("target", "", target),
+        ("first render", _mse(start, target), blank if start is None else start),
+        ("best", _mse(best, target), blank if best is None else best),
+    ]
+    if noisy(result) and result.reference is not None:
+        panels.append(("best without noise", f"MSE {result.mse:.3g}", result.reference))
+    return panels
 
 
 def _title(figure: Any, result: RunResult) -> None:

@@ -24,6 +24,7 @@ import numpy as np
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.harness.directory import RunDirectory
+from fide_plugins.harness.judge import Verdict, judge
 from fide_plugins.harness.record import Progress, Record, RunResult
 from fide_plugins.harness.signals import Interrupted, Interrupts
 from fide_plugins.images import Float32, as_batch, as_target
@@ -42,7 +43,8 @@ _SAVE_SHARE = 20  # saving may take one part in so many of the time
 class Task(Protocol):
     """What is fitted: `fide_tasks` has some, and anything with these three will do.
 
-    Optional: `name`, `seed`, and `reference(x)`, a noise-free image (H, W, 3) to judge x by.
+    Optional: `name`, `seed`, and `reference(x)`, a noise-free image (H, W, 3) by which the result
+    is judged.
     """
 
     @property
@@ -209,13 +211,18 @@ class Run:
                         on_progress(self.progress)
                     self._save_now_and_then()
                     interrupts.check()
+                self._save()
+                with interrupts.stoppable():
+                    verdict = self._judge()
             except Interrupted:
                 self._leave("interrupted")
                 raise
             except BaseException:
                 self._leave("failed")
                 raise
-            return self._finish()  # a signal no longer matters: everything is about to be written
+            return self._finish(
+                verdict
+            )  # a signal no longer matters: everything is about to be written
 
     # -- one piece ---------------------------------------------------------------------------------
 
@@ -306,29 +313,35 @@ class Run:
         if self._whole:
             self._tick()
             self._save()
-        self._directory.write_run(status, self._result(self.record.image))
+        seen = judge(None, self.target, self.loss, self.record.x_best, self.record.image)
+        self._directory.write_run(status, self._result(seen))
 
-    def _finish(self) -> RunResult:
-        """Judge the best candidate, and write everything."""
-        self._save()
-        result = self._result(self._reference())
+    def _finish(self, verdict: Verdict) -> RunResult:
+        """Write everything."""
+        result = self._result(verdict)
         if self._directory is not None:
+            self._directory.write_reference(result)
             self._directory.write_summary(result, self.target)
             self._directory.write_run("finished", result)
         return result
 
-    def _reference(self) -> Float32 | None:
-        """Image by which the best candidate is judged: free of noise where the task has one."""
-        reference = getattr(self.task, "reference", None)
-        if reference is None or self.record.x_best is None:
-            return self.record.image
-        return as_target(reference(self.record.x_best))
+    def _judge(self) -> Verdict:
+        """Judge the best candidate and the recommended one; no time of the run's."""
+        r = self.record
+        try:
+            recommended = None if r.x_best is None else self.optimizer.recommend()
+            return judge(self.task, self.target, self.loss, r.x_best, r.image, recommended)
+        except FideError:
+            raise
+        except Exception as error:
+            raise RenderError(
+                f"{self.settings['task']} failed to judge the result: {error!r}"
+            ) from error
+        finally:
+            self._clock = time.perf_counter()
 
-    def _result(self, judged: Float32 | None) -> RunResult:
+    def _result(self, verdict: Verdict) -> RunResult:
         r, s = self.record, self.settings
-        mse = np.nan
-        if judged is not None:
-            mse = float(losses_module.make("mse", self.target)(judged[None])[0])
         return RunResult(
             task=s["task"],
             optimizer=s["optimizer"],
@@ -340,11 +353,16 @@ class Run:
             evaluations=r.evaluations,
             best_loss=r.best_loss,
             best_evaluation=r.best_evaluation,
-            mse=mse,
+            reference_loss=verdict.loss,
+            recommended_loss=verdict.recommended_loss,
+            mse=verdict.mse,
             wall_s=r.wall_s,
+            judge_s=verdict.seconds,
             times=dict(r.times),
             x_best=None if r.x_best is None else r.x_best.copy(),
+            x_recommended=verdict.x_recommended,
             image=r.image,
+            reference=verdict.image,
             first_image=r.first_image,
             losses=np.array(r.losses),
             seconds=np.array(r.seconds),

@@ -21,6 +21,8 @@ _PACKAGES = (
     "cma",
     "matplotlib",
     "pillow",
+    "mitsuba",
+    "drjit",
 )
 
 

@@ -42,11 +42,16 @@ class Progress:
 class RunResult:
     """What a run found, and what it took.
 
-    Times are in seconds and leave interruptions out; `overhead_s` is all but rendering.
+    Times are in seconds and leave interruptions out; `overhead_s` is all but rendering.  The result
+    is judged after the run, which is counted in `judge_s` alone.
     losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
-    mse: of the best candidate's (reference) image, whatever loss was optimized.
-    x_best: (dim,); image: (H, W, 3) as it was rendered during the run.  Both are None if no
-        candidate had a finite loss.
+    best_loss: the lowest of the losses; of a noisy task, low by luck too.
+    reference_loss, mse: of the best candidate's reference image, by the run's loss and as mean
+        squared error; of `image` where the task has no reference.
+    recommended_loss: of the reference image of the optimizer's recommendation; NaN without one.
+    x_best, x_recommended: (dim,); image: (H, W, 3) of x_best as it was rendered during the run;
+        reference: (H, W, 3), the image of x_best that was judged.  They are None if no candidate
+        had a finite loss.
     first_image: (H, W, 3), the first render of all.
     """
 
@@ -60,11 +65,16 @@ class RunResult:
     evaluations: int
     best_loss: float
     best_evaluation: int
+    reference_loss: float
+    recommended_loss: float
     mse: float
     wall_s: float
+    judge_s: float
     times: dict[str, float]
     x_best: Float64 | None
+    x_recommended: Float64 | None
     image: Float32 | None
+    reference: Float32 | None
     first_image: Float32 | None
     losses: Float64
     seconds: Float64
@@ -96,6 +106,17 @@ class RunResult:
             "render_s": self.render_s,
             "overhead_s": self.overhead_s,
             "x_best": None if self.x_best is None else self.x_best.tolist(),
+        }
+
+    def details(self) -> dict[str, Any]:
+        """What else is worth recording, as JSON can hold it: the judgment, and the times."""
+        recommended = self.x_recommended
+        return {
+            "reference_loss": _finite(self.reference_loss),
+            "recommended_loss": _finite(self.recommended_loss),
+            "x_recommended": None if recommended is None else recommended.tolist(),
+            "judge_s": self.judge_s,
+            "times": self.times,
         }
 
 
