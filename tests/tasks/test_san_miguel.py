@@ -1,0 +1,302 @@
+"""San Miguel: the camera and light are where x says, targets are worth finding, scenes load."""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks.san_miguel import SanMiguel
+from fide_tasks.viewpoints import merit
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra mitsuba)"
+)
+
+Image = NDArray[np.float32]
+AHEAD = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # at (16, 5.5, 5), looking along -x
+
+
+@pytest.fixture(scope="module")
+def task() -> SanMiguel:
+    return SanMiguel(32, reference_spp=64)
+
+
+def loss(images: Image, target: Image) -> NDArray[np.float64]:
+    squares = (images.astype(np.float64) - target) ** 2
+    return np.asarray(squares.mean(axis=(1, 2, 3)))
+
+
+def gray(image: Image) -> NDArray[np.float64]:
+    return np.asarray(image.mean(axis=-1, dtype=np.float64))
+
+
+def test_parameters_are_the_papers_and_have_units(task: SanMiguel) -> None:
+    assert task.dim == 8
+    assert task.decode([0, 0, 0, 0, 0, 1, 1, 1]) == {
+        "camera": {"x [m]": 7, "y [m]": 1, "z [m]": -2, "theta [deg]": 0, "phi [deg]": 0},
+        "light": {"x [m]": 25, "y [m]": 10, "z [m]": 12},
+    }
+    assert task.decode([1, 1, 1, 1, 1, 0, 0, 0]) == {
+        "camera": {"x [m]": 25, "y [m]": 10, "z [m]": 12, "theta [deg]": 180, "phi [deg]": 360},
+        "light": {"x [m]": 7, "y [m]": 1, "z [m]": -2},
+    }
+
+
+def test_fidelity_is_the_papers_by_default_and_can_be_set() -> None:
+    assert (SanMiguel().size, SanMiguel().spp, SanMiguel().max_depth) == ((224, 224), 8, 2)
+    options = fide_tasks.options("san_miguel")
+    assert {"scene", "spp", "max_depth", "variant", "denoise", "workers"} <= set(options)
+    made = fide_tasks.make("san_miguel", 16, spp=2, max_depth=3)
+    assert (made.size, made.name, made.stochastic) == ((16, 16), "san_miguel", True)
+
+
+def test_two_hundred_random_candidates_show_something(task: SanMiguel) -> None:
+    images = SanMiguel(16).render(np.random.default_rng(0).random((200, 8)))
+    assert images.shape == (200, 16, 16, 3)
+    assert images.dtype == np.float32
+    assert np.isfinite(images).all()
+    assert images.min() >= 0
+    assert images.max() <= 1
+    assert images.mean(axis=(1, 2, 3)).min() > 0.05
+    assert (images.std(axis=(1, 2, 3)) > 0.05).mean() > 0.9
+
+
+def test_corners_of_the_box_give_valid_images(task: SanMiguel) -> None:
+    corners = np.array(np.meshgrid(*[[0.0, 1.0]] * 8)).reshape(8, -1).T[::11]
+    images = task.render(corners, seed=0)
+    assert np.isfinite(images).all()
+
+
+def test_noise_is_fixed_by_the_seed(task: SanMiguel) -> None:
+    X = np.random.default_rng(1).random((3, 8))
+    images = task.render(X, seed=[4, 5, 6])
+    np.testing.assert_array_equal(images[2:], task.render(X[2:], seed=[6]))
+    np.testing.assert_array_equal(images, SanMiguel(32).render(X, seed=[4, 5, 6]))
+    again = task.render(X, seed=[7, 8, 9])
+    assert (again != images).any(axis=(1, 2, 3)).all()
+    assert np.abs(again - images).mean() < 0.05, "noise of 8 samples, not another image"
+
+
+def test_the_loss_is_lowest_at_x_star(task: SanMiguel) -> None:
+    x = task.x_star
+    assert x is not None
+    rng = np.random.default_rng(2)
+    found = loss(task.render(np.tile(x, (5, 1))), task.target)
+    near = np.clip(x + rng.normal(0, 0.03, (60, 8)), 0, 1)
+    assert found.max() < loss(task.render(near), task.target).min()
+    assert found.max() < 0.2 * loss(task.render(rng.random((60, 8))), task.target).min()
+
+
+def test_small_steps_change_the_image_little_and_larger_ones_much() -> None:
+    task = SanMiguel(32, spp=4)
+    rng = np.random.default_rng(3)
+    changes = []
+    for step in (1e-6, 1e-4, 1e-2):
+        X = rng.uniform(0.1, 0.9, (12, 8))
+        X[:, 3] = 0.35 + 0.3 * X[:, 3]
+        moved = X + step * rng.choice([-1, 1], X.shape)
+        one, other = task.render(X, seed=1), task.render(moved, seed=1)
+        changes.append(float(np.median(np.abs(one - other).mean(axis=(1, 2, 3)))))
+    assert changes[0] < 5e-4
+    assert changes[0] < changes[1] < 0.02
+    assert changes[2] > 0.06, "a hundredth of the box is another image"
+
+
+def test_phi_closes_its_circle_and_the_poles_are_ordinary(task: SanMiguel) -> None:
+    X = np.tile(AHEAD, (2, 1))
+    X[:, 4] = 0, 1
+    zero, full = task.render(X, seed=[1, 1])
+    assert np.abs(zero - full).mean() < 1e-3
+    X[:, 3], X[:, 4] = (0.0, 1e-6), 0.3
+    pole, beside = task.render(X, seed=[1, 1])
+    assert np.abs(pole - beside).mean() < 1e-3
+
+
+def test_the_light_moves_shadows_but_not_the_sky(task: SanMiguel) -> None:
+    up, down = AHEAD.copy(), AHEAD.copy()
+    up[3], down[3] = 0.0, 0.8
+    lights = np.random.default_rng(4).random((4, 3))
+    for x, changes in ((up, False), (down, True)):
+        X = np.tile(x, (4, 1))
+        X[:, 5:] = lights
+        images = task.render(X, seed=[1] * 4)[:, 14:18, 14:18]  # flags hang around the zenith
+        assert (np.abs(images - images[0]).max(axis=(1, 2, 3))[1:] > 0.02).all() == changes
+
+
+def test_targets_show_a_lit_piece_of_the_court_whatever_the_seed(task: SanMiguel) -> None:
+    stars = []
+    for seed in range(20):
+        one = copy.copy(task)  # shares the loaded scene
+        one.__dict__ = {k: v for k, v in task.__dict__.items() if k not in ("_target", "_x_star")}
+        one.seed, one.reference_spp = seed, 16
+        x = one.x_star
+        assert x is not None
+        assert ((x > 0) & (x < 1)).all()
+        image = gray(one.target)
+        assert 0.15 < image.mean() < 0.7, f"too dark or too bright at {seed=}"
+        assert image.std() > 0.08, f"even at {seed=}"
+        assert (image > 0.97).mean() < 0.2, f"blinding at {seed=}"
+        edges = np.abs(np.diff(image, axis=0))[:, 1:] + np.abs(np.diff(image, axis=1))[1:]
+        assert (edges > 0.1).mean() > 0.2, f"nothing to see at {seed=}"
+        low, width = one._range
+        with one.open():
+            assert merit(low + x * width, one._cast, 65.0).shortfall == 0
+        stars.append(x)
+    apart = np.abs(np.array(stars)[:, None] - np.array(stars)).max(axis=2)
+    assert apart[~np.eye(20, dtype=bool)].min() > 0.1
+
+
+def test_x_star_depends_on_the_seed_alone() -> None:
+    expected = SanMiguel(32, seed=3).x_star
+    assert expected is not None
+    for other in (
+        SanMiguel((20, 50), seed=3),
+        SanMiguel(8, seed=3, spp=1, max_depth=4),
+        SanMiguel(8, seed=3, variant="scalar"),
+    ):
+        np.testing.assert_array_equal(other.x_star, expected)
+    one, two = (SanMiguel(16, seed=3, reference_spp=4).target for _ in range(2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_longer_paths_bring_light_around_corners() -> None:
+    x = AHEAD.copy()
+    x[1], x[4] = 0.15, 0.25  # under the arcade of the south side
+    first, bounced = (SanMiguel(24, max_depth=d).reference(x) for d in (2, -1))
+    assert np.abs(gray(first) - gray(bounced)).mean() > 0.01
+    own = SanMiguel(24, max_depth=1).reference(x)
+    assert gray(own).mean() < gray(bounced).mean()
+
+
+SENSOR = '<sensor type="perspective"><float name="fov" value="50"/></sensor>'
+SKY = '<emitter type="constant"><rgb name="radiance" value="0.2"/></emitter>'
+LAMP = '<emitter type="point" id="lamp"><rgb name="intensity" value="300, 0, 0"/></emitter>'
+# A box of 2 m to the right of AHEAD's view, over a floor.
+SHAPES = """
+<shape type="cube">
+  <transform name="to_world"><translate x="6" y="5.5" z="1"/></transform>
+</shape>
+<shape type="rectangle"><transform name="to_world">
+  <scale value="50"/><rotate x="1" angle="-90"/>
+</transform></shape>
+"""
+CUBE_OBJ = "".join(
+    f"v {6 + x} {5.5 + y} {1 + z}\n" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
+) + "".join(
+    f"f {a}\n"
+    for a in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+)  # fmt: skip
+
+
+def scene(folder: Path, body: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{body}</scene>')
+    return path
+
+
+def test_a_mesh_appears_where_the_camera_should_see_it(tmp_path: Path) -> None:
+    path = tmp_path / "cube.obj"
+    path.write_text(CUBE_OBJ)
+    task = SanMiguel(64, scene=path)
+    without = AHEAD.copy()
+    without[4] = 0.0  # looking the other way
+    image, sky = task.reference(AHEAD), task.reference(without)
+    rows, columns = np.nonzero(np.abs(image - sky).max(axis=2) > 0.05)
+    # Its front is 9 m away and spans z from 0 to 2, to the right of z = 5, and y from 4.5 to 6.5.
+    scale = 32 / np.tan(np.radians(65 / 2)) / 9
+    np.testing.assert_allclose([rows.min(), rows.max() + 1], [32 - scale, 32 + scale], atol=1)
+    front = gray(image)[31, round(32 + 3.2 * scale) : round(32 + 4.8 * scale)]
+    assert columns.max() == pytest.approx(32 + 5 * scale, abs=1)
+    assert front.std() < 0.05, "one face, evenly lit"
+
+
+def test_a_mesh_has_the_colors_of_its_vertices(tmp_path: Path) -> None:
+    path = tmp_path / "wall.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\n"
+        + "".join(f"property float {name}\n" for name in "xyzrgb")
+        + "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        + "".join(
+            f"10 {y} {z} 0 {green} 0\n"
+            for y, z, green in ((0, 0, 0.1), (0, 10, 0.1), (11, 10, 0.9), (11, 0, 0.9))
+        )
+        + "3 0 1 2\n3 0 2 3\n"
+    )
+    image = SanMiguel(32, scene=path, reference_spp=64).reference(AHEAD)[:, 16]
+    assert image[:, [0, 2]].max() < 0.05
+    assert image[0, 1] > image[-1, 1] + 0.1
+
+
+def test_an_xml_scene_keeps_its_field_of_view_and_moves_its_light(tmp_path: Path) -> None:
+    task = SanMiguel(32, scene=scene(tmp_path, SENSOR + SKY + LAMP + SHAPES), reference_spp=64)
+    assert task.x_star is not None
+    assert task.target.std() > 0.02
+    image = task.reference(AHEAD)
+    assert image[20:, :, 0].mean() > image[20:, :, 1].mean() + 0.03, "its own light is red"
+    # The side of the box toward the camera, at 50 degrees: columns (3 to 5) m / 9 m.
+    scale = 16 / np.tan(np.radians(25)) / 9
+    above = np.abs(image[15] - image[15, 0]).max(axis=1) > 0.02
+    assert np.flatnonzero(above).max() + 1 == pytest.approx(min(32, 16 + 5 * scale), abs=1)
+    far = AHEAD.copy()
+    far[5:] = 1.0
+    assert image[..., 0].mean() > task.reference(far)[..., 0].mean() + 0.01
+
+
+def test_a_scene_without_a_point_light_is_given_ours(tmp_path: Path) -> None:
+    task = SanMiguel(16, scene=scene(tmp_path, SENSOR + SKY + SHAPES), reference_spp=16)
+    bright = task.reference(AHEAD)
+    far = AHEAD.copy()
+    far[5:] = 1.0
+    assert bright.mean() > task.reference(far).mean() + 0.005
+
+
+@pytest.mark.parametrize(
+    ("body", "rule"),
+    [
+        (SENSOR + LAMP, "has no shape"),
+        (SENSOR + LAMP + '<shape type="teapot3"/>', "Mitsuba cannot load the scene .*teapot3"),
+        ('<sensor type="orthographic"/>' + LAMP + SHAPES, "must be of type 'perspective'"),
+    ],
+)
+def test_scenes_that_cannot_be_used_are_named(tmp_path: Path, body: str, rule: str) -> None:
+    path = scene(tmp_path, body)
+    with pytest.raises(ValueError, match=rule) as error:
+        SanMiguel(8, scene=path).render(AHEAD[None])
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("a.obj", "v 1 2 x\n"), ("a.obj", "# nothing\n"), ("a.ply", "ply nonsense\n")],
+)
+def test_meshes_that_cannot_be_used_are_named(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=rf"Mitsuba cannot load the scene .*{re.escape(name)}"):
+        SanMiguel(8, scene=tmp_path / name).render(AHEAD[None])
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "rule"),
+    [
+        ({"scene": "missing.xml"}, FileNotFoundError, r"no scene file '.*missing\.xml'"),
+        ({"scene": "court.blend"}, ValueError, r"\.xml, \.obj, \.ply, not 'court\.blend'"),
+        ({"spp": 0}, ValueError, "spp must be a whole number >= 1, not 0"),
+        ({"max_depth": 0}, ValueError, "max_depth must be a whole number >= 1"),
+        ({"variant": "opencl"}, ValueError, "variant must be one of 'auto'"),
+    ],
+)
+def test_bad_options_are_refused_when_the_task_is_made(
+    options: dict[str, Any], error: type[Exception], rule: str
+) -> None:
+    with pytest.raises(error, match=rule):
+        fide_tasks.make("san_miguel", **options)
+    with pytest.raises(ValueError, match="x must be finite"):
+        SanMiguel(8).render(np.full((1, 8), np.nan))

@@ -1,0 +1,111 @@
+"""What a scene file must be, told before Mitsuba sees it; needs no Mitsuba."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from fide_tasks.scene_file import checked_scene
+
+SENSOR = '<sensor type="perspective"/>'
+EMITTER = '<emitter type="constant"/>'
+
+
+def xml(folder: Path, body: str, name: str = "scene.xml") -> Path:
+    path = folder / name
+    path.write_text(f'<scene version="3.0.0">{body}</scene>')
+    return path
+
+
+def test_scenes_and_meshes_are_taken_by_their_absolute_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    xml(tmp_path, SENSOR + EMITTER)
+    (tmp_path / "court.OBJ").touch()
+    monkeypatch.chdir(tmp_path)
+    assert checked_scene("scene.xml") == tmp_path.resolve() / "scene.xml"
+    assert checked_scene(Path("court.OBJ")) == tmp_path.resolve() / "court.OBJ"
+
+
+def test_the_home_folder_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "court.ply").touch()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    assert checked_scene("~/court.ply") == tmp_path.resolve() / "court.ply"
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path / "no.xml"))):
+        checked_scene(tmp_path / "no.xml")
+    with pytest.raises(FileNotFoundError, match="there is no scene file"):
+        checked_scene(tmp_path / "no.obj")
+
+
+@pytest.mark.parametrize("name", ["court.blend", "court", "court.xml.gz"])
+def test_other_kinds_of_file_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ValueError, match=r"a file of type \.xml, \.obj, \.ply, not '.*court"):
+        checked_scene(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("", "not well-formed XML: no element found"),
+        ("<scene><sensor></scene>", "not well-formed XML: mismatched tag"),
+        ("<robot/>", "not a Mitsuba scene: its root element is <robot>"),
+        (f"<scene>{EMITTER}</scene>", "has no sensor: add a <sensor> element"),
+        (f"<scene>{SENSOR}</scene>", "has no emitter: add a <emitter> element"),
+    ],
+)
+def test_a_scene_that_lacks_something_is_named(tmp_path: Path, text: str, rule: str) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"{re.escape(repr(str(path)))}.*{rule}"):
+        checked_scene(path)
+
+
+def test_parts_may_be_included_from_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    xml(tmp_path / "parts", SENSOR, "camera.xml")
+    xml(tmp_path / "parts", EMITTER + '<include filename="camera.xml"/>', "both.xml")
+    path = xml(tmp_path, '<default name="d" value="parts"/><include filename="$d/both.xml"/>')
+    assert checked_scene(path) == path
+
+
+def test_a_scene_that_includes_itself_does_not_hang(tmp_path: Path) -> None:
+    path = xml(tmp_path, SENSOR + EMITTER + '<include filename="scene.xml"/>')
+    assert checked_scene(path) == path
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<shape type="obj"><string name="filename" value="{}"/></shape>',
+        '<texture type="bitmap"><string name="filename" value="{}"/></texture>',
+        '<spectrum name="reflectance" filename="{}"/>',
+        '<include filename="{}"/>',
+        '<path value="{}"/>',
+        '<default name="f" value="{}"/><shape><string name="filename" value="$f"/></shape>',
+    ],
+)
+def test_files_outside_the_folder_are_refused(tmp_path: Path, body: str) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    secret = xml(tmp_path, SENSOR, "secret.xml")
+    (folder / "link.xml").symlink_to(secret)
+    for name in ("../secret.xml", str(secret), "link.xml"):
+        path = xml(folder, SENSOR + EMITTER + body.format(name))
+        with pytest.raises(ValueError, match="outside its folder; put the scene and all its files"):
+            checked_scene(path)
+
+
+def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+    shape = '<shape type="obj"><string name="filename" value="meshes/wall.obj"/></shape>'
+    path = xml(tmp_path, SENSOR + EMITTER + shape)
+    with pytest.raises(FileNotFoundError, match=r"needs '.*wall\.obj', which is missing"):
+        checked_scene(path)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "wall.obj").touch()
+    assert checked_scene(path) == path
