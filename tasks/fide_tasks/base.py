@@ -39,6 +39,7 @@ class Task(ABC):
     ----------
     name: what the registry calls the task.
     stochastic: whether two renders of one x differ by noise.
+    incidental_options: names of options that leave every image as it is, such as workers.
     parameters: one declared `Parameter` for each coordinate of x.
     size: (height, width) of the image in pixels.
     seed: chooses the target among those the task generates.
@@ -46,6 +47,7 @@ class Task(ABC):
 
     name: ClassVar[str]
     stochastic: ClassVar[bool] = False
+    incidental_options: ClassVar[tuple[str, ...]] = ()
     parameters: tuple[Parameter, ...]
 
     def __init__(

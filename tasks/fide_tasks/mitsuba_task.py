@@ -34,7 +34,8 @@ class MitsubaTask(Task):
 
     Options, the same in every Mitsuba task
     ---------------------------------------
-    spp: paths a pixel, at least 1; the noise falls with its root. None is the task's own default.
+    spp: paths a pixel, at least 1; the noise falls with its root (slower at first, while a single
+        bright path makes a pixel white). None is the task's own default.
     max_depth: longest path in segments; 1 is what shines by itself, 2 adds direct light, -1 is any
         length. None is the task's own default.
     variant: "auto", "cuda", "llvm" or "scalar"; see `mitsuba_variant.choose`. Afterwards the
@@ -53,6 +54,7 @@ class MitsubaTask(Task):
     """
 
     stochastic = True
+    incidental_options = ("workers", "threads")
     default_spp: ClassVar[int]
     default_max_depth: ClassVar[int]
 
@@ -73,8 +75,7 @@ class MitsubaTask(Task):
         super().__init__(size, seed, picture=target)
         self.spp = whole_number("spp", self.default_spp if spp is None else spp, minimum=1)
         self.reference_spp = whole_number("reference_spp", reference_spp, minimum=1)
-        depth = self.default_max_depth if max_depth is None else max_depth
-        self.max_depth = depth if depth == -1 else whole_number("max_depth", depth, minimum=1)
+        self.max_depth = _checked_depth(self.default_max_depth if max_depth is None else max_depth)
         self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
         self.workers = whole_number("workers", workers, minimum=1)
         self.variant = mitsuba_variant.choose(variant)
@@ -223,6 +224,18 @@ class _Loaded:
         dr.eval(tensor)
         dr.sync_thread()
         return tensor
+
+
+def _checked_depth(max_depth: int) -> int:
+    try:
+        depth = whole_number("max_depth", max_depth, minimum=-1)
+    except ValueError:
+        depth = 0
+    if depth == 0:
+        raise ValueError(
+            f"max_depth must be a whole number >= 1, or -1 for any length, not {max_depth!r}"
+        )
+    return depth
 
 
 def to_srgb(radiance: NDArray[np.float32], out: NDArray[np.float32]) -> None:

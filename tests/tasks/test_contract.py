@@ -140,6 +140,17 @@ def test_noise_free_tasks_accept_and_ignore_the_noise_seed(make: Make) -> None:
     np.testing.assert_array_equal(task.render(X), task.render(X, seed=[5, 6]))
 
 
+def test_without_noise_the_reference_is_the_render_and_the_noise_level_zero(make: Make) -> None:
+    task = make()
+    x = np.random.default_rng(9).random(task.dim)
+    np.testing.assert_array_equal(task.reference(x), task.render(x[None])[0])
+    np.testing.assert_array_equal(task.noise_level(x), np.zeros((48, 48, 3), np.float32))
+    with pytest.raises(ValueError, match="x must be finite"):
+        task.reference(np.full(task.dim, np.nan))
+    with pytest.raises(ValueError, match="frames must be a whole number >= 2, not 1"):
+        task.noise_level(x, frames=1)
+
+
 def test_an_empty_batch(make: Make) -> None:
     task = make()
     assert task.render(np.empty((0, task.dim))).shape == (0, 48, 48, 3)
@@ -296,6 +307,28 @@ def test_without_a_seed_every_frame_has_its_own_noise() -> None:
             assert (frames[i] != frames[j]).mean() > 0.9
     again = Noise(16)
     np.testing.assert_array_equal(again.render(np.repeat(X2[:1], 5, axis=0)), frames)
+
+
+def test_the_noise_level_is_the_standard_deviation_of_a_frame() -> None:
+    level = Noise(48).noise_level([0.5], frames=50)
+    assert level.dtype == np.float32
+    assert level.mean() == pytest.approx(0.1, rel=0.02)
+    assert level.std() == pytest.approx(0.1 / np.sqrt(2 * 49), rel=0.1)
+
+
+def test_the_reference_has_little_noise_and_is_always_the_same() -> None:
+    image = Noise(48).reference([0.5])
+    assert image.dtype == np.float32
+    assert np.abs(image.mean() - 0.5) < 0.001
+    assert image.std() == pytest.approx(0.1 / np.sqrt(64), rel=0.1)
+    np.testing.assert_array_equal(Noise(48).reference([0.5]), image)
+
+
+def test_reference_and_noise_level_take_no_seed_of_a_render() -> None:
+    task, other = Noise(16), Noise(16)
+    task.reference([0.5])
+    task.noise_level([0.5])
+    np.testing.assert_array_equal(task.render(X2), other.render(X2))
 
 
 def test_the_target_of_a_noisy_task_is_always_the_same() -> None:

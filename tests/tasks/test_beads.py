@@ -1,0 +1,331 @@
+"""Beads, and what every Mitsuba task does: fidelity, seeds, workers, bad input."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import Task, mitsuba_task
+from fide_tasks.mitsuba_variant import choose, problem_with
+
+pytest.importorskip(
+    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
+)
+
+RADIUS = 0.25
+Array = NDArray[np.float64]
+needs_llvm = pytest.mark.skipif(
+    problem_with("llvm") is not None, reason=f"LLVM does not run here: {problem_with('llvm')}"
+)
+
+
+def make(size: Any = 32, seed: int = 0, *, spp: int = 4, **options: Any) -> Task:
+    return fide_tasks.make("beads", size, seed, **{"spp": spp, "reference_spp": 256, **options})
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    """For tests that neither count frames nor depend on how many there were."""
+    return make()
+
+
+def random_x(n: int, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).random((n, 18))
+
+
+def loss(image: NDArray[np.float32], target: NDArray[np.float32]) -> float:
+    return float(np.square(image.astype(np.float64) - target).mean())
+
+
+# -- the scene -------------------------------------------------------------------------------------
+
+
+def test_two_hundred_random_candidates_give_valid_images() -> None:
+    images = make(16, spp=2).render(random_x(200))
+    assert images.shape == (200, 16, 16, 3)
+    assert images.dtype == np.float32
+    assert np.isfinite(images).all()
+    assert images.min() >= 0
+    assert images.max() <= 1
+    brightness = images.mean(axis=(1, 2, 3))
+    assert 0.1 < brightness.min() < brightness.max() < 0.6
+
+
+@pytest.mark.parametrize("corner", [0.0, 0.5, 1.0])
+def test_all_beads_in_one_place_give_a_valid_image(task: Task, corner: float) -> None:
+    image = task.render(np.full((1, 18), corner))[0]
+    assert np.isfinite(image).all()
+    assert 0.15 < image.mean() < 0.6
+
+
+def test_beads_reach_the_walls_and_go_no_further(task: Task) -> None:
+    assert task.dim == 18
+    lows, highs = (
+        np.array([list(bead.values()) for bead in task.decode(np.full(18, end)).values()])
+        for end in (0.0, 1.0)
+    )
+    np.testing.assert_allclose(lows, -1 + RADIUS)
+    np.testing.assert_allclose(highs[:, [0, 2]], 1 - RADIUS)
+    assert np.all((highs[:, 1] + RADIUS < 0.99) & (highs[:, 1] + RADIUS > 0.95)), "below the lamp"
+    assert list(task.decode(np.zeros(18))["bead 6"]) == [f"{a} [half sides]" for a in "xyz"]
+
+
+def test_axes_are_right_up_and_towards_the_camera() -> None:
+    task = make(48, spp=16)
+    away = np.tile([0.5, 0.5, 0.0], 6)  # all six behind one another
+
+    def changed(x: float, y: float, z: float) -> tuple[float, float, int]:
+        moved = away.copy()
+        moved[:3] = x, y, z
+        difference = np.abs(task.reference(moved) - task.reference(away)).sum(axis=2)
+        rows, columns = np.nonzero(difference > 0.5)
+        return float(np.median(columns)), float(np.median(rows)), len(rows)
+
+    right, up = changed(0.9, 0.5, 0.5), changed(0.5, 0.95, 0.5)
+    assert right[0] > 28
+    assert up[1] < 20
+    assert changed(0.2, 0.3, 1.0)[2] > changed(0.2, 0.3, 0.1)[2], "near beads are larger"
+
+
+def test_swapping_beads_changes_nothing_but_noise(task: Task) -> None:
+    x = random_x(1, seed=1)[0].reshape(6, 3)
+    one, other = task.reference(x.ravel()), task.reference(x[::-1].ravel())
+    assert loss(one, other) < 1e-9
+
+
+def test_beads_of_targets_keep_apart_and_in_sight() -> None:
+    for seed in range(20):
+        x = make(8, seed).x_star
+        assert x is not None
+        c = np.array([list(bead.values()) for bead in make(8, seed).decode(x).values()])
+        i, j = np.triu_indices(6, 1)
+        assert np.linalg.norm(c[i] - c[j], axis=1).min() > 2 * RADIUS
+        depth = 3.9 - c[:, 2:]
+        screen, r = c[:, :2] / depth, RADIUS / depth[:, 0]
+        apart = np.linalg.norm(screen[i] - screen[j], axis=1)
+        assert (apart > np.maximum(r[i], r[j])).all(), "no center hides behind another bead"
+
+
+def test_renders_vary_continuously(task: Task) -> None:
+    x, way = random_x(2, seed=2)
+    start = 0.2 + 0.6 * x
+    there = [task.reference(start + step * (way - 0.5)) for step in (0, 0.004, 0.04, 0.4)]
+    changes = [loss(there[0], image) for image in there[1:]]
+    assert changes[0] < changes[1] < changes[2]
+    noise = loss(there[0], make(seed=1, spp=256).render(start[None])[0])
+    assert changes[0] < noise, "a step of 1/250 is lost in the noise of 256 paths"
+
+
+def test_the_loss_of_references_is_lowest_at_x_star() -> None:
+    task = make(24, reference_spp=1024)
+    x, target = task.x_star, task.target
+    assert x is not None
+    best = loss(task.reference(x), target)
+    assert 0 < best < 0.003, "target and reference have noise of their own"
+    rng = np.random.default_rng(3)
+    far = rng.random((8, 18))
+    near = np.tile(x, (12, 1)).reshape(12, 6, 3)
+    for row in range(12):
+        step = rng.normal(size=3)
+        near[row, row % 6] += 0.15 * step / np.linalg.norm(step)
+    losses = [loss(task.reference(other), target) for other in [*far, *near.reshape(12, 18)]]
+    assert min(losses[:8]) > 2 * best
+    assert min(losses[8:]) > best
+
+
+def test_noisy_losses_are_lower_at_x_star_than_elsewhere() -> None:
+    task = make(24, spp=64)
+    x = task.x_star
+    assert x is not None
+    at = [loss(image, task.target) for image in task.render(np.tile(x, (30, 1)), seed=1)]
+    elsewhere = [loss(image, task.target) for image in task.render(random_x(30), seed=2)]
+    error = np.sqrt((np.var(at, ddof=1) + np.var(elsewhere, ddof=1)) / 30)
+    assert (np.mean(elsewhere) - np.mean(at)) / error > 4
+
+
+# -- targets, seeds and batches --------------------------------------------------------------------
+
+
+def test_the_target_depends_on_the_seed_and_on_no_knob_of_the_frames() -> None:
+    target = make(24).target
+    np.testing.assert_array_equal(make(24, spp=1).target, target)
+    np.testing.assert_array_equal(make(24, threads=1).target, target)
+    assert loss(make(24, seed=1).target, target) > 0.003
+    task = make(24)
+    task.render(random_x(2))
+    np.testing.assert_array_equal(task.target, target)
+    np.testing.assert_array_equal(make(64).x_star, task.x_star)
+
+
+def test_the_same_x_and_seed_give_the_same_image_in_any_batch(task: Task) -> None:
+    X, seeds = random_x(5), [3, 14, 15, 92, 65]
+    images = task.render(X, seed=seeds)
+    np.testing.assert_array_equal(task.render(X[::-1], seed=seeds[::-1])[::-1], images)
+    for x, seed, image in zip(X, seeds, images, strict=True):
+        np.testing.assert_array_equal(task.render(x[None], seed=seed)[0], image)
+    np.testing.assert_array_equal(make(threads=1).render(X, seed=seeds), images)
+    assert (task.render(X, seed=1) != images).mean() > 0.5
+
+
+def test_without_a_seed_every_frame_has_its_own_noise() -> None:
+    X = np.tile(random_x(1), (4, 1))
+    frames = np.concatenate([make().render(X[:3]), make().render(X)])
+    np.testing.assert_array_equal(frames[:3], frames[3:6])
+    for i in range(3):
+        assert (frames[i] != frames[i + 1 : 3]).mean(axis=(1, 2, 3)).min(initial=1) > 0.5
+    assert (frames[6] != frames[3]).mean() > 0.5
+
+
+def test_a_reference_in_chunks_is_the_same_but_for_noise(
+    task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x = random_x(1)[0]
+    whole = task.reference(x)
+    monkeypatch.setattr(mitsuba_task, "_CHUNK", 100 * 32 * 32)  # 100 + 100 + 56 paths a pixel
+    parts = task.reference(x)
+    other = make(spp=256).render(x[None], seed=1)[0]
+    assert 0.6 < loss(parts, whole) / loss(other, whole) < 1.7
+
+
+def test_any_height_and_width() -> None:
+    task = make((20, 33), target=np.full((12, 40, 3), 0.5, np.float32))
+    assert task.size == (12, 40)
+    assert task.x_star is None
+    assert task.render(random_x(2)).shape == (2, 12, 40, 3)
+    assert make((9, 1)).render(random_x(1)).shape == (1, 9, 1, 3)
+    assert make().render(np.empty((0, 18))).shape == (0, 32, 32, 3)
+
+
+def test_the_scene_is_loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded = []
+    original = mitsuba_task._Loaded.__init__
+
+    def count(self: Any, *arguments: Any) -> None:
+        loaded.append(1)
+        original(self, *arguments)
+
+    monkeypatch.setattr(mitsuba_task._Loaded, "__init__", count)
+    task: Any = make()
+    for _ in range(3):
+        task.render(random_x(4))
+    task.reference(random_x(1)[0])
+    assert len(loaded) == 1
+    assert task.times["frames"] == 13
+    assert all(task.times[part] > 0 for part in ("load", "update", "render", "copy"))
+
+
+def test_tasks_can_be_sent_to_other_processes_after_rendering() -> None:
+    task = make()
+    expected = task.render(random_x(2), seed=1)
+    copy = pickle.loads(pickle.dumps(task))
+    np.testing.assert_array_equal(copy.render(random_x(2), seed=1), expected)
+
+
+def test_tasks_of_two_variants_work_side_by_side() -> None:
+    tasks = [make(variant="scalar"), make(variant=choose("auto"))]
+    assert [t.variant for t in tasks] == ["scalar_rgb", choose("auto")]  # type: ignore[attr-defined]
+    first = [t.render(random_x(1), seed=1) for t in tasks]
+    for t, image in zip(tasks, first, strict=True):
+        np.testing.assert_array_equal(t.render(random_x(1), seed=1), image)
+    one, two = (t.reference(random_x(1)[0]) for t in tasks)
+    other = make(spp=256).render(random_x(1), seed=1)[0]
+    assert 0.6 < loss(one, two) / loss(other, two) < 1.7, "they differ by their noise"
+
+
+def test_longer_paths_carry_more_light(task: Task) -> None:
+    x = random_x(1)[0]
+    depths = [make(max_depth=n).reference(x).mean() for n in (1, 2, 8, -1)]
+    assert depths[0] < depths[1] < depths[2] < depths[3]
+    assert depths[2] == task.reference(x).mean()
+
+
+# -- what is imported, and what is refused ---------------------------------------------------------
+
+
+def test_mitsuba_is_imported_only_when_a_frame_is_rendered() -> None:
+    code = (
+        "import fide_tasks\n"
+        "fide_tasks.names(), fide_tasks.options('beads')\n"
+        "task = fide_tasks.make('beads', size=8, spp=1, variant='scalar')\n"
+        "heavy = ('mitsuba', 'drjit', 'torch', 'fide_plugins')\n"
+        "before = [m for m in heavy if m in sys.modules]\n"
+        "task.render([[0.5] * 18])\n"
+        "print(before, [m for m in heavy if m in sys.modules])"
+    )
+    script = f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n{code}"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert run.stdout.strip() == "[] ['mitsuba', 'drjit']", run.stderr
+
+
+def test_options_have_the_same_names_in_every_mitsuba_task() -> None:
+    assert {
+        "spp", "max_depth", "variant", "denoise", "workers", "threads", "reference_spp", "target",
+    } <= set(fide_tasks.options("beads"))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        ({"spp": 0}, "spp must be a whole number >= 1, not 0"),
+        ({"spp": 1.5}, "spp must be a whole number >= 1, not 1.5"),
+        ({"spp": "64"}, "spp must be a whole number >= 1, not '64'"),
+        ({"max_depth": 0}, "max_depth must be a whole number >= 1, or -1.*, not 0"),
+        ({"max_depth": -2}, "max_depth must be"),
+        ({"max_depth": "8"}, "max_depth must be"),
+        ({"reference_spp": 0}, "reference_spp must be"),
+        ({"variant": "opencl"}, "variant must be one of 'auto', 'cuda', 'llvm', 'scalar'"),
+        ({"variant": None}, "variant must be one of"),
+        ({"workers": 0}, "workers must be a whole number >= 1"),
+        ({"threads": 0}, "threads must be a whole number >= 1"),
+        ({"denoise": "yes"}, "denoise must be True or False"),
+        ({"denoise": True, "variant": "scalar"}, "denoise=True needs .*OptiX.* 'cuda' only"),
+        ({"beads": 7}, "beads has no option 'beads'; it has .*max_depth"),
+        ({"size": 0}, "size must be a whole number >= 1"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, Any], rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        fide_tasks.make("beads", **options)
+
+
+@pytest.mark.parametrize("call", ["render", "reference", "noise_level", "decode"])
+def test_bad_candidates_are_refused(task: Task, call: str) -> None:
+    bad = random_x(1)
+    bad[0, 7] = np.nan
+    with pytest.raises(ValueError, match=r"x\[0, 7\] is nan"):
+        getattr(task, call)(bad)
+    with pytest.raises(ValueError, match="x must have shape"):
+        getattr(task, call)(np.zeros((2, 17)))
+
+
+def test_outside_the_box_is_clipped(task: Task) -> None:
+    x = np.random.default_rng(5).normal(0.5, 0.6, (2, 18))
+    np.testing.assert_array_equal(task.render(x, seed=1), task.render(x.clip(0, 1), seed=1))
+
+
+def test_what_is_not_finite_is_black() -> None:
+    radiance = np.array([[[np.nan, np.inf, 2.0], [0.0, 0.5, -1.0]]], np.float32)
+    out = np.empty_like(radiance)
+    mitsuba_task.to_srgb(radiance, out)
+    expected = np.array([[[0, 0, 1], [0, 0.7353569, 0]]], np.float32)
+    np.testing.assert_allclose(out, expected, atol=1e-6)
+
+
+@pytest.mark.slow
+@needs_llvm
+def test_a_frame_of_full_size_takes_a_second_on_two_idle_cores() -> None:
+    task: Any = make(224, spp=64)
+    task.render(random_x(1))
+    seconds = []
+    for x in random_x(8):
+        before = sum(task.times[part] for part in ("update", "render", "copy"))
+        task.render(x[None])
+        seconds.append(sum(task.times[part] for part in ("update", "render", "copy")) - before)
+    assert min(seconds) < 1.1

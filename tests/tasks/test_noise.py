@@ -1,0 +1,117 @@
+"""Noisy renders against a measured mean and variance, pixel by pixel.
+
+tests/data/NAME_noise.npz holds the mean m and the variance v of N single frames, (H, W, 3), made by
+tests/data/noise_reference.py. The mean of n new frames is compared to m by
+
+    z = (mean - m) / sqrt(v / n + v / N)
+
+in every pixel and channel at once, k comparisons in all, so that one is wrongly refused with
+probability ALPHA together (Šidák's correction). The limit of |z| is not the normal quantile: a
+pixel that a rare path makes white is far from normal even after many frames. It comes from
+Bernstein's inequality, which holds for any values in [0, 1]:
+
+    P(|mean - m| > s z) <= 2 exp(-L)   for   z = L / (3 n s) + sqrt((L / (3 n s))^2 + 2 L)
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import Task
+
+pytest.importorskip(
+    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
+)
+
+NAMES = ["beads"]
+ALPHA = 0.01
+FRAMES = 256  # n
+Array = NDArray[np.float64]
+Measured = dict[str, Any]
+
+
+@pytest.fixture(params=NAMES, scope="module")
+def measured(request: pytest.FixtureRequest) -> Measured:
+    path = Path(__file__).parents[1] / "data" / f"{request.param}_noise.npz"
+    with np.load(path) as file:
+        return {"name": request.param, **{key: file[key] for key in file.files}}
+
+
+@pytest.fixture(scope="module")
+def task(measured: Measured) -> Task:
+    return fide_tasks.make(measured["name"], size=int(measured["size"]), spp=int(measured["spp"]))
+
+
+def refused(mean: Array, measured: Measured) -> NDArray[np.bool_]:
+    """Which pixels of the mean of FRAMES frames, (H, W, 3), are not as measured."""
+    n = FRAMES
+    variance = np.maximum(measured["variance"], 1e-6)
+    s = np.sqrt(variance / n + variance / measured["frames"])
+    z = np.abs(mean - measured["mean"]) / s
+    alpha = 1 - (1 - ALPHA) ** (1 / z.size)
+    L = np.log(2 / alpha)
+    jump = L / (3 * n * s)
+    return np.asarray(z > jump + np.sqrt(jump**2 + 2 * L))
+
+
+def mean_of_frames(task: Task, x: Array, seed: int) -> Array:
+    return np.asarray(
+        task.render(np.tile(x, (FRAMES, 1)), seed=seed).mean(axis=0, dtype=np.float64)
+    )
+
+
+@pytest.fixture(scope="module")
+def mean(task: Task, measured: Measured) -> Array:
+    return mean_of_frames(task, measured["x"], seed=1)
+
+
+def test_renders_are_as_measured(mean: Array, measured: Measured) -> None:
+    assert not refused(mean, measured).any()
+
+
+def test_most_pixels_are_normally_distributed(mean: Array, measured: Measured) -> None:
+    variance = np.maximum(measured["variance"], 1e-6)
+    z = (mean - measured["mean"]) / np.sqrt(variance * (1 / FRAMES + 1 / measured["frames"]))
+    assert 0.035 < (np.abs(z) > 1.96).mean() < 0.065
+
+
+@pytest.mark.parametrize("coordinate", [4, 7])
+def test_a_slightly_moved_scene_is_refused(task: Task, measured: Measured, coordinate: int) -> None:
+    x = measured["x"].copy()
+    x[coordinate] += 0.05 if x[coordinate] < 0.5 else -0.05
+    assert refused(mean_of_frames(task, x, seed=2), measured).sum() > 5
+
+
+def test_more_paths_a_pixel_have_less_noise(measured: Measured) -> None:
+    size, spp, x = int(measured["size"]), int(measured["spp"]), measured["x"]
+    levels = [
+        fide_tasks.make(measured["name"], size=size, spp=n * spp).noise_level(x, frames=32)
+        for n in (1, 4)
+    ]
+    few, many = (np.sqrt(np.square(level).mean()) for level in levels)
+    assert 1.2 < few / many < 2.2  # below the root of 4 while single paths make a pixel white
+
+
+def test_the_noise_level_is_as_measured(task: Task, measured: Measured) -> None:
+    level = task.noise_level(measured["x"], frames=64)
+    assert level.shape == task.shape
+    assert level.dtype == np.float32
+    variance = np.square(level, dtype=np.float64)
+    assert variance.mean() == pytest.approx(measured["variance"].mean(), rel=0.1)
+    noisy = measured["variance"] > 1e-3  # where 64 frames see the noise, its place is the same
+    assert np.corrcoef(variance[noisy], measured["variance"][noisy])[0, 1] > 0.8
+
+
+def test_the_noise_level_is_always_the_same_and_takes_no_seeds(measured: Measured) -> None:
+    a, b = (fide_tasks.make(measured["name"], size=16, spp=1) for _ in range(2))
+    x = measured["x"]
+    np.testing.assert_array_equal(a.noise_level(x), b.noise_level(x))
+    np.testing.assert_array_equal(a.reference(x), b.reference(x))
+    c = fide_tasks.make(measured["name"], size=16, spp=1)
+    np.testing.assert_array_equal(a.render(x[None]), c.render(x[None]))

@@ -1,0 +1,198 @@
+"""Render processes: the same images, and a clear error when one dies or hangs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_plugins import harness
+from fide_plugins.errors import RenderError
+from fide_tasks import render_workers
+from fide_tasks.render_workers import RenderWorkerError
+
+pytest.importorskip(
+    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
+)
+
+
+def make(workers: int, **options: Any) -> Any:
+    settings = {"size": 24, "spp": 2, "reference_spp": 64, **options}
+    return fide_tasks.make("beads", workers=workers, **settings)
+
+
+def random_x(n: int) -> NDArray[np.float64]:
+    return np.random.default_rng(0).random((n, 18))
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Any]:
+    task = make(2)
+    yield task
+    if task._pool is not None:
+        task._pool.close()
+
+
+def pids(task: Any) -> list[int]:
+    task.render(random_x(1), seed=0)  # so that there are processes, and they are ready
+    found: list[int] = task._pool.pids
+    return found
+
+
+def test_images_do_not_depend_on_the_number_of_processes(
+    shared: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fide_tasks import mitsuba_task
+
+    one, X = make(1), random_x(9)
+    np.testing.assert_array_equal(shared.render(X, seed=4), one.render(X, seed=4))
+    assert len(set(pids(shared))) == 2
+    assert os.getpid() not in pids(shared)
+    monkeypatch.setattr(mitsuba_task, "_CHUNK", 7 * 24 * 24)  # a reference of ten chunks
+    np.testing.assert_array_equal(shared.reference(X[0]), one.reference(X[0]))
+    np.testing.assert_array_equal(shared.target, one.target)
+    np.testing.assert_array_equal(shared.noise_level(X[0]), one.noise_level(X[0]))
+    assert shared.render(X[:0]).shape == (0, 24, 24, 3)
+
+
+def test_times_of_the_processes_are_added_up(shared: Any) -> None:
+    shared.render(random_x(1))
+    before = dict(shared.times)
+    shared.render(random_x(10))
+    assert shared.times["frames"] - before["frames"] == 10
+    assert shared.times["render"] > before["render"]
+    assert shared.times["load"] > 0
+
+
+def test_a_killed_process_is_an_error_at_once_and_the_next_render_works(shared: Any) -> None:
+    expected = shared.render(random_x(3), seed=1)
+    victim = pids(shared)[0]
+    os.kill(victim, signal.SIGKILL)
+    start = time.monotonic()
+    with pytest.raises(RenderWorkerError, match=rf"pid {victim}\) died .*signal 9.*starts new"):
+        shared.render(random_x(40))
+    assert time.monotonic() - start < 5
+    assert issubclass(RenderWorkerError, RuntimeError)
+    np.testing.assert_array_equal(shared.render(random_x(3), seed=1), expected)
+    assert victim not in pids(shared)
+
+
+def test_a_process_killed_while_it_renders(shared: Any) -> None:
+    victim = pids(shared)[1]
+    killer = threading.Timer(0.1, os.kill, (victim, signal.SIGKILL))
+    killer.start()
+    with pytest.raises(RenderWorkerError, match="died while it drew frame"):
+        shared.render(random_x(1), seed=list(range(1)))
+        for _ in range(200):
+            shared.render(random_x(50))
+    killer.join()
+
+
+def test_a_process_that_hangs_is_an_error(shared: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_workers, "PATIENCE_SECONDS", 1.0)
+    shared.render(random_x(4))  # both have compiled what they need
+    victim = pids(shared)[0]
+    os.kill(victim, signal.SIGSTOP)
+    start = time.monotonic()
+    with pytest.raises(RenderWorkerError, match=rf"pid {victim}\) hangs: nothing came"):
+        shared.render(random_x(10))
+    assert 1 <= time.monotonic() - start < 15
+    shared.render(random_x(2))
+
+
+def test_an_error_in_a_process_is_raised_here() -> None:
+    task = make(2)
+    task.variant = "llvm_ad_nonsense"
+    with pytest.raises((ImportError, ValueError, AttributeError), match="nonsense"):
+        task.render(random_x(2))
+    assert task._pool.closed
+
+
+def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n"
+        "import fide_tasks\n"
+        "task = fide_tasks.make('beads', size=8, spp=1, workers=2, variant='scalar')\n"
+        "task.render([[0.5] * 18] * 2)\n"
+    )
+    run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 1
+    last = run.stderr.strip().splitlines()[-1]
+    assert last.startswith("fide_tasks.render_workers.RenderWorkerError: ")
+    assert "if __name__ == '__main__'" in last
+
+
+def test_processes_end_with_the_task_and_with_its_process(tmp_path: Path) -> None:
+    task = make(2)
+    alive = pids(task)
+    del task
+    deadline = time.monotonic() + 5
+    while any(map(_runs, alive)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(_runs, alive))
+    script = tmp_path / "script.py"
+    script.write_text(
+        f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n"
+        "import os, fide_tasks\n"
+        "if __name__ == '__main__':\n"
+        "    task = fide_tasks.make('beads', size=8, spp=1, workers=2, variant='scalar')\n"
+        "    task.render([[0.5] * 18] * 2)\n"
+        "    print(*task._pool.pids, flush=True)\n"
+        "    os.kill(os.getpid(), 9)\n"
+    )
+    run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
+    assert run.returncode == -9
+    orphans = [int(word) for word in run.stdout.split()]
+    assert len(orphans) == 2
+    deadline = time.monotonic() + 10
+    while any(map(_runs, orphans)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(_runs, orphans))
+
+
+def test_a_run_whose_renderer_was_killed_is_resumed(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 70, "seed": 1, "checkpoint_every": 0}
+    whole = harness.run(make(1), **settings)
+    task = make(2)
+
+    def kill(progress: harness.Progress) -> None:
+        if progress.evaluations >= 20:
+            os.kill(task._pool.pids[0], signal.SIGKILL)
+
+    start = time.monotonic()
+    with pytest.raises(RenderError, match=r"beads failed to render candidates.*pid \d+\) died"):
+        harness.run(task, **settings, on_progress=kill, out=tmp_path)
+    assert time.monotonic() - start < 20
+    resumed = harness.run(make(1), **settings, out=tmp_path, resume=True)
+    assert resumed.losses.tolist() == whole.losses.tolist()
+    assert resumed.reference_loss == whole.reference_loss
+
+
+def test_workers_may_change_when_a_run_is_resumed(tmp_path: Path) -> None:
+    options = {"spp": 1, "reference_spp": 16}
+    for workers, resume in ((1, False), (2, True)):
+        result = harness.run(
+            "beads", "cma", budget=10, size=16, out=tmp_path, resume=resume,
+            task_options={**options, "workers": workers},
+        )  # fmt: skip
+        assert result.evaluations == 10
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[:1]
