@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-__all__ = ["complain", "duration", "note", "number", "plain"]
+__all__ = ["complain", "duration", "note", "notices", "number", "plain"]
 
 
 def plain(text: object) -> str:
@@ -22,6 +25,27 @@ def complain(who: str, message: object) -> int:
 def note(text: str) -> None:
     """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def notices(logger: str) -> Iterator[None]:
+    """Within this block, print what that logger is told to standard error."""
+
+    class Notes(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            note(plain(record.getMessage()))
+
+    log, handler = logging.getLogger(logger), Notes(logging.INFO)
+    before = log.level, log.propagate
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(before[0])
+        log.propagate = before[1]
 
 
 def number(value: float | None) -> str:

@@ -3,6 +3,7 @@
     fide run voronoi --size 112 --budget 4000
     fide run spline --optimizer cma --set popsize=50 --out runs/mine
     fide run voronoi --task-set cells=12 --task-seed 3 --json
+    fide run beads --size 112 --spp 16 --loss perceptual --task-set variant=llvm
 
 The directory holds summary.png, best.png, curve.csv, run.json and what --resume needs.
 """
@@ -10,6 +11,7 @@ The directory holds summary.png, best.png, curve.csv, run.json and what --resume
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from fide_plugins.cli.arguments import (
     add_run_arguments,
@@ -28,6 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_run_arguments(parser, size="side of the image")
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
+    add("--spp", type=whole(1), metavar="N", help="paths a pixel, for tasks of Mitsuba")
+    add("--workers", type=whole(1), metavar="N", help="processes that render, likewise (1)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
 
@@ -46,7 +50,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             args.seed,
             size=args.size,
             task_seed=args.task_seed,
-            task_options=dict(args.task_set),
+            task_options=_task_options(args),
             options=optimizer_options(args),
             out=free_directory(args, args.task),
             resume=args.resume,
@@ -54,3 +58,9 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         )
 
     return execute_run(args, command, prepare, args.task)
+
+
+def _task_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the task from --task-set and from those that have a flag of their own."""
+    flags = {"spp": args.spp, "workers": args.workers}
+    return {**{k: v for k, v in flags.items() if v is not None}, **dict(args.task_set)}

@@ -10,13 +10,13 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from fide_plugins.cli.messages import complain, duration, note, number, plain
-from fide_plugins.errors import FideError
+from fide_plugins.cli.messages import complain, duration, note, notices, number, plain
+from fide_plugins.errors import FideError, RenderError
 
 __all__ = ["USAGE_ERRORS", "execute_run"]
 
-USAGE_ERRORS = (FideError, ValueError, TypeError, OSError)
-"""What can be wrong with the arguments, before anything is rendered."""
+USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
+"""What can be wrong with the arguments or the installation, before anything is rendered."""
 
 
 def execute_run(
@@ -28,7 +28,11 @@ def execute_run(
 
     who = f"fide {command[1]}"
     try:
-        run = prepare()
+        with notices("fide_tasks"):
+            run = prepare()
+    except RenderError as error:
+        note(f"{who}: the run failed: {plain(error)}")
+        return 1
     except USAGE_ERRORS as error:
         return complain(who, error)
     out = plain(run.out)

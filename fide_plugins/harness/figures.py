@@ -65,7 +65,7 @@ def _panels(result: RunResult, target: Float32) -> list[tuple[str, str, Float32]
         ("best", _mse(best, target), blank if best is None else best),
     ]
     if noisy(result) and result.reference is not None:
-        panels.append(("best without noise", f"MSE {result.mse:.3g}", result.reference))
+        panels.append(("reference", f"MSE {result.mse:.3g}", result.reference))
     return panels
 
 

@@ -43,8 +43,8 @@ _SAVE_SHARE = 20  # saving may take one part in so many of the time
 class Task(Protocol):
     """What is fitted: `fide_tasks` has some, and anything with these three will do.
 
-    Optional: `name`, `seed`, and `reference(x)`, a noise-free image (H, W, 3) by which the result
-    is judged.
+    Optional: `name`, `seed`, `reference(x)`, a noise-free image (H, W, 3) by which the result is
+    judged, and `incidental_options`, names of options that leave every image as it is.
     """
 
     @property
@@ -89,7 +89,7 @@ def prepare(
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
 ) -> Run:
-    """Check all that a run needs, and make or resume it; nothing is rendered yet.
+    """Check all that a run needs, and make or resume it; nothing but the target is rendered yet.
 
     Parameters
     ----------
@@ -120,7 +120,8 @@ def prepare(
     Raises
     ------
     OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors; OSError if
-    `out` cannot be written.
+    `out` cannot be written; ImportError if the task needs a package that is not installed;
+    RenderError if its target cannot be rendered.
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options = dict(task_options or {}), dict(options or {})
@@ -128,12 +129,13 @@ def prepare(
         import fide_tasks
 
         task = fide_tasks.make(task, size, task_seed, **task_options)
-    target = as_target(task.target)
+    target = _target(task)
+    incidental = getattr(task, "incidental_options", ())
     judge = losses_module.resolve(loss, target)
     settings = {
         "task": _name(task),
         "task_seed": getattr(task, "seed", None),
-        "task_options": task_options,
+        "task_options": {k: v for k, v in task_options.items() if k not in incidental},
         "size": list(target.shape[:2]),
         "dim": task.dim,
         "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
@@ -384,6 +386,16 @@ def _make_optimizer(
     if isinstance(optimizer, str):
         return optimizers.make(optimizer, dim, target, **options)
     return optimizer(dim, target, **options)
+
+
+def _target(task: Task) -> Float32:
+    """The task's target; a renderer that fails to render it is a failure of rendering."""
+    try:
+        return as_target(task.target)
+    except FideError:
+        raise
+    except RuntimeError as error:
+        raise RenderError(f"{_name(task)} failed to render its target: {error}") from error
 
 
 def _name(thing: object) -> str:

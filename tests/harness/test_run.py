@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -196,6 +196,29 @@ def test_a_run_that_stops_while_it_is_judged_can_be_resumed(event: Any, tmp_path
     assert task.calls == 0
     assert same(whole, resumed)
     assert resumed.wall_s == pytest.approx(wall, abs=0.5)
+
+
+def test_a_renderer_that_fails_at_the_target_is_named() -> None:
+    class Dark:
+        name, dim, render = "dark", 3, Tint.render
+
+        @property
+        def target(self) -> Any:
+            raise RuntimeError("no lamp")
+
+    with pytest.raises(RenderError, match="dark failed to render its target: no lamp"):
+        harness.prepare(cast(Any, Dark()), "cma")
+
+
+def test_options_that_leave_every_image_as_it_is_may_change_on_resuming(tmp_path: Path) -> None:
+    class Parallel(Tint):
+        incidental_options = ("workers",)
+
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 5, "out": tmp_path}
+    harness.run(Parallel(), **settings, task_options={"workers": 1, "mood": "calm"})
+    harness.run(Parallel(), **settings, task_options={"workers": 2, "mood": "calm"}, resume=True)
+    with pytest.raises(RunDirectoryError, match="other settings: task_options"):
+        harness.run(Parallel(), **settings, task_options={"mood": "wild"}, resume=True)
 
 
 def test_losses_that_are_not_finite_are_recorded_and_never_best(tmp_path: Path) -> None:
