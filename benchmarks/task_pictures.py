@@ -1,0 +1,53 @@
+"""Pictures of the tasks for docs/tasks.md.
+
+    python benchmarks/task_pictures.py san_miguel
+
+Each picture, docs/images/TASK.png, has on the left one view; on the right above, the targets of the
+seeds 0, 1, 2; below, three random candidates as a search meets them at its start.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import fide_tasks
+
+TILE = 210  # pixels; the view on the left is twice as large
+VIEWS = {  # the one on the left, where it is not the target of seed 3
+    "san_miguel": (0.017, 0.222, 0.357, 0.485, 0.039, 0.417, 0.611, 0.607),
+}
+
+
+def picture(name: str) -> NDArray[np.float32]:
+    large = fide_tasks.make(name, 2 * TILE, seed=3)
+    view = large.reference(VIEWS[name]) if name in VIEWS else large.target
+    above = [fide_tasks.make(name, TILE, seed=seed).target for seed in range(3)]
+    task = fide_tasks.make(name, TILE)
+    candidates = np.random.default_rng(1).normal(0.5, 1 / 6, (3, task.dim)).clip(0, 1)
+    below = [task.reference(x) for x in candidates]
+    rows = [np.concatenate(row, axis=1) for row in (above, below)]
+    return np.concatenate([view, np.concatenate(rows)], axis=1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("tasks", nargs="+", metavar="TASK", choices=fide_tasks.names())
+    parser.add_argument("--out", type=Path, default=Path("docs/images"), metavar="DIR")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name in arguments.tasks:
+        pixels = np.rint(picture(name) * 255).astype(np.uint8)
+        path = arguments.out / f"{name}.png"
+        Image.fromarray(pixels).save(path, optimize=True)
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
