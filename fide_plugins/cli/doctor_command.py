@@ -50,6 +50,7 @@ def examine() -> dict[str, Any]:
     return {
         "versions": machine.versions(),
         "machine": machine.machine(),
+        "mitsuba": _try_mitsuba(),
         "tasks": _try_all("tasks", _try_task),
         "optimizers": _try_all("optimizers", _try_optimizer),
         "encoders": _try_all("encoders", _try_encoder),
@@ -84,6 +85,23 @@ def _try_task(name: str) -> None:
     task.render(np.full((1, task.dim), 0.5))
 
 
+def _try_mitsuba() -> dict[str, str]:
+    """What there is to say of each variant of Mitsuba."""
+    from fide_tasks import mitsuba_variant
+
+    if mitsuba_variant.problem_with("scalar"):
+        return {"mitsuba": f"not installed: {mitsuba_variant.REMEDIES['scalar']}"}
+    facts = {}
+    for short, name in mitsuba_variant.VARIANTS.items():
+        problem = mitsuba_variant.problem_with(short)
+        facts[name] = f"no: {problem}; {mitsuba_variant.REMEDIES[short]}" if problem else "ok"
+    if facts["llvm_ad_rgb"] == "ok":
+        facts["llvm_ad_rgb"] = (
+            f"ok, with {mitsuba_variant.library() or 'a library it finds itself'}"
+        )
+    return {name: plain(text) for name, text in facts.items()}
+
+
 def _try_optimizer(name: str) -> None:
     from fide_plugins import optimizers
 
@@ -107,6 +125,9 @@ def _text(facts: dict[str, Any]) -> str:
     lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
     lines.append(f"{machine['cpu']}, {machine['cores']} cores, {machine['threads']} threads")
     lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the processor'}")
+    lines.append("\nMitsuba's variants; the first that runs is the default")
+    width = max(map(len, facts["mitsuba"]))
+    lines += [f"  {name:{width}}  {text}" for name, text in facts["mitsuba"].items()]
     for kind in ("tasks", "optimizers", "encoders", "losses"):
         lines.append(f"\n{kind}")
         width = max(map(len, facts[kind]), default=0)

@@ -2,7 +2,7 @@
 
 Mitsuba compiles its kernels for a GPU (CUDA) or for the processor's vector units (LLVM), or runs
 them ray by ray ("scalar"). LLVM is a library of the system: some releases are not found, and some
-abort the whole process at the first kernel (14 and 15 do). So a variant is tried in a process of
+abort the whole process at the first kernel (15 does). So a variant is tried in a process of
 its own before this one relies on it.
 """
 
@@ -26,13 +26,14 @@ from typing import Any
 
 from fide_tasks.base import one_of
 
-__all__ = ["VARIANTS", "choose", "in_variant"]
+__all__ = ["REMEDIES", "VARIANTS", "choose", "in_variant", "library", "problem_with"]
 
 VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"}
 """Short names of the variants, in the order of preference, and Mitsuba's names."""
 
 _log = logging.getLogger(__name__)
 _LOCK = threading.RLock()  # the variant and the number of threads belong to the whole process
+_left: str | None = None  # the variant that `in_variant` left active when it last did
 _TRIAL_SECONDS = 120.0  # for a first frame, of which about one is needed
 _LIBRARY = "DRJIT_LIBLLVM_PATH"  # read when Mitsuba is first imported
 _LIBRARY_PLACES = (
@@ -53,14 +54,15 @@ box["sensor"]["film"] |= {"width": 4, "height": 4, "rfilter": {"type": "box"}}
 assert numpy.isfinite(numpy.array(mi.render(mi.load_dict(box), spp=1))).all()
 """
 _INSTALL_LLVM = (
-    "install an LLVM library of version 16 or later (on Debian 12: apt-get install libllvm19), "
+    "install a recent LLVM library (19 is tested; on Debian: apt-get install libllvm19), "
     f"or name one in the environment variable {_LIBRARY}"
 )
-_REMEDIES = {
+REMEDIES = {
     "cuda": "it needs an NVIDIA GPU and its driver",
     "llvm": _INSTALL_LLVM,
-    "scalar": "reinstall it: pip install --force-reinstall mitsuba",
+    "scalar": "pip install 'fide-plugins[mitsuba]'",
 }
+"""What to do where a variant, by its short name, does not run."""
 
 
 def choose(variant: str) -> str:
@@ -85,27 +87,36 @@ def choose(variant: str) -> str:
     if problem is not None:
         raise ValueError(
             f"Mitsuba's variant {names[variant]} does not run here ({problem}); "
-            f"{_REMEDIES[short]}, or choose variant='auto'"
+            f"{REMEDIES[short]}, or choose variant='auto'"
         )
     return names[variant]
 
 
 @cache
 def problem_with(short: str) -> str | None:
-    """What keeps the variant `short` from running here; None if nothing does."""
+    """What keeps the variant "cuda", "llvm" or "scalar" from running here; None if nothing does."""
+    if importlib.util.find_spec("mitsuba") is None:
+        return "Mitsuba is not installed"
     if short == "scalar":
         return None
     return _problem_with_cuda() if short == "cuda" else _problem_with_llvm()
 
 
+def library() -> str | None:
+    """Return the LLVM library that is used, if Mitsuba was not left to find one itself."""
+    return os.environ.get(_LIBRARY)
+
+
 @contextmanager
 def in_variant(variant: str, threads: int | None = None) -> Iterator[Any]:
-    """Give Mitsuba with `variant` active, on so many threads; afterwards all is as before.
+    """Give Mitsuba with `variant` active, on so many threads.
 
     Mitsuba has one active variant and one set of threads for the whole process, so only one thread
-    of Python can be in here at a time. Changing from one variant to another and back takes some
-    tens of milliseconds.
+    of Python can be in here at a time. Afterwards the number of threads is as before, and so is the
+    variant if somebody else had set one. Changing it takes some tens of milliseconds, so it is left
+    as it is otherwise.
     """
+    global _left
     with _LOCK:
         _export_library()
         import drjit
@@ -120,7 +131,9 @@ def in_variant(variant: str, threads: int | None = None) -> Iterator[Any]:
                 dr.set_thread_count(threads)
             yield mi
         finally:
-            if before[0] not in (None, variant):
+            if before[0] in (None, variant, _left):
+                _left = variant
+            else:
                 mi.set_variant(before[0])
             dr.set_thread_count(before[1])
 
@@ -136,8 +149,8 @@ def _best() -> str:
             full, problem_with("llvm"), _INSTALL_LLVM,
         )  # fmt: skip
     else:
-        library = f" and {os.environ.get(_LIBRARY, 'an LLVM library of its own choice')}"
-        _log.info("Mitsuba renders with %s%s", full, library if short == "llvm" else "")
+        llvm = f" and {library() or 'an LLVM library of its own choice'}"
+        _log.info("Mitsuba renders with %s%s", full, llvm if short == "llvm" else "")
     return full
 
 
@@ -154,13 +167,13 @@ def _problem_with_llvm() -> str | None:
     given = os.environ.get(_LIBRARY)
     candidates = [given] if given else [*_libraries(), None]  # None: let Mitsuba search
     problems = []
-    for library in candidates:
-        problem = _trial(VARIANTS["llvm"], library)
+    for path in candidates:
+        problem = _trial(VARIANTS["llvm"], path)
         if problem is None:
-            if library is not None:
-                os.environ[_LIBRARY] = library
+            if path is not None:
+                os.environ[_LIBRARY] = path
             return None
-        problems.append(f"{library}: {problem}" if library else problem)
+        problems.append(f"{path}: {problem}" if path else problem)
     return "; ".join(problems)
 
 
@@ -178,11 +191,11 @@ def _version(path: str) -> tuple[int, ...]:
 def _export_library() -> None:
     """Tell Mitsuba, before it is first imported, of the newest library there is, if of none yet."""
     if "drjit" not in sys.modules and _LIBRARY not in os.environ:
-        for library in _libraries()[:1]:
-            os.environ[_LIBRARY] = library
+        for newest in _libraries()[:1]:
+            os.environ[_LIBRARY] = newest
 
 
-def _trial(variant: str, library: str | None) -> str | None:
+def _trial(variant: str, llvm: str | None) -> str | None:
     """Render in a process of its own; returns what went wrong.
 
     Its home is empty, so that no kernel compiled by another library is found in a cache there.
@@ -190,8 +203,8 @@ def _trial(variant: str, library: str | None) -> str | None:
     with tempfile.TemporaryDirectory() as home:
         environment = {**os.environ, "HOME": home, "TMP": home, "TEMP": home}
         environment["PYTHONUSERBASE"] = site.getuserbase()  # where packages of this user lie
-        if library is not None:
-            environment[_LIBRARY] = library
+        if llvm is not None:
+            environment[_LIBRARY] = llvm
         try:
             run = subprocess.run(
                 [sys.executable, "-c", _TRIAL, variant],

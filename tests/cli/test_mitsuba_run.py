@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from fide_plugins.cli import main
+from fide_plugins.cli import doctor_command, main
 from fide_plugins.cli.messages import notices
+from fide_tasks import mitsuba_variant
 
 pytest.importorskip(
     "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
@@ -49,6 +50,26 @@ def test_wrong_fidelity_is_one_line(
     assert captured.out == ""
     assert message in captured.err
     assert len(captured.err.splitlines()) == 1
+
+
+def test_doctor_says_which_variants_run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problems = {"cuda": "there is no driver", "llvm": "it aborts the process", "scalar": None}
+    monkeypatch.setattr(mitsuba_variant, "problem_with", problems.get)
+    facts = doctor_command._try_mitsuba()
+    assert facts["scalar_rgb"] == "ok"
+    assert facts["llvm_ad_rgb"].startswith("no: it aborts the process; install a recent LLVM")
+    assert "libllvm19" in facts["llvm_ad_rgb"]
+    monkeypatch.setattr(mitsuba_variant, "problem_with", lambda short: "Mitsuba is not installed")
+    assert doctor_command._try_mitsuba() == {
+        "mitsuba": "not installed: pip install 'fide-plugins[mitsuba]'"
+    }
+    monkeypatch.undo()
+    assert main(["doctor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.split()[:2] == ["scalar_rgb", "ok"] for line in lines)
+    assert any(line.split() == ["beads", "ok"] for line in lines)
 
 
 def test_what_a_task_has_to_say_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

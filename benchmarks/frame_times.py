@@ -1,0 +1,92 @@
+"""Milliseconds a frame of a task, and where they go; prints a table for docs/tasks.md.
+
+    python benchmarks/frame_times.py beads
+    python benchmarks/frame_times.py voronoi spline --sizes 64 224
+
+Each row is the fastest of several batches of frames, after frames that load and compile, and of
+several passes over all rows, since few machines are idle all the time. "update",
+"render" and "copy" are parts of the time of a process; where two processes render, each takes
+longer and the frame is ready sooner. Nothing else should run on the machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+import fide_tasks
+
+PARTS = ("update", "render", "copy")
+BATCHES = 3
+SHORTEST = 0.3  # seconds that a batch takes at least
+
+
+def configurations(name: str, args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Options of each row of the table of a task."""
+    if "spp" not in fide_tasks.options(name):
+        yield from ({"size": size} for size in args.sizes)
+        return
+    grid = itertools.product(args.variants, args.sizes, args.spp, args.workers)
+    for variant, size, spp, workers in grid:
+        yield {"size": size, "spp": spp, "variant": variant, "workers": workers}
+
+
+def measure(name: str, options: dict[str, Any]) -> tuple[float, dict[str, float]]:
+    """Seconds a frame, and the seconds of each part of it that the task tells."""
+    task: Any = fide_tasks.make(name, **options)
+    rng = np.random.default_rng(0)
+    workers = options.get("workers", 1)
+    start = time.perf_counter()
+    for _ in range(2):
+        task.render(rng.random((2 * workers, task.dim)))
+    took = (time.perf_counter() - start) / (4 * workers)  # with what only the first ones take
+    frames = workers * max(1, min(200, round(SHORTEST / took / workers)))
+    best, parts = np.inf, {}
+    for _ in range(BATCHES):
+        before = dict(getattr(task, "times", {}))
+        start = time.perf_counter()
+        task.render(rng.random((frames, task.dim)))
+        seconds = (time.perf_counter() - start) / frames
+        if seconds < best:
+            best = seconds
+            parts = {p: (task.times[p] - before[p]) / frames for p in PARTS if p in before}
+    return best, parts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("tasks", nargs="+", metavar="TASK", choices=fide_tasks.names())
+    add("--sizes", type=int, nargs="+", default=[112, 224], metavar="PX")
+    add("--spp", type=int, nargs="+", default=[8, 16, 64], metavar="N")
+    add("--variants", nargs="+", default=["llvm", "scalar"], metavar="NAME")
+    add("--workers", type=int, nargs="+", default=[1, 2], metavar="N")
+    add("--passes", type=int, default=2, metavar="N")
+    args = parser.parse_args()
+    rows = [(name, options) for name in args.tasks for options in configurations(name, args)]
+    passes = [[measure(*row) for row in rows] for _ in range(args.passes)]
+    columns = ["task", "variant", "size", "spp", "processes", "ms a frame", *PARTS]
+    print("| " + " | ".join(columns) + " |")
+    print("|" + "---|" * 2 + "---:|" * (len(columns) - 2))
+    for (name, options), measured in zip(rows, zip(*passes, strict=True), strict=True):
+        seconds, parts = min(measured, key=lambda m: m[0])
+        facts = [options.get(key, "") for key in ("variant", "size", "spp", "workers")]
+        times = [seconds, *(parts.get(part, np.nan) for part in PARTS)]
+        cells = ["" if np.isnan(t) else _milliseconds(t) for t in times]
+        print("| " + " | ".join(map(str, [name, *facts, *cells])) + " |")
+
+
+def _milliseconds(seconds: float) -> str:
+    ms = 1e3 * seconds
+    return f"{ms:.1f}" if ms < 10 else f"{ms:.0f}"
+
+
+if __name__ == "__main__":
+    main()
