@@ -23,6 +23,7 @@ import fide_tasks
 
 PARTS = ("update", "render", "copy")
 BATCHES = 3
+CANDIDATES = 4
 SHORTEST = 0.3  # seconds that a batch takes at least
 
 
@@ -39,18 +40,16 @@ def configurations(name: str, args: argparse.Namespace) -> Iterator[dict[str, An
 def measure(name: str, options: dict[str, Any]) -> tuple[float, dict[str, float]]:
     """Seconds a frame, and the seconds of each part of it that the task tells."""
     task: Any = fide_tasks.make(name, **options)
-    rng = np.random.default_rng(0)
-    workers = options.get("workers", 1)
+    candidates = np.random.default_rng(0).random((CANDIDATES, task.dim))  # they differ in cost
+    task.render(candidates)
     start = time.perf_counter()
-    for _ in range(2):
-        task.render(rng.random((2 * workers, task.dim)))
-    took = (time.perf_counter() - start) / (4 * workers)  # with what only the first ones take
-    frames = workers * max(1, min(200, round(SHORTEST / took / workers)))
-    best, parts = np.inf, {}
+    task.render(candidates)
+    repeats = max(1, min(50, round(SHORTEST / (time.perf_counter() - start))))
+    frames, best, parts = repeats * CANDIDATES, np.inf, dict[str, float]()
     for _ in range(BATCHES):
         before = dict(getattr(task, "times", {}))
         start = time.perf_counter()
-        task.render(rng.random((frames, task.dim)))
+        task.render(np.tile(candidates, (repeats, 1)))
         seconds = (time.perf_counter() - start) / frames
         if seconds < best:
             best = seconds

@@ -42,7 +42,8 @@ class MitsubaTask(Task):
         attribute `variant` is Mitsuba's name of the one in use.
     denoise: whether OptiX denoises each frame (not the reference), with variant "cuda" only.
     workers: number of processes that share the candidates of one `render`; 1 renders in this one.
-        It pays off where frames are small, and on the variant "scalar"; see docs/tasks.md.
+        One process already uses all cores, so more are faster only for frames of 32 pixels or so;
+        but then a renderer that crashes does not take this process with it.
     threads: number of threads of each process; None shares all cores among the processes.
     reference_spp: paths a pixel of `reference` and of a generated target.
     target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.

@@ -29,7 +29,7 @@ pytest.importorskip(
     "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
 )
 
-NAMES = ["beads"]
+NAMES = ["beads", "san_miguel"]
 ALPHA = 0.01
 FRAMES = 256  # n
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def test_most_pixels_are_normally_distributed(mean: Array, measured: Measured) -
     assert 0.035 < (np.abs(z) > 1.96).mean() < 0.065
 
 
-@pytest.mark.parametrize("coordinate", [4, 7])
+@pytest.mark.parametrize("coordinate", [7])
 def test_a_slightly_moved_scene_is_refused(task: Task, measured: Measured, coordinate: int) -> None:
     x = measured["x"].copy()
     x[coordinate] += 0.05 if x[coordinate] < 0.5 else -0.05
