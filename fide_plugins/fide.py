@@ -3,7 +3,7 @@
 =====================================  ======================================================
 Algorithm 1                            here
 =====================================  ======================================================
-line 1, mu and Sigma                   `search.cma_es.CMAES`, begun by `search.restart.Restarts`
+line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `proposers.diffusion`
 lines 4 and 5, sample and denoise      `FIDE._draw_generation`
 line 6, render                         the user, between `ask` and `tell`
@@ -11,6 +11,7 @@ line 7, features                       `FIDE.tell`, by an encoder
 line 8, train                          `FIDE._finish_generation`
 line 9, costs                          `FIDE.tell`, by a loss or the user
 line 10, mu and Sigma                  `FIDE._finish_generation`
+after the last line, begin again       `FIDE._finish_search`, `search.relocate`
 =====================================  ======================================================
 
 What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
@@ -24,7 +25,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any, Self
 
 import numpy as np
@@ -41,9 +42,11 @@ from fide_plugins.points import Float64, as_points, new_seed, whole_number
 from fide_plugins.presets import make_options
 from fide_plugins.proposers import Proposer, make_proposer
 from fide_plugins.proposers.share import adapt_share
+from fide_plugins.rendered import Rendered
 from fide_plugins.search import box
 from fide_plugins.search.cma_es import CMAES, default_popsize
-from fide_plugins.search.restart import Restarts
+from fide_plugins.search.progress import Progress
+from fide_plugins.search.relocate import Relocation, Stage
 from fide_plugins.solution import Solution
 
 __all__ = ["FIDE"]
@@ -125,23 +128,21 @@ class FIDE:
         """Lines 1 and 2."""
         o = self.options
         self._rng = np.random.default_rng(self.seed)
-        self._restarts = Restarts(
-            self.dim,
-            self.sigma0,
-            enabled=o.restarts,
-            patience=o.patience,
-            improvement=o.improvement,
-        )
-        self._search = self._new_search()
-        self._best_mean = self._search.mean
         self._proposer: Proposer | None = make_proposer(
             o, self.dim, self.popsize, self.seed, self._encoder
         )
+        changes_in = (o.views or self._encoder.views)[0]
+        self._relocation = Relocation(self.dim, self.sigma0, self.popsize, changes_in)
         self._share = o.share
-        self._ledger = Ledger(self.popsize)
-        self._lessons: list[_Lesson] = []  # told, not yet learned from
+        self._ledger = Ledger()
+        self._lessons: list[Rendered] = []  # told, not yet learned from
         self._guest: tuple[Float64, float] | None = None  # best of the points never asked
-        self._best_search = 1  # the search that found the best point
+        self._found: Rendered | None = None  # best since the last search was over
+        self._over_at = 0  # evaluations when the last search was over
+        self._searches = 0  # begun so far
+        self._begin_search(*self._nothing_known())
+        self._best_mean = self._search.mean
+        self._best_search = 1  # the search that found the best point; 0 for none
 
     # -- ask and tell ------------------------------------------------------------------------------
 
@@ -154,10 +155,16 @@ class FIDE:
         """Candidates to render, float64 (n, dim) in [0, 1].
 
         None: what is left of the present generation, or, if all of it is out and not all told,
-        another `popsize` from the same distribution, for users with more workers than that.
+        another of its size from the same distribution, for users with more workers than that.
+        A generation has `popsize` candidates; after a search has stalled there is one that probes
+        (`dim` candidates, see `search.relocate`) and one that scouts.
         """
         with self._timed("search"):
-            n = (self._ledger.left or self.popsize) if n is None else whole_number("n", n, 1)
+            n = (
+                (self._ledger.left or self._generation_size)
+                if n is None
+                else whole_number("n", n, 1)
+            )
             X = np.empty((n, self.dim))
             for row in X:
                 if not self._ledger.left:
@@ -213,8 +220,21 @@ class FIDE:
 
     # -- Algorithm 1 -------------------------------------------------------------------------------
 
+    @property
+    def _generation_size(self) -> int:
+        sizes = {Stage.PROBE: self.dim, Stage.SCOUT: self._relocation.scouts}
+        return sizes.get(self._stage, self.popsize)
+
     def _draw_generation(self) -> None:
         """Sample candidates (line 4) and put proposals in the place of some (line 5)."""
+        if self._stage is not Stage.SEARCH:
+            draw = {
+                Stage.PROBE: self._relocation.draw_probes,
+                Stage.SCOUT: self._relocation.draw_scouts,
+            }
+            x = draw[self._stage](self._rng)
+            self._ledger.draw(x, x, np.zeros(len(x), bool))
+            return
         z = self._search.sample(self.popsize, self._rng)  # (k, d) ~ N(m, Sigma)
         x = box.into(z)
         proposed = np.zeros(self.popsize, bool)
@@ -261,14 +281,22 @@ class FIDE:
         index = self._ledger.take_back(x, loss)
         number = self._ledger.drawn if index is None else index
         if finite and tokens is not None:
-            self._lessons.append(_Lesson(number, x, tokens, loss))
+            self._learn_later(Rendered(number, x, tokens, loss))
         if finite and index is None and (self._guest is None or loss < self._guest[1]):
             self._guest = (x, loss)
         if finite and self._is_better(loss, number):
             copy = None if image is None else image.copy()
             self._best = Solution(x.copy(), loss, self.evaluations, copy)
-            self._best_index, self._best_search = number, self._restarts.searches
+            self._best_index, self._best_search = number, self._searches
+            if self._stage is not Stage.SEARCH:
+                self._best_mean, self._best_search = x.copy(), 0
         self.evaluations += 1
+
+    def _learn_later(self, rendered: Rendered) -> None:
+        self._lessons.append(rendered)
+        found = self._found
+        if found is None or (rendered.loss, rendered.index) < (found.loss, found.index):
+            self._found = rendered
 
     def _is_better(self, loss: float, number: int) -> bool:
         """Whether a candidate is the best; of equals the one that was asked first is."""
@@ -278,24 +306,20 @@ class FIDE:
     def _finish_generation(self) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
         members, losses = self._ledger.close_generation()
-        with self._timed("train"):
-            self._teach()  # line 8
-        with self._timed("search"):
-            self._update_share(members, losses)
-            z = np.array([candidate.z for candidate in members])
-            foreign = np.array([candidate.proposed or candidate.late for candidate in members])
-            self._restarts.note(losses)
-            z, losses, foreign = self._with_guest(z, losses, foreign)
-            self._search.tell(z, losses, foreign & self.options.guard_search)  # line 10
-            if self._best_search == self._restarts.searches:
-                self._best_mean = self._search.mean
-            if self._restarts.is_over(self._search.std):
-                self._restart()
-
-    def _teach(self) -> None:
-        """Line 8: the proposer learns from what was told since the last time."""
         lessons = sorted(self._lessons, key=lambda lesson: lesson.index)
         self._lessons = []
+        if self._stage is Stage.PROBE:
+            self._finish_probe(lessons)
+        elif self._stage is Stage.SCOUT:
+            self._begin_search(*self._relocation.begin_at(members[int(np.argmin(losses))].x))
+        else:
+            with self._timed("train"):
+                self._teach(lessons)  # line 8
+            with self._timed("search"):
+                self._evolve(members, losses)  # line 10
+
+    def _teach(self, lessons: list[Rendered]) -> None:
+        """Line 8: the proposer learns from what was told since the last time."""
         if self._proposer is None or not lessons:
             return
         self._proposer.update(
@@ -304,6 +328,19 @@ class FIDE:
             np.array([lesson.loss for lesson in lessons]),
             self._search.std,
         )
+
+    def _evolve(self, members: list[Candidate], losses: Float64) -> None:
+        """Line 10."""
+        self._update_share(members, losses)
+        z = np.array([candidate.z for candidate in members])
+        foreign = np.array([candidate.proposed or candidate.late for candidate in members])
+        self._progress.note(losses)
+        z, losses, foreign = self._with_guest(z, losses, foreign)
+        self._search.tell(z, losses, foreign & self.options.guard_search)
+        if self._best_search == self._searches:
+            self._best_mean = self._search.mean
+        if self.options.restarts != "none" and self._progress.is_over(self._search.std):
+            self._finish_search()
 
     def _update_share(self, members: list[Candidate], losses: Float64) -> None:
         o = self.options
@@ -329,16 +366,34 @@ class FIDE:
         foreign[worst] = True
         return z, losses, foreign
 
-    def _restart(self) -> None:
-        """Begin another search; what the best of them found is kept."""
-        self._search = self._new_search()
+    def _finish_search(self) -> None:
+        """Go on elsewhere; what the best of all searches found is kept."""
+        found = self._found if self.options.restarts == "parts" else None
+        self._stage = self._relocation.after_search(found, self.evaluations - self._over_at)
+        self._found, self._over_at = None, self.evaluations
+        self._ledger.close_search()
+        if self._stage is Stage.SEARCH:
+            self._begin_search(*self._nothing_known())
+
+    def _finish_probe(self, lessons: list[Rendered]) -> None:
+        self._relocation.learn_parts(lessons)
+        self._ledger.close_search()
+        self._stage = Stage.SCOUT
+
+    def _nothing_known(self) -> tuple[Float64, Float64]:
+        """Mean and standard deviation, (d,) each, of the first search."""
+        return np.full(self.dim, 0.5), np.full(self.dim, self.sigma0)
+
+    def _begin_search(self, mean: Float64, std: Float64) -> None:
+        """Lines 1 and 2, of the first search or another."""
+        o = self.options
+        self._stage = Stage.SEARCH
+        self._searches += 1
+        self._search = CMAES(mean, std, self.popsize, limit_std=o.guard_search)
+        self._progress = Progress(self.sigma0, o.patience, o.improvement, self._relocation.goal)
         self._ledger.close_search()
         if self._proposer is not None:
             self._proposer.forget()
-
-    def _new_search(self) -> CMAES:
-        mean, std = self._restarts.begin()
-        return CMAES(mean, std, self.popsize, limit_std=self.options.guard_search)
 
     # -- saving ------------------------------------------------------------------------------------
 
@@ -361,7 +416,10 @@ class FIDE:
             "rng": self._rng.bit_generator.state,
             "proposer": None if self._proposer is None else self._proposer.state_dict(),
             "search": self._search.state_dict(),
-            "restarts": self._restarts.state_dict(),
+            "found": None if self._found is None else asdict(self._found),
+            "stage": self._stage.value,
+            "history": np.array(self._progress.history, np.float64),
+            "relocation": self._relocation.state_dict(),
             "ledger": self._ledger.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN_STATE},
         }
@@ -409,14 +467,15 @@ class FIDE:
         for name in _PLAIN_STATE:
             setattr(self, name, state[name])
         self._best = None if state["best"] is None else Solution(**state["best"])
-        self._lessons = [
-            _Lesson(**{**lesson, "tokens": torch.as_tensor(lesson["tokens"])})
-            for lesson in state["lessons"]
-        ]
+        self._lessons = [Rendered.from_state(lesson) for lesson in state["lessons"]]
+        self._found = None if state["found"] is None else Rendered.from_state(state["found"])
         self._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
         self._rng.bit_generator.state = state["rng"]
         self._search = CMAES.from_state(state["search"])
-        self._restarts.load_state_dict(state["restarts"])
+        self._stage = Stage(state["stage"])
+        self._relocation.load_state_dict(state["relocation"])
+        self._progress.goal = self._relocation.goal
+        self._progress.history = state["history"].tolist()
         self._ledger = Ledger.from_state(state["ledger"])
         if self._proposer is not None:
             self._proposer.load_state_dict(state["proposer"])
@@ -438,16 +497,6 @@ class FIDE:
             warn_clipped(message)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lesson:
-    """What a proposer learns from: index (order), parameters (d,), tokens (T, C), loss."""
-
-    index: int
-    x: Float64
-    tokens: torch.Tensor
-    loss: float
-
-
 def _standard_deviation(value: Any) -> float:
     try:
         number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
@@ -467,6 +516,8 @@ _PLAIN_STATE = (
     "_best_index",
     "_best_mean",
     "_best_search",
+    "_searches",
+    "_over_at",
 )
 
 

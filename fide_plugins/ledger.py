@@ -1,8 +1,8 @@
 """Who was asked what: the bookkeeping of generations for users who ask and tell as they please.
 
-A generation is complete as soon as `popsize` of the candidates that were asked have been told, in
-whatever order and pieces; its members are then put in the order in which they were asked, so that
-the result does not depend on the order of telling.
+A generation is complete as soon as as many candidates that were asked have been told as were last
+drawn for it, in whatever order and pieces; its members are then put in the order in which they were
+asked, so that the result does not depend on the order of telling.
 
 - Asking for more than is left of a generation draws more from the same distribution.
 - A candidate told after its generation was completed counts for the generation in which it
@@ -45,13 +45,10 @@ class Candidate:
 
 
 class Ledger:
-    """Candidates drawn, asked and told.
+    """Candidates drawn, asked and told."""
 
-    popsize: members of a generation.
-    """
-
-    def __init__(self, popsize: int) -> None:
-        self.popsize = popsize
+    def __init__(self) -> None:
+        self.size = 0  # members of the present generation
         self.drawn = 0  # candidates ever drawn
         self._queue: deque[Candidate] = deque()  # drawn, not handed out
         self._asked: dict[bytes, list[Candidate]] = {}  # handed out, not told
@@ -69,7 +66,8 @@ class Ledger:
         return sum(map(len, self._asked.values()))
 
     def draw(self, x: Float64, z: Float64, proposed: npt.NDArray[np.bool_]) -> None:
-        """Queue candidates x (n, d) with their z (n, d)."""
+        """Queue candidates x (n, d) with their z (n, d); n of them make a generation."""
+        self.size = len(x)
         for row in zip(x, z, proposed.tolist(), strict=True):
             self._queue.append(Candidate(self.drawn, *row))
             self.drawn += 1
@@ -96,10 +94,10 @@ class Ledger:
     @property
     def complete(self) -> bool:
         """Whether a whole generation has been told."""
-        return len(self._told) >= self.popsize
+        return 0 < self.size <= len(self._told)
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
-        """Members of the generation, in the order they were asked, and their losses (popsize,).
+        """Members of the generation, in the order they were asked, and their losses (n,).
 
         What was drawn for it and never handed out is thrown away.
         """
@@ -117,7 +115,7 @@ class Ledger:
         """Everything, as arrays."""
         waiting = [c for several in self._asked.values() for c in several]
         return {
-            "popsize": self.popsize,
+            "size": self.size,
             "drawn": self.drawn,
             "generation_from": self._generation_from,
             "queue": _pack(list(self._queue)),
@@ -129,7 +127,8 @@ class Ledger:
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Ledger:
         """Ledger as it was when `state_dict` was taken."""
-        ledger = cls(int(state["popsize"]))
+        ledger = cls()
+        ledger.size = int(state["size"])
         ledger.drawn = int(state["drawn"])
         ledger._generation_from = int(state["generation_from"])
         ledger._queue.extend(_unpack(state["queue"]))

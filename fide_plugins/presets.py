@@ -36,7 +36,9 @@ class Options:
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
 
     guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
-    restarts, patience, improvement: see `search.restart`.
+    patience, improvement: when a search is over, see `search.progress`.
+    restarts: where the next one begins: "parts" (one part of the best candidate put elsewhere, see
+        `search.relocate`), "anew" (knowing nothing); "none" for one search, to the end.
     """
 
     encoder: str = "dense"
@@ -63,8 +65,8 @@ class Options:
     schedule: tuple[float, ...] = (0.3, 0.2, 0.1)
 
     guard_search: bool = True
-    restarts: bool = True
-    patience: int = 20
+    restarts: str = "parts"
+    patience: int = 15
     improvement: float = 0.1
 
 
@@ -79,12 +81,15 @@ PRESETS: Mapping[str, Options] = {
         share=0.5,
         share_rate=0.0,
         guard_search=False,
-        restarts=False,
+        restarts="none",
     ),
 }
 
-_CHOICES = {"proposer": ("linear", "diffusion", "none")}
-_SWITCHES = ("guard_search", "restarts")
+_CHOICES = {
+    "proposer": ("linear", "diffusion", "none"),
+    "restarts": ("parts", "anew", "none"),
+}
+_SWITCHES = ("guard_search",)
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
 _WHOLE |= {"patience": 1}
 _POSITIVE = (

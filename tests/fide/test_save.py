@@ -22,7 +22,7 @@ StateOf: TypeAlias = Callable[[FIDE], bytes]
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "linear": {"popsize": 8, "patience": 4},
-    "one search, one view": {"popsize": 8, "restarts": False, "views": (3,)},
+    "one search, one view": {"popsize": 8, "restarts": "none", "views": (3,)},
     "losses only": {"popsize": 8, "proposer": "none"},
     "paper": {"preset": "paper", "popsize": 6, "epochs": 1, "batch_size": 6},
     "other loss and encoder": {"popsize": 8, "loss": "perceptual", "encoder": "patch"},
@@ -172,7 +172,9 @@ def test_changed_foreign_or_of_another_kind(
         ("proposer", None),
         ("best", {"y": 1}),
         ("lessons", [{"index": 1}]),
-        ("restarts", []),
+        ("relocation", []),
+        ("stage", "rest"),
+        ("found", {"x": 0}),
     ],
 )
 def test_impossible_contents(

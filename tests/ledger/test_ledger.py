@@ -10,7 +10,7 @@ from fide_plugins.points import Float64
 
 
 def drawn(popsize: int, seed: int = 0, ledger: Ledger | None = None) -> Ledger:
-    ledger = ledger or Ledger(popsize)
+    ledger = ledger or Ledger()
     x = np.random.default_rng(seed).random((popsize, 2))
     ledger.draw(x, x + 2.0, np.arange(popsize) % 3 == 0)
     return ledger
@@ -60,7 +60,7 @@ def test_what_was_never_asked_or_told_twice_is_a_guest() -> None:
 
 
 def test_equal_candidates_are_told_apart_by_count() -> None:
-    ledger = Ledger(2)
+    ledger = Ledger()
     same = np.array([0.25, 0.75])
     ledger.draw(np.array([same, same]), np.zeros((2, 2)), np.zeros(2, bool))
     hand_out(ledger, 2)
@@ -127,5 +127,18 @@ def test_state_goes_on(told: int) -> None:
 
 
 def test_an_empty_ledger_has_a_state() -> None:
-    copy = Ledger.from_state(Ledger(4).state_dict())
-    assert (copy.popsize, copy.left, copy.asked, copy.drawn) == (4, 0, 0, 0)
+    copy = Ledger.from_state(Ledger().state_dict())
+    assert (copy.size, copy.left, copy.asked, copy.drawn) == (0, 0, 0, 0)
+    assert not copy.complete
+
+
+def test_generations_may_differ_in_size() -> None:
+    ledger = drawn(3)
+    for size in (5, 2, 7):
+        for x in hand_out(ledger, ledger.left):
+            assert not ledger.complete
+            ledger.take_back(x, 0.0)
+        assert ledger.complete
+        ledger.close_generation()
+        drawn(size, seed=size, ledger=ledger)
+        assert ledger.left == size

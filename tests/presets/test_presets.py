@@ -19,7 +19,7 @@ def test_the_paper_s_values() -> None:
     assert (paper.proposer, paper.share, paper.share_rate) == ("diffusion", 0.5, 0.0)
     assert (paper.epochs, paper.learning_rate, paper.schedule) == (20, 1e-3, (0.3, 0.2, 0.1))
     assert not paper.guard_search
-    assert not paper.restarts
+    assert paper.restarts == "none"
 
 
 def test_names() -> None:
@@ -86,7 +86,7 @@ def test_unknown_names() -> None:
         ("learning_rate", [0, -1e-3]),
         ("noise", [-0.1, float("nan"), float("inf")]),
         ("proposer", ["linaer", 3, "", ["linear"]]),
-        ("restarts", ["always", 1]),
+        ("restarts", ["always", True]),
         ("guard_search", [1, "yes"]),
         ("schedule", [[], [0.1, 0.2], "steep", [float("nan")], 0.3, [0.3, -0.1]]),
         ("encoder", [3, ["dense"]]),

@@ -1,0 +1,74 @@
+"""How a search goes, and when it is over.
+
+A search has *stalled* when its best loss has improved by less than a stated share over a stated
+number of generations.  It has *collapsed* when all its samples are one point, for any renderer.  It
+is *hopeless* when it has a loss to beat and, at the rate of its last generations, will not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.points import Float64
+
+__all__ = ["Progress", "has_stalled", "is_hopeless"]
+
+_COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
+_RATE_OVER = 3  # generations
+_HORIZON = 8  # generations in which the loss to beat must be within reach
+_BENEFIT_OF_DOUBT = 6  # generations
+
+
+def has_stalled(history: list[float], patience: int, improvement: float) -> bool:
+    """Whether the last `patience` generations lowered the best loss by less than `improvement`.
+
+    history: best loss of the search after each of its generations, never rising.
+    improvement: as a share of the loss.
+    """
+    if len(history) <= patience:
+        return False
+    before, now = history[-1 - patience], history[-1]
+    if before == np.inf:
+        return now == np.inf
+    return not now < before - improvement * abs(before)
+
+
+def is_hopeless(history: list[float], goal: float) -> bool:
+    """Whether the best loss, going on as in the last generations, stays above `goal` for long."""
+    if len(history) < _BENEFIT_OF_DOUBT or history[-1] <= goal:
+        return False
+    before, now = history[-1 - _RATE_OVER], history[-1]
+    if before == np.inf:
+        return now == np.inf
+    return now - _HORIZON * (before - now) / _RATE_OVER > goal
+
+
+class Progress:
+    """Of one search, generation by generation.
+
+    sigma0: standard deviation of a search that knows nothing.
+    patience, improvement: of `has_stalled`.
+    goal: loss that the search has to beat; +inf for none.
+    """
+
+    def __init__(
+        self, sigma0: float, patience: int, improvement: float, goal: float = np.inf
+    ) -> None:
+        self.sigma0, self.patience, self.improvement, self.goal = (
+            sigma0,
+            patience,
+            improvement,
+            goal,
+        )
+        self.history: list[float] = []
+
+    def note(self, losses: Float64) -> None:
+        """Note the losses (k,) of one generation."""
+        before = self.history[-1] if self.history else np.inf
+        self.history.append(min(before, float(np.min(losses))))
+
+    def is_over(self, std: Float64) -> bool:
+        """Whether to look elsewhere; std: (d,), of the search distribution."""
+        collapsed = bool(std.max() < _COLLAPSED * self.sigma0)
+        stalled = has_stalled(self.history, self.patience, self.improvement)
+        return collapsed or stalled or is_hopeless(self.history, self.goal)

@@ -1,0 +1,84 @@
+"""When a search is over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins.search.progress import Progress, has_stalled, is_hopeless
+
+WIDE = np.full(4, 0.1)
+INF = float("inf")
+
+
+@pytest.mark.parametrize(
+    ("history", "stalled"),
+    [
+        ([1.0] * 5, False),  # too short to tell
+        ([1.0] * 6, True),
+        ([1.0, 1, 1, 1, 1, 0.98], False),
+        ([1.0, 1, 1, 1, 1, 0.995], True),
+        ([9.0, 1, 1, 1, 1, 1, 1], True),  # only the last generations count
+        ([-1.0, -1, -1, -1, -1, -1.02], False),  # a loss may be negative
+        ([-1.0, -1, -1, -1, -1, -1.005], True),
+        ([0.0] * 6, True),  # nothing is better than nothing
+        ([INF, 1, 1, 1, 1, 1], False),
+        ([INF] * 6, True),
+    ],
+)
+def test_stall(history: list[float], stalled: bool) -> None:
+    with np.errstate(all="raise"):
+        assert has_stalled(history, 5, 0.01) == stalled
+
+
+@pytest.mark.parametrize(
+    ("history", "goal", "hopeless"),
+    [
+        ([8.0, 7, 6, 5, 4, 3], 0.0, False),  # 1 a generation: 0 is 3 generations away
+        ([8.0, 7, 6, 5, 4, 3], -4.9, False),
+        ([8.0, 7, 6, 5, 4, 3], -5.1, True),  # 8.1 generations away
+        ([8.0, 7, 6, 5, 4], -100.0, False),  # too early to tell
+        ([3.0] * 6, 2.0, True),
+        ([3.0] * 6, 3.0, False),  # it is there
+        ([3.0] * 6, INF, False),  # nothing to beat
+        ([INF] * 6, 1.0, True),
+        ([INF] * 5 + [9.0], 1.0, False),
+    ],
+)
+def test_hope(history: list[float], goal: float, hopeless: bool) -> None:
+    with np.errstate(all="raise"):
+        assert is_hopeless(history, goal) == hopeless
+
+
+def test_hope_does_not_depend_on_the_scale_or_origin_of_the_loss() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        history = np.minimum.accumulate(rng.random(int(rng.integers(1, 12))))
+        goal = rng.random()
+        verdict = is_hopeless(history.tolist(), goal)
+        assert is_hopeless((64 * history).tolist(), 64 * goal) == verdict
+        assert is_hopeless((history - 2).tolist(), goal - 2) == verdict
+
+
+def test_a_search_that_stalls_is_over() -> None:
+    progress = Progress(1 / 6, 5, 0.01)
+    for generation in range(6):
+        assert not progress.is_over(WIDE), generation
+        progress.note(np.array([3.0, 1.0, np.inf, 2.0]))
+    assert progress.history == [1.0] * 6
+    assert progress.is_over(WIDE)
+
+
+def test_a_search_with_something_to_beat_is_over_sooner() -> None:
+    free, bound = Progress(1 / 6, 15, 0.1), Progress(1 / 6, 15, 0.1, goal=0.5)
+    for _ in range(6):
+        assert not bound.is_over(WIDE)
+        for progress in (free, bound):
+            progress.note(np.ones(3))
+    assert bound.is_over(WIDE) and not free.is_over(WIDE)
+
+
+def test_a_collapsed_search_is_over() -> None:
+    progress = Progress(1 / 6, 5, 0.01)
+    assert progress.is_over(np.full(4, 1e-9))
+    assert not progress.is_over(np.array([1e-9, 1e-9, 1e-9, 0.1]))
