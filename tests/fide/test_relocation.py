@@ -31,6 +31,10 @@ def until(stage: Stage, target: Float32, render: Render, **settings: Any) -> FID
     raise AssertionError(f"no {stage} in 300 generations")
 
 
+def stage_of(opt: FIDE) -> Stage:
+    return opt._stage
+
+
 def test_a_round_of_probes_then_scouts_then_a_search(target: Float32, render: Render) -> None:
     opt = until(Stage.PROBE, target, render)
     assert opt.best is not None
@@ -45,7 +49,7 @@ def test_a_round_of_probes_then_scouts_then_a_search(target: Float32, render: Re
     assert ((scouts != stalled.x).any(axis=1)).all()
     losses = np.linspace(2.0, 1.0, 20)
     opt.tell(scouts, render(scouts), losses)
-    assert opt._stage is Stage.SEARCH and opt._searches == 2
+    assert stage_of(opt) is Stage.SEARCH and opt._searches == 2
     np.testing.assert_array_equal(opt._search.mean, scouts[-1])
     assert len(opt.ask()) == 8
 
@@ -56,12 +60,12 @@ def test_many_workers_may_ask_ahead(target: Float32, render: Render) -> None:
     first, second = opt.ask(), opt.ask(9)
     opt.tell(second[::2], render(second[::2]))
     opt.tell(first, render(first))
-    assert opt._stage is Stage.SCOUT
+    assert stage_of(opt) is Stage.SCOUT
     scouts = opt.ask()
     opt.tell(second[1::2], render(second[1::2]))  # guests by now
-    assert opt._stage is Stage.SCOUT
+    assert stage_of(opt) is Stage.SCOUT
     opt.tell(scouts, render(scouts))
-    assert opt._stage is Stage.SEARCH
+    assert stage_of(opt) is Stage.SEARCH
 
 
 @pytest.mark.parametrize("stage", [Stage.PROBE, Stage.SCOUT])
@@ -113,7 +117,7 @@ def test_can_be_switched_off(restarts: str, target: Float32, render: Render) -> 
         X = opt.ask()
         assert len(X) == 8
         opt.tell(X, render(X))
-        assert opt._stage is Stage.SEARCH
+        assert stage_of(opt) is Stage.SEARCH
     assert (opt._searches > 1) == (restarts == "anew")
 
 
