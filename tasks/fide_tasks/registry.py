@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _TASKS = {  # name: module that holds it, class
     "beads": ("fide_tasks.beads", "Beads"),
+    "robot": ("fide_tasks.robot", "Robot"),
     "san_miguel": ("fide_tasks.san_miguel", "SanMiguel"),
     "spline": ("fide_tasks.spline", "Spline"),
     "voronoi": ("fide_tasks.voronoi", "Voronoi"),
