@@ -30,7 +30,7 @@ class Options:
     smallest_share, largest_share, share_rate: limits and speed of its adaptation, see
         `proposers.share`; rate 0 keeps it as it is.
 
-    memory: generations that the linear proposer remembers.
+    memory: generations that the linear proposer remembers, 600 candidates at most.
     elite, ridge, sources, shortest_step, longest_step, noise: see `proposers.linear`.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.

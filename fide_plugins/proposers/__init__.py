@@ -14,6 +14,9 @@ from fide_plugins.presets import Options
 __all__ = ["Proposer", "make_proposer"]
 
 
+_MOST_REMEMBERED = 600  # candidates; a generation costs an eigendecomposition of this size
+
+
 class Proposer(Protocol):
     """Learns parameters from images, and is asked for those of the target (lines 5 and 8)."""
 
@@ -57,16 +60,17 @@ def make_proposer(
     if options.proposer == "linear":
         from fide_plugins.proposers.linear import LinearProposer
 
+        remembered = min(options.memory * popsize, max(_MOST_REMEMBERED, popsize))
         return LinearProposer(
             dim,
-            capacity=options.memory * popsize,
+            capacity=remembered,
             views=options.views or encoder.views,
             elite=options.elite,
             ridge=options.ridge,
             sources=options.sources,
             step=(options.shortest_step, options.longest_step),
             noise=options.noise,
-            minimum=min(2, options.memory) * popsize,
+            minimum=min(2 * popsize, remembered),
         )
     if options.proposer == "diffusion":
         from fide_plugins.proposers.diffusion import DiffusionProposer

@@ -51,6 +51,7 @@ __all__ = ["LinearProposer"]
 
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
+_MOST_BYTES = 2**28  # of features in one view
 
 
 class _View:
@@ -93,7 +94,8 @@ class LinearProposer:
     Parameters
     ----------
     dim : d, the number of parameters.
-    capacity : n, evaluated candidates that are remembered, the latest.
+    capacity : n, evaluated candidates that are remembered, the latest; fewer if their features
+        would take more than 256 MiB.
     views : sets of features, each the leading channels of the tokens, None all; every proposal uses
         one of them, drawn at random.
     elite : weights fall as exp(-rank / (elite * n)).
@@ -136,10 +138,12 @@ class LinearProposer:
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
+        affordable = max(self.minimum, _MOST_BYTES // (8 * tokens[0].numel()))
+        n = min(self.capacity, affordable)
         for view in self._views:
-            view.add(tokens, self.capacity)
-        self._x = np.concatenate([self._x, x])[-self.capacity :]
-        self._losses = np.concatenate([self._losses, losses])[-self.capacity :]
+            view.add(tokens, n)
+        self._x = np.concatenate([self._x, x])[-n:]
+        self._losses = np.concatenate([self._losses, losses])[-n:]
 
     def propose(
         self,

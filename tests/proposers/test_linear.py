@@ -10,7 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from fide_plugins import encoders
 from fide_plugins.points import Float64
+from fide_plugins.presets import Options
+from fide_plugins.proposers import linear, make_proposer
 from fide_plugins.proposers.linear import LinearProposer
 
 D, T, C = 3, 4, 5
@@ -314,3 +317,23 @@ def test_every_option_is_documented() -> None:
     documented = inspect.getdoc(LinearProposer) or ""
     for name in inspect.signature(LinearProposer.__init__).parameters:
         assert name == "self" or name in documented
+
+
+def test_the_memory_is_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "_MOST_BYTES", 8 * T * C * 12)  # twelve images
+    x, tokens, losses = scene(50)
+    proposer = make(capacity=30)
+    proposer.update(x, tokens, losses, STD)
+    reference = make(capacity=12)
+    reference.update(x[-12:], tokens[-12:], losses[-12:], STD)
+    target = images_of(np.full((1, D), 0.6))[0]
+    assert len(proposer.state_dict()["x"]) == 12
+    np.testing.assert_allclose(propose(proposer, target), propose(reference, target), atol=1e-9)
+
+
+def test_a_large_population_is_not_remembered_twelve_times() -> None:
+    for popsize, remembered in ((10, 120), (100, 600), (1000, 1000)):
+        proposer = make_proposer(Options(), D, popsize, 0, encoders.make("dense"))
+        assert isinstance(proposer, LinearProposer)
+        assert proposer.capacity == remembered
+        assert proposer.minimum <= remembered
