@@ -16,9 +16,9 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -28,8 +28,13 @@ from fide_plugins import harness
 from fide_plugins.harness.machine import machine
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
+RIVAL = "CMA-ES"
 BUDGET = {"voronoi": 25_000, "spline": 15_000}
-ARMS: dict[str, tuple[str, dict[str, Any]]] = {
+
+Cell: TypeAlias = dict[str, Any]
+Arms: TypeAlias = dict[str, tuple[str, dict[str, Any]]]
+
+ARMS: Arms = {
     "FIDE": ("fide", {}),
     "CMA-ES, default k, restarts": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
@@ -46,18 +51,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    out: Path = arguments.out
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part, parts = (int(number) for number in arguments.part.split("/"))
-    cells = [cell for i, cell in enumerate(grid(arguments)) if i % parts == part]
-    for cell in cells:
-        done = {key(row) for row in read(out)} if out.exists() else set()
-        if key(cell) in done:
-            continue
-        row = run_cell(cell)
-        with out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
+    run_missing(grid(arguments), ARMS, arguments.out, arguments.part)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -75,7 +69,21 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def grid(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+def run_missing(cells: Iterable[Cell], arms: Arms, out: Path, share: str) -> None:
+    """Run those of a share "i/n" of the cells that are not in the file yet."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part, parts = (int(number) for number in share.split("/"))
+    for i, cell in enumerate(cells):
+        done = {key(row) for row in read(out)} if out.exists() else set()
+        if i % parts != part or key(cell) in done:
+            continue
+        row = run_cell(cell, *arms[cell["arm"]])
+        with out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
+
+
+def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
     for seed in range(arguments.seeds):
         for task in arguments.tasks:
@@ -92,14 +100,13 @@ def grid(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                     }
 
 
-def key(row: dict[str, Any]) -> tuple[Any, ...]:
+def key(row: Cell) -> tuple[Any, ...]:
     """What makes a cell."""
     return tuple(row[name] for name in ("task", "target", "arm", "seed", "size", "budget"))
 
 
-def run_cell(cell: dict[str, Any]) -> dict[str, Any]:
+def run_cell(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
     """One run, and its best loss at every mark."""
-    optimizer, options = ARMS[cell["arm"]]
     result = harness.run(
         cell["task"],
         optimizer,
@@ -123,13 +130,13 @@ def run_cell(cell: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def read(paths: Path | list[Path]) -> list[dict[str, Any]]:
+def read(paths: Path | list[Path]) -> list[Cell]:
     """Rows of one or several files."""
     several = paths if isinstance(paths, list) else [paths]
     return [json.loads(line) for path in several for line in path.read_text().splitlines()]
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:
     """Medians over targets and seeds, in Markdown, with the lead over the best CMA-ES."""
     lines: list[str] = []
     for task in dict.fromkeys(row["task"] for row in rows):
@@ -138,7 +145,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
         lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " | ms |"]
         lines += ["|---" * (len(marks) + 3) + "|"]
-        arms = [arm for arm in ARMS if any(row["arm"] == arm for row in mine)]
+        arms = [arm for arm in arms_in_order if any(row["arm"] == arm for row in mine)]
         arms += sorted({row["arm"] for row in mine} - set(arms))
         medians = {arm: arm_medians(mine, arm, marks) for arm in arms}
         for arm in arms:
@@ -148,12 +155,13 @@ def table(rows: list[dict[str, Any]]) -> str:
             )
             cost = statistics.median(row["overhead_ms"] for row in group)
             lines.append(f"| {arm} | {len(group)} | {numbers} | {cost:.2f} |")
-        lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} | |")
+        if any(arm.startswith(RIVAL) for arm in medians):
+            lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} | |")
         lines.append("")
     return "\n".join(lines)
 
 
-def arm_medians(rows: list[dict[str, Any]], arm: str, marks: list[str]) -> dict[str, Any]:
+def arm_medians(rows: list[Cell], arm: str, marks: list[str]) -> dict[str, Any]:
     """Median best loss of an arm at each mark it reached."""
     group = [row["best"] for row in rows if row["arm"] == arm]
     return {m: statistics.median(b[m] for b in group if m in b) for m in marks if m in group[0]}
@@ -161,7 +169,7 @@ def arm_medians(rows: list[dict[str, Any]], arm: str, marks: list[str]) -> dict[
 
 def leads(medians: dict[str, dict[str, Any]], marks: list[str]) -> str:
     """FIDE's median over the smallest median of any CMA-ES, at each mark."""
-    rivals = [arm for arm in medians if arm.startswith("CMA-ES")]
+    rivals = [arm for arm in medians if arm.startswith(RIVAL)]
     cells = []
     for m in marks:
         best = min((medians[arm][m] for arm in rivals if m in medians[arm]), default=None)

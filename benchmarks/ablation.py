@@ -1,0 +1,75 @@
+"""What each part of FIDE is worth: the loss without it, at equal renders.
+
+    python benchmarks/ablation.py voronoi spline --out runs/ablation.jsonl
+    python benchmarks/ablation.py --table runs/ablation.jsonl > ablation.md
+
+Cells, files and `--part` are those of `quality.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from quality import Arms, grid, read, run_missing, table
+
+NOTHING_PROPOSED: dict[str, Any] = {
+    "share": 0.0,
+    "smallest_share": 0.0,
+    "largest_share": 0.0,
+    "share_rate": 0.0,
+}
+CHANGES: dict[str, dict[str, Any]] = {
+    "FIDE": {},
+    "nothing proposed": NOTHING_PROPOSED,
+    "nothing proposed, restarts anew": {"proposer": "none"},
+    "restarts anew": {"restarts": "anew"},
+    "one search to the end": {"restarts": "none"},
+    "patience of 25 generations": {"patience": 25},
+    "patience of 6 generations": {"patience": 6},
+    "view: 3 channels": {"views": (3,)},
+    "view: all 20 channels": {"views": (20,)},
+    "encoder: patch": {"encoder": "patch"},
+    "weights: the best tenth counts": {"elite": 0.1},
+    "source: the best candidate only": {"sources": 1},
+    "all of the way, no noise": {"shortest_step": 1.0, "longest_step": 1.0, "noise": 0.0},
+    "share fixed at 0.3": {"share_rate": 0.0},
+    "foreign candidates not guarded": {"guard_search": False},
+    "memory of 4 generations": {"memory": 4},
+    "memory of 30 generations": {"memory": 30},
+    "population of 30": {"popsize": 30},
+    "proposer: diffusion network": {"proposer": "diffusion", "encoder": "patch", "share": 0.3},
+}
+ARMS: Arms = {arm: ("fide", options) for arm, options in CHANGES.items()}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    arguments = parse_arguments()
+    if arguments.table:
+        print(table(read(arguments.table), ARMS))
+        return
+    run_missing(grid(arguments), ARMS, arguments.out, arguments.part)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("tasks", nargs="*", help="voronoi, spline")
+    parser.add_argument("--arms", nargs="+", default=list(ARMS)[:-1], metavar="ARM", choices=ARMS)
+    parser.add_argument("--targets", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--size", type=int, default=112)
+    parser.add_argument("--budget", type=int, default=4000)
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation.jsonl"))
+    parser.add_argument("--part", default="0/1")
+    parser.add_argument("--table", type=Path, nargs="+")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
