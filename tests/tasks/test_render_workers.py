@@ -45,7 +45,10 @@ def shared() -> Iterator[Any]:
 
 
 def pids(task: Any) -> list[int]:
-    task.render(random_x(1), seed=0)  # so that there are processes, and they are ready
+    """Process ids, when all processes have loaded the scene and wait for work."""
+    task.render(random_x(1), seed=0)
+    while not all(worker.idle for worker in task._pool._workers):
+        task.render(random_x(1), seed=0)  # by one that is ready; the others are looked at
     found: list[int] = task._pool.pids
     return found
 
