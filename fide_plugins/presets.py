@@ -66,7 +66,7 @@ class Options:
 
     guard_search: bool = True
     restarts: str = "parts"
-    patience: int = 15
+    patience: int = 10
     improvement: float = 0.1
 
 
