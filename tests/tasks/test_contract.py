@@ -22,6 +22,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "spline": ("spline", {}),
     "spline, random": ("spline", {"target": "random"}),
     "spline, 2 points": ("spline", {"target": "random", "control_points": 2}),
+    "robot": ("robot", {}),
 }
 NOISY = ("beads", "san_miguel")
 Make = Callable[..., Task]
@@ -30,6 +31,8 @@ Make = Callable[..., Task]
 @pytest.fixture(params=CASES, ids=list(CASES))
 def make(request: pytest.FixtureRequest) -> Make:
     name, options = CASES[request.param]
+    if name == "robot":
+        request.getfixturevalue("opengl")
 
     def factory(size: int | tuple[int, int] = 48, seed: int = 0, **more: Any) -> Task:
         return fide_tasks.make(name, size, seed, **{**options, **more})
@@ -46,6 +49,8 @@ def task(request: pytest.FixtureRequest) -> Task:
         )
         return _noisy(request.param)
     name, options = CASES[request.param]
+    if name == "robot":
+        request.getfixturevalue("opengl")
     return fide_tasks.make(name, 48, **options)
 
 

@@ -1,0 +1,213 @@
+"""Drawing without a screen: what is missing, threads, processes, and memory."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import offscreen
+from fide_tasks.offscreen import OffscreenError, Stage
+from fide_tasks.robot import Robot
+
+pytestmark = pytest.mark.usefixtures("opengl")
+
+Image = NDArray[np.float32]
+
+
+@pytest.fixture(scope="module")
+def task() -> Robot:
+    return Robot(64)
+
+
+def random_x(n: int, seed: int = 0) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).random((n, 7))
+
+
+def test_missing_libraries_are_named(render_elsewhere: Callable[..., str | None]) -> None:
+    remedy = "apt-get install libegl1 libgl1-mesa-dri"
+    nothing = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent"}
+    for environment, before in (
+        (nothing, ""),
+        ({"MUJOCO_GL": "egl", **nothing}, ""),
+        ({}, NO_LIBRARY),
+        ({"MUJOCO_GL": "egl"}, NO_LIBRARY),
+        ({"MUJOCO_GL": "osmesa"}, ""),
+    ):
+        line = render_elsewhere(environment, before)
+        assert line is not None
+        assert line.startswith(
+            ("fide_tasks.offscreen.OffscreenError: MuJoCo", "ImportError: MuJoCo")
+        )
+        assert remedy in line
+
+
+NO_LIBRARY = """
+import ctypes, ctypes.util
+load, find = ctypes.CDLL.__init__, ctypes.util.find_library
+def init(self, name, *more, **options):
+    if "EGL" in str(name):
+        raise OSError(f"{name}: cannot open shared object file")
+    load(self, name, *more, **options)
+ctypes.CDLL.__init__ = init
+ctypes.util.find_library = lambda name: None if name == "EGL" else find(name)
+"""
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r"pip install 'fide-plugins\[robot\]'"):
+        fide_tasks.make("robot")
+
+
+def test_mujoco_is_imported_only_when_the_task_is_made() -> None:
+    script = (
+        f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n"
+        "import fide_tasks, fide_tasks.robot\n"
+        "fide_tasks.options('robot')\n"
+        "assert 'mujoco' not in sys.modules\n"
+        "fide_tasks.make('robot')\n"
+        "assert 'mujoco' in sys.modules and 'OpenGL' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+def test_an_image_too_large_for_opengl_is_an_error_and_others_still_work(task: Robot) -> None:
+    before = task.render(random_x(1))
+    with pytest.raises(OffscreenError, match="images of 8 x 100000 pixels .*smaller size"):
+        Robot((8, 100_000)).render(random_x(1))
+    np.testing.assert_array_equal(task.render(random_x(1)), before)
+
+
+def test_several_tasks_take_turns(task: Robot) -> None:
+    X = random_x(6, 8)
+    expected = task.render(X)
+    others = [Robot(size) for size in (16, 64, 100)]
+    for x, image in zip(X, expected, strict=True):
+        for other in others:
+            other.render(x[None])
+        np.testing.assert_array_equal(task.render(x[None])[0], image)
+        np.testing.assert_array_equal(others[1].render(x[None])[0], image)
+
+
+def test_threads_take_turns(task: Robot) -> None:
+    X, wrong = random_x(5, 9), []
+    expected, other = task.render(X), Robot(64)
+
+    def work(one: Robot) -> None:
+        for _ in range(20):
+            if not np.array_equal(one.render(X), expected):
+                wrong.append(one)
+
+    threads = [threading.Thread(target=work, args=(one,)) for one in (task, task, other)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def _render(task: Robot) -> Image:
+    return task.render(random_x(3))
+
+
+@pytest.mark.parametrize("method", ["spawn", "fork"])
+def test_processes_have_contexts_of_their_own(task: Robot, method: str) -> None:
+    expected = task.render(random_x(3))  # this process draws first
+    context: Any = multiprocessing.get_context(method)
+    with context.Pool(2) as pool:
+        for images in pool.map_async(_render, [task, Robot(64)]).get(timeout=60):
+            np.testing.assert_array_equal(images, expected)
+    np.testing.assert_array_equal(task.render(random_x(3)), expected)
+
+
+def test_a_forked_process_goes_on_with_what_was_open(task: Robot) -> None:
+    expected = task.render(random_x(3))
+    context: Any = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    child = context.Process(target=lambda: queue.put(task.render(random_x(3))))
+    child.start()
+    images = queue.get()  # before joining: a pipe holds less than this
+    child.join(timeout=60)
+    assert child.exitcode == 0
+    np.testing.assert_array_equal(images, expected)
+
+
+def test_where_a_fork_cannot_draw_it_says_so(task: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    task.render(random_x(1))
+    monkeypatch.setattr(offscreen, "_outlives_fork", False)
+    monkeypatch.setattr(offscreen, "_opened_by", os.getpid() + 1)
+    with pytest.raises(OffscreenError, match="does not outlive a fork: .*spawn"):
+        Robot(8).render(random_x(1))
+
+
+def test_closing_frees_and_the_next_render_opens_again(task: Robot) -> None:
+    one = Robot(64)
+    images = one.render(random_x(2))
+    stage = one._stage
+    assert stage is not None
+    one.close()
+    one.close()
+    assert not stage._finalizer.alive
+    np.testing.assert_array_equal(one.render(random_x(2)), images)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(one)).render(random_x(2)), images)
+
+
+def resident() -> float:
+    """Megabytes of memory that this process holds."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
+
+
+def grows(work: Any, warm: int, n: int) -> float:
+    """Megabytes that n calls of `work` add, after some that may allocate what they need."""
+    for _ in range(warm):
+        work()
+    before = resident()
+    for _ in range(n):
+        work()
+    return resident() - before
+
+
+@needs_proc
+def test_frames_leave_no_memory_behind(task: Robot) -> None:
+    X = random_x(50)
+    assert grows(lambda: task.render(X), warm=6, n=20) < 4
+
+
+@needs_proc
+def test_contexts_leave_no_memory_behind() -> None:
+    X = random_x(1)
+    assert grows(lambda: Robot(112).render(X), warm=5, n=15) < 6
+
+
+@needs_proc
+@pytest.mark.slow
+def test_ten_thousand_frames_leave_no_memory_behind(task: Robot) -> None:
+    X = random_x(100)
+    large = Robot(224)
+    assert grows(lambda: large.render(X), warm=10, n=100) < 4
+    assert grows(lambda: Robot(224).render(X[:1]), warm=20, n=200) < 16
+
+
+def test_a_stage_that_is_left_behind_is_freed() -> None:
+    one = Robot(16)
+    one.render(random_x(1))
+    assert isinstance(one._stage, Stage)
+    finalizer = one._stage._finalizer
+    del one
+    assert not finalizer.alive

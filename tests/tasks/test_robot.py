@@ -1,0 +1,228 @@
+"""Robot: kinematics by the published numbers, targets worth finding, what images show."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import panda, robot_poses
+from fide_tasks.robot import Robot
+
+pytestmark = pytest.mark.usefixtures("opengl")
+
+Image = NDArray[np.float32]
+
+
+@pytest.fixture(scope="module")
+def task() -> Robot:
+    return Robot(64)
+
+
+def random_x(n: int, seed: int = 0) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).random((n, 7))
+
+
+def loss(images: Image, target: Image) -> NDArray[np.float64]:
+    squares = (images.astype(np.float64) - target) ** 2
+    return np.asarray(squares.mean(axis=(1, 2, 3)))
+
+
+def test_x_is_mapped_to_the_published_limits(task: Robot) -> None:
+    assert task.dim == 7
+    low, high = task.decode([0] * 7), task.decode([1] * 7)
+    assert list(low) == [f"joint {i}" for i in range(1, 8)]
+    limits = [[v["angle [rad]"] for v in one.values()] for one in (low, high)]
+    np.testing.assert_allclose(limits, [
+        [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+        [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+    ])  # fmt: skip
+
+
+def test_links_are_where_the_product_of_denavit_and_hartenberg_puts_them(task: Robot) -> None:
+    low, width = task._range
+    for x in [*random_x(100), np.zeros(7), np.ones(7)]:
+        expected = panda.frames(low + x * width)[:7]
+        np.testing.assert_allclose(task.link_poses(x), expected, rtol=0, atol=1e-9)
+
+
+def test_the_closed_form_has_the_poses_that_are_known() -> None:
+    flange = panda.frames(np.zeros(7))[7]
+    np.testing.assert_allclose(flange[:3, 3], [0.088, 0, 0.333 + 0.316 + 0.384 - 0.107], atol=1e-12)
+    np.testing.assert_allclose(flange[:3, :3], np.diag([1, -1, -1]), atol=1e-12)
+    ready = panda.frames(np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4]))[7]
+    np.testing.assert_allclose(ready[:3, 3], [0.30689, 0, 0.59028], atol=1e-4)
+    q = np.random.default_rng(0).normal(size=(4, 7))
+    np.testing.assert_allclose(panda.frames(q)[2], panda.frames(q[2]), atol=1e-15)
+
+
+def test_the_model_has_the_published_limits_and_names(task: Robot) -> None:
+    np.testing.assert_array_equal(task._model.jnt_range[task._joints], panda.LIMITS)
+    assert [task._model.joint(j).name for j in task._joints] == [f"joint{i + 1}" for i in range(7)]
+
+
+def test_two_hundred_random_candidates_show_the_arm(task: Robot) -> None:
+    images = task.render(random_x(200))
+    assert images.dtype == np.float32
+    assert np.isfinite(images).all()
+    assert images.min() >= 0
+    assert images.max() <= 1
+    empty = np.median(images, axis=0)  # the arm is at any place in few of them
+    shown = (np.abs(images - empty).max(axis=3) > 0.1).mean(axis=(1, 2))
+    assert shown.min() > 0.005
+    assert 0.01 < np.median(shown) < 0.2, "a small part of the image, as in the paper"
+
+
+def test_images_are_the_same_whenever_and_in_whatever_batch(task: Robot) -> None:
+    X = random_x(9, 1)
+    images = task.render(X)
+    np.testing.assert_array_equal(Robot(64).render(X[4:6]), images[4:6])
+    np.testing.assert_array_equal(task.render(X[::-1])[::-1], images)
+    np.testing.assert_array_equal(task.reference(X[3]), images[3])
+    assert not task.noise_level(X[0]).any()
+
+
+def test_every_joint_can_be_seen(task: Robot) -> None:
+    x = task.x_star
+    assert x is not None
+    for joint in range(7):
+        moved = x.copy()
+        moved[joint] += 0.1 if x[joint] < 0.5 else -0.1
+        assert np.abs(task.render(moved[None])[0] - task.target).mean() > 1e-4, f"{joint=}"
+
+
+def test_the_loss_is_lowest_at_x_star() -> None:
+    rng = np.random.default_rng(2)
+    for seed in range(5):
+        task = Robot(64, seed)
+        x = task.x_star
+        assert x is not None
+        assert loss(task.render(x[None]), task.target) == 0
+        near = np.clip(x + rng.normal(0, 0.02, (50, 7)), 0, 1)
+        far = loss(task.render(rng.random((50, 7))), task.target)
+        assert loss(task.render(near), task.target).min() > 0
+        assert np.median(loss(task.render(near), task.target)) < far.min()
+
+
+@pytest.mark.parametrize("samples", [0, 4])
+def test_the_image_varies_continuously(samples: int) -> None:
+    """The change is as small as the step, down to the steps of pixels."""
+    task = Robot(112, samples=samples)
+    X = np.random.default_rng(3).uniform(0.1, 0.9, (20, 7))
+    away = np.random.default_rng(4).choice([-1.0, 1.0], X.shape)
+    images, changes = task.render(X), []
+    for step in (1e-3, 1e-4, 1e-5, 1e-12):
+        changes.append(float(np.abs(task.render(X + step * away) - images).mean()))
+    assert changes[0] < 2e-3
+    assert changes[1] < 0.2 * changes[0]
+    assert changes[2] < 0.2 * changes[1]
+    assert changes[3] < 1e-6
+
+
+def test_targets_are_good_poses_whatever_the_seed() -> None:
+    stars = []
+    for seed in range(30):
+        task = Robot(32, seed)
+        x = task.x_star
+        assert x is not None
+        assert ((x > 0.04) & (x < 0.96)).all()
+        assert robot_poses.is_good(task._one(x))
+        stars.append(x)
+    apart = np.abs(np.array(stars)[:, None] - np.array(stars)).max(axis=2)
+    assert apart[~np.eye(30, dtype=bool)].min() > 0.1
+
+
+def test_targets_are_seen_whole_and_over_the_floor(task: Robot) -> None:
+    """What the criterion says of its capsules holds for the shapes that are drawn."""
+    import mujoco
+
+    model: Any = task._model
+    margin = np.ones((64, 64), bool)
+    margin[1:-1, 1:-1] = False
+    background = np.median(task.render(random_x(200)), axis=0)
+    for seed in range(30):
+        one = Robot(64, seed)
+        assert one.x_star is not None
+        shown = task.render(one.x_star[None])[0]
+        changed = np.abs(shown - background).max(axis=2) > 0.1
+        assert not (changed & margin).any(), f"cut by the border at {seed=}"
+        data: Any = mujoco.MjData(model)
+        task._pose(data, one._one(one.x_star))
+        moving = np.flatnonzero(model.geom_bodyid > model.body("link1").id)
+        height = data.geom_xpos[moving, 2] - model.geom_rbound[moving]
+        assert height.min() > -0.06, f"in the floor at {seed=}"
+
+
+@pytest.mark.parametrize(
+    ("angles", "why"),
+    [
+        ((0, -0.5, 0, -1.5, 0, 1.6, 0.8), None),
+        ((0, 1.7, 0, -0.1, 0, 1.8, 0.8), "in the floor"),
+        ((0, 0.9, 0, -3.0, 0, 0.2, 0.8), "folded into itself"),
+        ((0, 0.4, 0, -3.0, 0, 0.0, 0.0), "the hand in the upper arm"),
+    ],
+)
+def test_poses_that_are_not_possible_are_no_targets(
+    angles: tuple[float, ...], why: str | None
+) -> None:
+    links = robot_poses._links(np.array(angles))
+    assert robot_poses._is_free(links) == (why is None)
+
+
+def test_poses_that_are_badly_seen_are_no_targets() -> None:
+    toward = np.radians(robot_poses.AZIMUTH) - np.pi  # the arm points at the camera
+    level = np.array([toward, 1.2, 0, -0.4, 0, 1.6, 0.8])
+    aside = level + np.eye(7)[0] * np.pi / 2
+    assert robot_poses._is_free(robot_poses._links(level))
+    assert not robot_poses.is_good(level)
+    assert robot_poses.is_good(aside)
+
+
+def test_x_star_depends_on_the_seed_alone() -> None:
+    expected = Robot(32, seed=3).x_star
+    for other in (Robot((20, 50), 3), Robot(8, 3, shadows=True)):
+        np.testing.assert_array_equal(other.x_star, expected)
+    another = Robot(32, seed=4).x_star
+    assert another is not None
+    assert (another != expected).all()
+
+
+def test_a_wide_and_a_tall_image_show_the_whole_arm(task: Robot) -> None:
+    x = task.x_star
+    assert x is not None
+    square = task.target
+    wide, tall = (Robot(size).render(x[None])[0] for size in ((64, 128), (128, 64)))
+    assert np.abs(wide[:, 32:96] - square).mean() < 0.01
+    assert np.abs(tall[32:96] - square).mean() < 0.01
+
+
+def test_samples_soften_edges_and_shadows_darken_the_floor(task: Robot) -> None:
+    x = random_x(4, 5)
+    plain = task.render(x)
+    soft = Robot(64, samples=4).render(x)
+    changed = np.abs(soft - plain).max(axis=3) > 0.02
+    assert 0.005 < changed.mean() < 0.3
+    fine = Robot(256).render(x).reshape(4, 64, 4, 64, 4, 3).mean(axis=(2, 4))
+    assert np.abs(soft - fine).mean() < 0.6 * np.abs(plain - fine).mean()
+    dark = Robot(64, shadows=True).render(x)
+    darker = (dark - plain).mean(axis=3) < -0.05
+    assert 0.005 < darker.mean() < 0.3
+    assert (dark - plain).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": -1}, "samples must be a whole number >= 0, not -1"),
+        ({"samples": 0.5}, "samples must be a whole number"),
+        ({"shadows": 1}, "shadows must be True or False, not 1"),
+        ({"spp": 8}, "robot has no option 'spp'; it has camera, model, samples, shadows, target"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        fide_tasks.make("robot", 16, **options)

@@ -1,0 +1,175 @@
+"""Robot: models of the user's own, with meshes, rooms and cameras; and what is no Panda."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fide_tasks import panda, robot_model
+from fide_tasks.robot import Robot
+
+pytestmark = pytest.mark.usefixtures("opengl")
+
+Image = NDArray[np.float32]
+
+
+@pytest.fixture(scope="module")
+def task() -> Robot:
+    return Robot(64)
+
+
+def random_x(n: int, seed: int = 0) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).random((n, 7))
+
+
+def arm(
+    folder: Path, joints: int = 7, extra: str = "", name: str = "joint{}", mesh: str = ""
+) -> Path:
+    """Write a chain of thin links with a Panda's axes; a gripper comes before it."""
+    bodies, end = "", ""
+    for i, (a, d, alpha) in enumerate(panda.DH[:joints]):
+        place = f"{a} {-d * np.sin(alpha)} {d * np.cos(alpha)}"
+        bodies += (
+            f'<body pos="{place}" euler="{alpha} 0 0"><joint name="{name.format(i + 1)}" '
+            f'axis="0 0 1"/><geom type="sphere" size="0.07" rgba="0.9 0.1 0.1 1"/>'
+        )
+        end += "</body>"
+    hand = mesh or '<geom type="box" size="0.02 0.08 0.02" pos="0 0 0.15" rgba="0 0 1 1"/>'
+    path = folder / "arm.xml"
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/>{extra}<worldbody>'
+        f'<body name="loose"><joint name="finger_joint1" type="slide"/>'
+        f'<geom type="sphere" size="0.01"/></body>{bodies}{hand}{end}</worldbody></mujoco>'
+    )
+    return path
+
+
+def blue(image: Image) -> NDArray[np.bool_]:
+    return np.asarray((image[..., 2] > 0.3) & (image[..., :2].max(axis=-1) < 0.12))
+
+
+def test_a_model_file_has_the_same_kinematics(tmp_path: Path, task: Robot) -> None:
+    own = Robot(64, model=arm(tmp_path))
+    for x in random_x(10, 6):
+        np.testing.assert_allclose(own.link_poses(x), task.link_poses(x), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(own.x_star, task.x_star)
+    image = own.target
+    assert blue(image).any()
+    assert not blue(task.target).any()
+    assert own.reference(np.full(7, 0.5)).shape == (64, 64, 3)
+    assert Robot(16, model=str(arm(tmp_path))).target.shape == (16, 16, 3)
+
+
+def write_stl(path: Path, size: tuple[float, float, float], center: tuple[float, ...]) -> None:
+    """A box as triangles in binary STL."""
+    corners = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)]) * 2.0 - 1
+    corners = corners * size + center
+    faces = [
+        (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+        (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
+    ]  # fmt: skip
+    record = np.zeros(12, [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("rest", "<u2")])
+    record["points"] = corners[np.array(faces)]
+    path.write_bytes(bytes(80) + np.uint32(12).tobytes() + record.tobytes())
+
+
+def with_mesh(folder: Path) -> Path:
+    extra = '<compiler meshdir="assets"/><asset><mesh name="hand" file="hand.stl"/></asset>'
+    mesh = '<geom type="mesh" mesh="hand" rgba="0 0 1 1"/>'
+    return arm(folder, extra=extra, mesh=mesh, name="panda_joint{}")
+
+
+def test_a_model_with_a_mesh_shows_it(tmp_path: Path) -> None:
+    (tmp_path / "box").mkdir()
+    (tmp_path / "mesh" / "assets").mkdir(parents=True)
+    write_stl(tmp_path / "mesh/assets/hand.stl", (0.02, 0.08, 0.02), (0, 0, 0.15))
+    X = random_x(4, 7)
+    mesh = Robot(96, model=with_mesh(tmp_path / "mesh")).render(X)
+    box = Robot(96, model=arm(tmp_path / "box")).render(X)
+    assert blue(mesh).any(axis=(1, 2)).sum() >= 3
+    assert np.abs(mesh - box).mean() < 2e-4
+
+
+def test_a_model_keeps_its_own_room_and_cameras(tmp_path: Path) -> None:
+    extra = (
+        '<asset><texture type="skybox" builtin="flat" rgb1="0 1 0" rgb2="0 1 0" width="8" '
+        'height="8"/></asset><worldbody><geom type="plane" size="1 1 1" rgba="1 0 0 1"/>'
+        '<light pos="0 0 3" dir="0 0 -1"/><camera name="above" pos="0 0 4"/></worldbody>'
+    )
+    file = arm(tmp_path, extra=extra)
+    task = Robot(64, model=file)
+    names = [task._model.geom(i).name for i in range(task._model.ngeom)]
+    assert "fide floor" not in names
+    assert task._model.nlight == 1
+    image = task.target
+    np.testing.assert_allclose(image[0, 0], [0, 1, 0], atol=0.01)
+    above = Robot(64, model=file, camera="above").render(np.full((1, 7), 0.5))[0]
+    assert (above[2:8, 2:8, 1] > 0.9).all(), "the sky around the floor"
+    assert above[20, 20, 0] > 3 * above[20, 20, 1:].max(), "the floor, with what it reflects"
+    with pytest.raises(ValueError, match="no camera 'below'; it has above"):
+        Robot(64, model=file, camera="below")
+    with pytest.raises(ValueError, match="no camera 'above'; it has none with a name"):
+        Robot(64, camera="above")
+
+
+def test_menagerie_is_found_by_robot_descriptions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "robot_descriptions.panda_mj_description"
+    module: Any = types.ModuleType(name)
+    module.MJCF_PATH = str(arm(tmp_path))
+    monkeypatch.setitem(sys.modules, "robot_descriptions", types.ModuleType("robot_descriptions"))
+    monkeypatch.setitem(sys.modules, name, module)
+    assert Robot(16, model="menagerie").target.shape == (16, 16, 3)
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ImportError, match=r"pip install robot_descriptions, or pass the path"):
+        Robot(16, model="menagerie")
+
+    def fail(name: str) -> None:
+        raise RuntimeError("git: no route to host")
+
+    monkeypatch.setattr(robot_model.importlib, "import_module", fail)  # type: ignore[attr-defined]
+    with pytest.raises(OSError, match=r"git: no route to host.*panda.xml"):
+        Robot(16, model="menagerie")
+
+
+def test_models_that_are_no_panda_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(ValueError, match=r"not a Panda: .*seven hinge.* has 6 \(joint1, .*joint6"):
+        Robot(16, model=arm(tmp_path, joints=6))
+    with pytest.raises(ValueError, match=r"has 0 \(none\)"):
+        Robot(16, model=arm(tmp_path, joints=0))
+    Robot(16, model=arm(tmp_path, name="swivel_{}"))  # seven hinges of any names
+    assert not caplog.records
+    file = arm(tmp_path)
+    file.write_text(file.read_text().replace("0.384", "0.5"))
+    with caplog.at_level(logging.WARNING, "fide_tasks"):
+        Robot(16, model=file).render(np.zeros((1, 7)))
+    assert "joint 6" in caplog.text  # joint 5 turns about the link that is too long
+    assert "elsewhere than a Panda's" in caplog.text
+
+
+def test_files_that_are_missing_or_malformed_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no model file .*nothing.xml"):
+        Robot(16, model=tmp_path / "nothing.xml")
+    with pytest.raises(FileNotFoundError, match=r"arm.xml.*hand.stl.*meshes"):
+        Robot(16, model=with_mesh(tmp_path))
+    bad = tmp_path / "bad.xml"
+    for text in ("<mujoco><worldbody>", "<scene/>", "", "<mujoco><world/></mujoco>"):
+        bad.write_text(text)
+        with pytest.raises(ValueError, match=r"cannot load the model .*bad.xml"):
+            Robot(16, model=bad)
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets/hand.stl").write_bytes(b"no triangles")
+    with pytest.raises(ValueError, match=r"cannot load the model"):
+        Robot(16, model=with_mesh(tmp_path))
+    with pytest.raises(TypeError, match="model must be a path"):
+        Robot(16, model=7)  # type: ignore[arg-type]
