@@ -139,7 +139,7 @@ class Robot(Task):
 
     def _make_x_star(self) -> Vector:
         rng = np.random.default_rng((self.seed, self.dim))
-        while True:  # two draws in five pass
+        while True:  # a third of the draws pass
             x = rng.uniform(0.05, 0.95, self.dim)
             if robot_poses.is_good(self._physical(x)):
                 return x

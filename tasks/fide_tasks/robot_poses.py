@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from fide_tasks import panda
 from fide_tasks.base import Vector
 
-LOOK_AT = (0.0, 0.0, 0.58)  # m; the middle of the image
-DISTANCE = 2.4  # m of the camera from there
+LOOK_AT = (0.0, 0.0, 0.52)  # m; the middle of the image
+DISTANCE = 2.2  # m of the camera from there
 AZIMUTH, ELEVATION = 145.0, -18.0  # degrees; where it looks: from X toward Y, and up
-FOV = 46.0  # degrees, across the shorter side of the image
+FOV = 44.0  # degrees, across the shorter side of the image
 
 _MARGIN = 0.94  # of the half image, within which all of the arm is
 _IN_SIGHT = 0.85  # share of the arm that no other link hides
