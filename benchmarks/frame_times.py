@@ -84,7 +84,7 @@ def main() -> None:
 
 def _milliseconds(seconds: float) -> str:
     ms = 1e3 * seconds
-    return f"{ms:.1f}" if ms < 10 else f"{ms:.0f}"
+    return f"{ms:.2f}" if ms < 1 else f"{ms:.1f}" if ms < 10 else f"{ms:.0f}"
 
 
 if __name__ == "__main__":

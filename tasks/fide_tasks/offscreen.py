@@ -11,6 +11,7 @@ import contextlib
 import os
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Iterator
 from typing import Any
@@ -97,15 +98,25 @@ class Stage:
         with self._lock, self._context.current():
             yield
 
-    def draw(self, out: NDArray[np.float32]) -> None:
-        """Draw what `data` describes into out, (height, width, 3), values in [0, 1]."""
+    def draw(self, out: NDArray[np.float32], times: dict[str, float]) -> None:
+        """Draw what `data` describes into out, (height, width, 3), values in [0, 1].
+
+        The seconds that it takes are added to "update", "render" and "copy" of `times`.
+        """
         mujoco, everything = self._mujoco, self._mujoco.mjtCatBit.mjCAT_ALL.value
+        start = time.perf_counter()
         mujoco.mjv_updateScene(
             self._model, self.data, self._options, None, self._camera, everything, self._scene
         )
+        updated = time.perf_counter()
         mujoco.mjr_render(self._view, self._scene, self._context.renderer)
+        mujoco.mjr_finish()
+        rendered = time.perf_counter()
         mujoco.mjr_readPixels(self._pixels, None, self._view, self._context.renderer)
         np.multiply(self._pixels[::-1], np.float32(1 / 255), out=out)  # OpenGL counts rows upward
+        times["update"] += updated - start
+        times["render"] += rendered - updated
+        times["copy"] += time.perf_counter() - rendered
 
 
 class _Context:

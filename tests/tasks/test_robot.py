@@ -86,6 +86,14 @@ def test_images_are_the_same_whenever_and_in_whatever_batch(task: Robot) -> None
     assert not task.noise_level(X[0]).any()
 
 
+def test_times_are_told_by_part() -> None:
+    task = Robot(32)
+    task.render(random_x(5))
+    task.render(random_x(2))
+    assert task.times["frames"] == 7
+    assert min(task.times.values()) > 0
+
+
 def test_every_joint_can_be_seen(task: Robot) -> None:
     x = task.x_star
     assert x is not None
