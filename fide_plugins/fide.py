@@ -45,7 +45,7 @@ from fide_plugins.proposers.share import adapt_share
 from fide_plugins.rendered import Rendered
 from fide_plugins.search import box
 from fide_plugins.search.cma_es import CMAES, default_popsize
-from fide_plugins.search.progress import Progress
+from fide_plugins.search.progress import Progress, default_patience
 from fide_plugins.search.relocate import Relocation, Stage
 from fide_plugins.solution import Solution
 
@@ -390,7 +390,8 @@ class FIDE:
         self._stage = Stage.SEARCH
         self._searches += 1
         self._search = CMAES(mean, std, self.popsize, limit_std=o.guard_search)
-        self._progress = Progress(self.sigma0, o.patience, o.improvement, self._relocation.goal)
+        patience = o.patience or default_patience(self.dim, self.popsize)
+        self._progress = Progress(self.sigma0, patience, o.improvement, self._relocation.goal)
         self._ledger.close_search()
         if self._proposer is not None:
             self._proposer.forget()

@@ -36,7 +36,8 @@ class Options:
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
 
     guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
-    patience, improvement: when a search is over, see `search.progress`.
+    patience, improvement: when a search is over, see `search.progress`; patience None: 10
+        generations, or 2 d / k if that is more.
     restarts: where the next one begins: "parts" (one part of the best candidate put elsewhere, see
         `search.relocate`), "anew" (knowing nothing); "none" for one search, to the end.
     """
@@ -66,7 +67,7 @@ class Options:
 
     guard_search: bool = True
     restarts: str = "parts"
-    patience: int = 10
+    patience: int | None = None
     improvement: float = 0.1
 
 

@@ -26,11 +26,11 @@ def whole(minimum: int) -> Any:
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """``key=value`` with the value as int, float, bool, None or str, whichever fits first."""
+    """``key=value`` with the value as int, float, bool or str, whichever fits first."""
     key, equals, value = text.partition("=")
     if not equals or not key.isidentifier():
         raise argparse.ArgumentTypeError(f"key=value, not {text!r}")
-    words: dict[str, Any] = {"true": True, "false": False, "none": None}
+    words: dict[str, Any] = {"true": True, "false": False}
     if value.lower() in words:
         return key, words[value.lower()]
     for kind in (int, float):

@@ -20,7 +20,9 @@ Here a third of a generation may be foreign, and two rules make that safe: a for
 the length a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES",
 arXiv:1110.4181, eq. 3), and the mean standard deviation never exceeds the one the search began
 with, because good foreign candidates make the step-size path long for a reason that is no reason
-to widen the search.  With nothing foreign and no cap the numbers are those of `cmaes` (tested).
+to widen the search.  With nothing foreign and no cap the numbers are those of `cmaes` (tested), up
+to dimensions of 4 k.  Beyond, the published step size needs some d / k generations to notice that
+it is too large, which is most of what a renderer can afford; there it forgets and moves faster.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ _TINY = 1e-300
 _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
 _SMALLEST_STD = 1e-14  # of the widest parameter; below it samples in a box of side 1 are all equal
 _FARTHEST = 2**10  # from 1 that the scale of C may drift
+_MOST_HASTE = 0.25  # least damping of the step size, where d > 4 k; `cma` recommends 0.3 to 1
 _LARGEST_CONDITION = 1e14  # of C; beyond it eigenvectors are noise
 
 
@@ -88,8 +91,11 @@ class CMAES:
         scale = np.where(raw >= 0, 1 / positive.sum(), min(bounds) / max(-negative.sum(), _TINY))
         self._weights = raw * scale  # eq. 53
         self._mu_eff = mu_eff
-        self._c_sigma = (mu_eff + 2) / (d + mu_eff + 5)  # eq. 55
-        self._d_sigma = 1 + 2 * max(0.0, np.sqrt((mu_eff - 1) / (d + 1)) - 1) + self._c_sigma
+        haste = min(1.0, max(_MOST_HASTE, 4 * k / d))
+        b = max(haste, 0.5)
+        self._c_sigma = (mu_eff + 2) ** b / (d**b + (mu_eff + 5) ** b)  # eq. 55, where b = 1
+        crowd = 2 * max(0.0, np.sqrt((mu_eff - 1) / (d + 1)) - 1)
+        self._d_sigma = haste + crowd + self._c_sigma
         self._c_c = (4 + mu_eff / d) / (d + 4 + 2 * mu_eff / d)  # eq. 56
         self._chi = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d * d))  # E |N(0, I)|
         self._longest_step = np.sqrt(d) + 2 * d / (d + 2)  # Hansen 2011, eq. 3

@@ -11,12 +11,17 @@ import numpy as np
 
 from fide_plugins.points import Float64
 
-__all__ = ["Progress", "has_stalled", "is_hopeless"]
+__all__ = ["Progress", "default_patience", "has_stalled", "is_hopeless"]
 
 _COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
 _RATE_OVER = 3  # generations
 _HORIZON = 8  # generations in which the loss to beat must be within reach
 _BENEFIT_OF_DOUBT = 6  # generations
+
+
+def default_patience(dim: int, popsize: int) -> int:
+    """Generations without progress that end a search: 10, more where each teaches little."""
+    return max(10, 2 * dim // popsize)
 
 
 def has_stalled(history: list[float], patience: int, improvement: float) -> bool:

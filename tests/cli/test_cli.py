@@ -92,7 +92,7 @@ def test_options_reach_the_optimizer_and_the_task(capsys: pytest.CaptureFixture[
     ("text", "value"),
     [
         ("a=5", 5), ("a=-5", -5), ("a=0.5", 0.5), ("a=1e-3", 1e-3), ("a=true", True),
-        ("a=False", False), ("a=None", None), ("a=word", "word"), ("a=b=c", "b=c"), ("a=", ""),
+        ("a=False", False), ("a=none", "none"), ("a=word", "word"), ("a=b=c", "b=c"), ("a=", ""),
     ],
 )  # fmt: skip
 def test_settings_are_typed(text: str, value: object) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.search.progress import Progress, has_stalled, is_hopeless
+from fide_plugins.search.progress import Progress, default_patience, has_stalled, is_hopeless
 
 WIDE = np.full(4, 0.1)
 INF = float("inf")
@@ -82,3 +82,11 @@ def test_a_collapsed_search_is_over() -> None:
     progress = Progress(1 / 6, 5, 0.01)
     assert progress.is_over(np.full(4, 1e-9))
     assert not progress.is_over(np.array([1e-9, 1e-9, 1e-9, 0.1]))
+
+
+@pytest.mark.parametrize(
+    ("dim", "popsize", "generations"),
+    [(1, 4, 10), (40, 15, 10), (300, 21, 28), (512, 4, 256)],
+)
+def test_patience_grows_with_the_dimension(dim: int, popsize: int, generations: int) -> None:
+    assert default_patience(dim, popsize) == generations
