@@ -32,8 +32,8 @@ class Robot(Task):
     model: a file instead of the built-in arm, such as the panda.xml of MuJoCo Menagerie with its
         meshes; "menagerie" finds that one by the package robot_descriptions. It needs seven hinge
         joints, of names that end in joint1 to joint7, and its base at the origin; joints of a
-        gripper keep their first position. The floor, the lamps and the sky that it brings are
-        kept; where it has none, ours are added.
+        gripper keep their first position. A model with a floor keeps its own lamps and sky; one
+        without is put on our floor, in our light.
     camera: name of a camera of the model; None is ours, which sees the whole arm.
     samples: points a pixel that are averaged (multisampling), 0 or a power of two that OpenGL has.
     shadows: whether the lamps cast shadows and floors that reflect do so.
@@ -44,7 +44,7 @@ class Robot(Task):
     our camera sees nearly all, and the long links from the side.
 
     A pixel is what lies at its center: links move from pixel to pixel in steps unless there are
-    `samples`. One frame takes about 2 ms at 224 x 224 on one core without a GPU.
+    `samples`. One frame takes about 2.5 ms at 224 x 224 on one core without a GPU.
 
     Attributes
     ----------

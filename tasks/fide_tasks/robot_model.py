@@ -1,7 +1,8 @@
 """The model of the robot: our own, a file of the user's, or MuJoCo Menagerie's; and the room.
 
-The room is a floor, a lamp and a sky. A model of the user's own keeps the floor (a plane of the
-world), the lamps and the sky that it brings.
+The room is a floor, a lamp and a sky. A model that brings a floor (a plane of the world) keeps all
+that it brings. One without is put into our room, and its lamps, which were made for another one or
+follow the arm, are left out.
 """
 
 from __future__ import annotations
@@ -136,26 +137,28 @@ def _in_menagerie() -> Path:
 
 
 def _furnish(mujoco: Any, spec: Any) -> None:
-    """Add the room, as far as the model has none."""
+    """Add the room, unless the model has a floor."""
     world, visual = spec.worldbody, spec.visual
+    spec.stat.extent, visual.map.shadowclip = _EXTENT, _SHADOWS
+    visual.quality.numslices, visual.quality.numstacks, visual.quality.numquads = 20, 12, 1
+    if any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in world.geoms):
+        return
+    for lamp in list(spec.lights):
+        spec.delete(lamp)
+    visual.headlight.ambient, visual.headlight.diffuse = [0.38, 0.38, 0.40], [0.3] * 3
+    visual.headlight.specular = [0.0] * 3
+    world.add_light(
+        name="fide lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[1.5, -0.5, 3], dir=[-0.45, 0.15, -1], diffuse=[0.5, 0.49, 0.46],
+        specular=[0.3] * 3,
+    )  # fmt: skip
     if not any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
         spec.add_texture(
             name="fide sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
             builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, width=32, height=192,
             rgb1=[0.86, 0.90, 0.95], rgb2=[0.55, 0.64, 0.76],
         )  # fmt: skip
-    if not spec.lights:
-        visual.headlight.ambient, visual.headlight.diffuse = [0.38, 0.38, 0.40], [0.3] * 3
-        visual.headlight.specular = [0.0] * 3
-        world.add_light(
-            name="fide lamp", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=[1.5, -0.5, 3], dir=[-0.45, 0.15, -1], diffuse=[0.5, 0.49, 0.46],
-            specular=[0.3] * 3,
-        )  # fmt: skip
-    if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in world.geoms):
-        _lay_floor(mujoco, spec)
-    spec.stat.extent, visual.map.shadowclip = _EXTENT, _SHADOWS
-    visual.quality.numslices, visual.quality.numstacks, visual.quality.numquads = 20, 12, 1
+    _lay_floor(mujoco, spec)
 
 
 def _lay_floor(mujoco: Any, spec: Any) -> None:
