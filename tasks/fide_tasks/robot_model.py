@@ -27,6 +27,7 @@ _OWN = Path(__file__).parent / "mjcf" / "panda.xml"
 _FLOOR = 60.0  # m, half its side; an endless one takes 1.5 ms longer to draw
 _EXTENT = 1.0  # m, unit of the range of depths (to 50 m) and of the reach of shadows
 _SHADOWS = 2.0  # m around the robot, within which there are shadows
+_SHADOW_MAP = 2048  # pixels along a side; twice as many take twice the time
 _TOLERANCE = 0.01  # m and rad by which the axes of a Panda may be elsewhere
 
 
@@ -140,6 +141,7 @@ def _furnish(mujoco: Any, spec: Any) -> None:
     """Add the room, unless the model has a floor."""
     world, visual = spec.worldbody, spec.visual
     spec.stat.extent, visual.map.shadowclip = _EXTENT, _SHADOWS
+    visual.quality.shadowsize = _SHADOW_MAP
     visual.quality.numslices, visual.quality.numstacks, visual.quality.numquads = 20, 12, 1
     if any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in world.geoms):
         return

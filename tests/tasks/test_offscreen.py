@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
+from fide_plugins.cli import doctor_command
 from fide_tasks import offscreen
 from fide_tasks.offscreen import OffscreenError, Stage
 from fide_tasks.robot import Robot
@@ -63,6 +64,18 @@ def init(self, name, *more, **options):
 ctypes.CDLL.__init__ = init
 ctypes.util.find_library = lambda name: None if name == "EGL" else find(name)
 """
+
+
+def test_fide_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(mujoco: Any) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'eglQueryString'")
+
+    monkeypatch.setattr(doctor_command, "names", lambda kind: ["robot"])
+    assert doctor_command._try_all("tasks", doctor_command._try_task) == {"robot": None}
+    monkeypatch.setattr(offscreen, "_context_class", fail)
+    problem = doctor_command._try_all("tasks", doctor_command._try_task)["robot"]
+    assert problem is not None
+    assert "apt-get install libegl1 libgl1-mesa-dri" in problem
 
 
 def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
