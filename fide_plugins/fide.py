@@ -25,14 +25,13 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from fide_plugins import checkpoint, encoders, losses as losses_module
+from fide_plugins import checkpoint, encoders, fide_state, losses as losses_module
 from fide_plugins.devices import resolve_device
 from fide_plugins.errors import CheckpointError, LossError, OptionError
 from fide_plugins.images import Float32, as_batch, as_target, warn_clipped
@@ -403,28 +402,7 @@ class FIDE:
 
         Raises OSError if it cannot be written; a file that was there before is then intact.
         """
-        state = {
-            "dim": self.dim,
-            "target": self.target,
-            "options": asdict(self.options),
-            "sigma0": self.sigma0,
-            "seed": self.seed,
-            "popsize": self.popsize,
-            "loss": self._loss_name,
-            "best": None if self._best is None else asdict(self._best),
-            "lessons": [asdict(lesson) for lesson in self._lessons],
-            "guest": None if self._guest is None else list(self._guest),
-            "rng": self._rng.bit_generator.state,
-            "proposer": None if self._proposer is None else self._proposer.state_dict(),
-            "search": self._search.state_dict(),
-            "found": None if self._found is None else asdict(self._found),
-            "stage": self._stage.value,
-            "history": np.array(self._progress.history, np.float64),
-            "relocation": self._relocation.state_dict(),
-            "ledger": self._ledger.state_dict(),
-            **{name: getattr(self, name) for name in _PLAIN_STATE},
-        }
-        checkpoint.write(path, _KIND, state)
+        checkpoint.write(path, _KIND, fide_state.pack(self))
 
     @classmethod
     def load(
@@ -458,28 +436,11 @@ class FIDE:
                 device=device,
                 **{**o, "popsize": state["popsize"]},
             )
-            optimizer._load_state(state)
+            fide_state.restore(optimizer, state)
         except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:
             why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
             raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
         return optimizer
-
-    def _load_state(self, state: dict[str, Any]) -> None:
-        for name in _PLAIN_STATE:
-            setattr(self, name, state[name])
-        self._best = None if state["best"] is None else Solution(**state["best"])
-        self._lessons = [Rendered.from_state(lesson) for lesson in state["lessons"]]
-        self._found = None if state["found"] is None else Rendered.from_state(state["found"])
-        self._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
-        self._rng.bit_generator.state = state["rng"]
-        self._search = CMAES.from_state(state["search"])
-        self._stage = Stage(state["stage"])
-        self._relocation.load_state_dict(state["relocation"])
-        self._progress.goal = self._relocation.goal
-        self._progress.history = state["history"].tolist()
-        self._ledger = Ledger.from_state(state["ledger"])
-        if self._proposer is not None:
-            self._proposer.load_state_dict(state["proposer"])
 
     # -- small things ------------------------------------------------------------------------------
 
@@ -506,20 +467,6 @@ def _standard_deviation(value: Any) -> float:
     if not 0 < number <= 1:
         raise OptionError(f"sigma0 must lie in (0, 1], not {value!r}")
     return number
-
-
-_PLAIN_STATE = (
-    "evaluations",
-    "not_finite",
-    "times",
-    "_clipped",
-    "_share",
-    "_best_index",
-    "_best_mean",
-    "_best_search",
-    "_searches",
-    "_over_at",
-)
 
 
 def _not_stored(images: Float32) -> Float64:

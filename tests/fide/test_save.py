@@ -188,6 +188,15 @@ def test_impossible_contents(
         FIDE.load(tmp_path / "c")
 
 
+def test_a_search_of_another_dimension(target: Float32, render: Render, tmp_path: Path) -> None:
+    for name, dim in (("c", 6), ("other", 5)):
+        FIDE(dim, target, popsize=8, seed=0).save(tmp_path / name)
+    state, other = (checkpoint.read(tmp_path / name, "fide") for name in ("c", "other"))
+    checkpoint.write(tmp_path / "c", "fide", state | {"search": other["search"]})
+    with pytest.raises(CheckpointError, match="impossible contents"):
+        FIDE.load(tmp_path / "c")
+
+
 def test_a_missing_entry(target: Float32, render: Render, tmp_path: Path) -> None:
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")
     state = checkpoint.read(tmp_path / "c", "fide")

@@ -1,0 +1,79 @@
+"""All of an optimizer that a checkpoint must hold, as nested dicts of arrays and numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins.ledger import Ledger
+from fide_plugins.rendered import Rendered
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.search.relocate import Stage
+from fide_plugins.solution import Solution
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["pack", "restore"]
+
+_PLAIN_STATE = (
+    "evaluations",
+    "not_finite",
+    "times",
+    "_clipped",
+    "_share",
+    "_best_index",
+    "_best_mean",
+    "_best_search",
+    "_searches",
+    "_over_at",
+)
+
+
+def pack(optimizer: FIDE) -> dict[str, Any]:
+    """Return what `restore` needs, and what the optimizer was made with."""
+    return {
+        "dim": optimizer.dim,
+        "target": optimizer.target,
+        "options": asdict(optimizer.options),
+        "sigma0": optimizer.sigma0,
+        "seed": optimizer.seed,
+        "popsize": optimizer.popsize,
+        "loss": optimizer._loss_name,
+        "best": None if optimizer._best is None else asdict(optimizer._best),
+        "lessons": [asdict(lesson) for lesson in optimizer._lessons],
+        "guest": None if optimizer._guest is None else list(optimizer._guest),
+        "rng": optimizer._rng.bit_generator.state,
+        "proposer": None if optimizer._proposer is None else optimizer._proposer.state_dict(),
+        "search": optimizer._search.state_dict(),
+        "found": None if optimizer._found is None else asdict(optimizer._found),
+        "stage": optimizer._stage.value,
+        "history": np.array(optimizer._progress.history, np.float64),
+        "relocation": optimizer._relocation.state_dict(),
+        "ledger": optimizer._ledger.state_dict(),
+        **{name: getattr(optimizer, name) for name in _PLAIN_STATE},
+    }
+
+
+def restore(optimizer: FIDE, state: Mapping[str, Any]) -> None:
+    """Put a new optimizer, made with the same arguments, where `pack` was called."""
+    for name in _PLAIN_STATE:
+        setattr(optimizer, name, state[name])
+    optimizer._best = None if state["best"] is None else Solution(**state["best"])
+    optimizer._lessons = [Rendered.from_state(lesson) for lesson in state["lessons"]]
+    optimizer._found = None if state["found"] is None else Rendered.from_state(state["found"])
+    optimizer._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
+    optimizer._rng.bit_generator.state = state["rng"]
+    optimizer._search = CMAES.from_state(state["search"])
+    if optimizer._search.dim != optimizer.dim:
+        raise ValueError(f"a search of {optimizer._search.dim} parameters, not {optimizer.dim}")
+    optimizer._stage = Stage(state["stage"])
+    optimizer._relocation.load_state_dict(state["relocation"])
+    optimizer._progress.goal = optimizer._relocation.goal
+    optimizer._progress.history = state["history"].tolist()
+    optimizer._ledger = Ledger.from_state(state["ledger"])
+    if optimizer._proposer is not None:
+        optimizer._proposer.load_state_dict(state["proposer"])
