@@ -263,7 +263,7 @@ def test_state_goes_on_bit_for_bit() -> None:
 
 
 def test_many_parameters_and_few_candidates_take_the_step_size_sooner() -> None:
-    """Where d > 4 k: the library's own distance from the optimum, in three quarters of the generations."""
+    """Where d > 4 k: as near to the optimum as the library, in 3/4 of the generations."""
     d, k = 150, 19
     ours = CMAES(np.full(d, 0.5), 1 / 6, k)
     theirs = cmaes.CMA(np.full(d, 0.5), 1 / 6, population_size=k, seed=0)
