@@ -18,6 +18,7 @@ from PIL import Image
 import fide_tasks
 
 TILE = 210  # pixels; the view on the left is twice as large
+LARGEST = 300_000  # bytes of a file; noise does not compress
 VIEWS = {  # the one on the left, where it is not the target of seed 3
     "san_miguel": (0.017, 0.222, 0.357, 0.485, 0.039, 0.417, 0.611, 0.607),
 }
@@ -34,6 +35,17 @@ def picture(name: str) -> NDArray[np.float32]:
     return np.concatenate([view, np.concatenate(rows)], axis=1)
 
 
+def save(picture: NDArray[np.float32], path: Path) -> None:
+    """Write a picture, (H, W, 3) in [0, 1], with as many colors as keep it below LARGEST."""
+    image = full = Image.fromarray(np.rint(picture * 255).astype(np.uint8))
+    for colors in (None, 256, 192, 128, 96, 64):
+        if colors is not None:
+            image = full.quantize(colors, kmeans=3)
+        image.save(path, optimize=True)
+        if path.stat().st_size < LARGEST:
+            return
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -43,9 +55,8 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.tasks:
-        pixels = np.rint(picture(name) * 255).astype(np.uint8)
         path = arguments.out / f"{name}.png"
-        Image.fromarray(pixels).save(path, optimize=True)
+        save(picture(name), path)
         print(path)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_tasks import Task, mitsuba_task
-from fide_tasks.mitsuba_variant import choose, problem_with
+from fide_tasks.mitsuba_variant import problem_with
 
 pytest.importorskip(
     "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
@@ -78,19 +78,19 @@ def test_beads_reach_the_walls_and_go_no_further(task: Task) -> None:
 
 
 def test_axes_are_right_up_and_towards_the_camera() -> None:
-    task = make(48, spp=16)
-    away = np.tile([0.5, 0.5, 0.0], 6)  # all six behind one another
+    task = make(48, reference_spp=1024)
+    away = np.tile([0.5, 0.5, 0.0], 6)  # all six in one place at the back wall
+    empty = task.reference(away)
 
     def changed(x: float, y: float, z: float) -> tuple[float, float, int]:
+        """Median column and row, and number, of the pixels that change when a bead is moved."""
         moved = away.copy()
         moved[:3] = x, y, z
-        difference = np.abs(task.reference(moved) - task.reference(away)).sum(axis=2)
-        rows, columns = np.nonzero(difference > 0.5)
+        rows, columns = np.nonzero(np.abs(task.reference(moved) - empty).max(axis=2) > 0.15)
         return float(np.median(columns)), float(np.median(rows)), len(rows)
 
-    right, up = changed(0.9, 0.5, 0.5), changed(0.5, 0.95, 0.5)
-    assert right[0] > 28
-    assert up[1] < 20
+    assert changed(0.95, 0.5, 0.5)[0] > 30 > 18 > changed(0.05, 0.5, 0.5)[0]
+    assert changed(0.5, 0.95, 0.5)[1] < changed(0.5, 0.05, 0.5)[1] - 8
     assert changed(0.2, 0.3, 1.0)[2] > changed(0.2, 0.3, 0.1)[2], "near beads are larger"
 
 
@@ -134,10 +134,10 @@ def test_the_loss_of_references_is_lowest_at_x_star() -> None:
     near = np.tile(x, (12, 1)).reshape(12, 6, 3)
     for row in range(12):
         step = rng.normal(size=3)
-        near[row, row % 6] += 0.15 * step / np.linalg.norm(step)
+        near[row, row % 6] += 0.3 * step / np.linalg.norm(step)
     losses = [loss(task.reference(other), target) for other in [*far, *near.reshape(12, 18)]]
     assert min(losses[:8]) > 2 * best
-    assert min(losses[8:]) > best
+    assert min(losses[8:]) > 1.1 * best
 
 
 def test_noisy_losses_are_lower_at_x_star_than_elsewhere() -> None:
@@ -228,9 +228,10 @@ def test_tasks_can_be_sent_to_other_processes_after_rendering() -> None:
     np.testing.assert_array_equal(copy.render(random_x(2), seed=1), expected)
 
 
+@needs_llvm
 def test_tasks_of_two_variants_work_side_by_side() -> None:
-    tasks = [make(variant="scalar"), make(variant=choose("auto"))]
-    assert [t.variant for t in tasks] == ["scalar_rgb", choose("auto")]  # type: ignore[attr-defined]
+    tasks: list[Any] = [make(variant="scalar"), make(variant="llvm")]
+    assert [t.variant for t in tasks] == ["scalar_rgb", "llvm_ad_rgb"]
     first = [t.render(random_x(1), seed=1) for t in tasks]
     for t, image in zip(tasks, first, strict=True):
         np.testing.assert_array_equal(t.render(random_x(1), seed=1), image)
