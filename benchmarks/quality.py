@@ -16,7 +16,7 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -69,15 +69,21 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def run_missing(cells: Iterable[Cell], arms: Arms, out: Path, share: str) -> None:
-    """Run those of a share "i/n" of the cells that are not in the file yet."""
+def run_missing(
+    cells: Iterable[Cell],
+    arms: Arms,
+    out: Path,
+    share: str,
+    run: Callable[[Cell, str, dict[str, Any]], Cell] | None = None,
+) -> None:
+    """Run those of a share "i/n" of the cells that are not in the file yet; by `run_cell`."""
     out.parent.mkdir(parents=True, exist_ok=True)
     part, parts = (int(number) for number in share.split("/"))
     for i, cell in enumerate(cells):
         done = {key(row) for row in read(out)} if out.exists() else set()
         if i % parts != part or key(cell) in done:
             continue
-        row = run_cell(cell, *arms[cell["arm"]])
+        row = (run or run_cell)(cell, *arms[cell["arm"]])
         with out.open("a") as file:
             file.write(json.dumps(row) + "\n")
         print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
@@ -101,8 +107,9 @@ def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
 
 
 def key(row: Cell) -> tuple[Any, ...]:
-    """What makes a cell."""
-    return tuple(row[name] for name in ("task", "target", "arm", "seed", "size", "budget"))
+    """What makes a cell; cells of mean squared error and of tasks without noise say no more."""
+    names = ("task", "target", "arm", "seed", "size", "budget")
+    return (*(row[name] for name in names), row.get("loss", "mse"), row.get("spp"))
 
 
 def run_cell(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
@@ -117,8 +124,14 @@ def run_cell(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
         task_seed=cell["target"],
         options=options,
     )
+    return measured(cell, result)
+
+
+def measured(cell: Cell, result: harness.RunResult) -> Cell:
+    """The row of a run that is finished."""
     best = np.minimum.accumulate(result.losses)
-    marks = {str(m): float(best[m - 1]) for m in MARKS if m <= cell["budget"]}
+    reached = {m for m in MARKS if m <= cell["budget"]} | {cell["budget"]}
+    marks = {str(m): float(best[m - 1]) for m in sorted(reached)}
     overhead = result.overhead_s / cell["budget"] * 1e3
     return {
         **cell,

@@ -1,0 +1,221 @@
+"""The three rendered scenes: FIDE and CMA-ES with the losses `perceptual` and `mse`.
+
+    python benchmarks/scenes.py robot --part 0/2        # and 1/2 in another process
+    python benchmarks/scenes.py san_miguel beads
+    python benchmarks/scenes.py --table
+    python benchmarks/scenes.py --pictures
+
+Every cell (task, loss, optimizer, seed) is one line of benchmarks/results/scenes.jsonl, appended
+when it is done; a second call does what is missing. A seed chooses the target, the optimizer's
+random numbers and the renderer's noise. What a run found is judged after it, by both losses, on the
+task's reference, which no optimizer has seen: its best candidate, which of a noisy task is the
+luckiest too, and its recommendation.
+
+A robot renders on one core, so two processes may share the cells by `--part`. Mitsuba uses all
+cores, so one process is enough; `--threads` leaves some to others, and changes no image.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from quality import ARMS, Arms, Cell, measured, read, run_missing
+from task_pictures import save
+
+import fide_tasks
+from fide_plugins import harness, losses
+
+
+class Scene(NamedTuple):
+    """How a task is run by default."""
+
+    budget: int
+    seeds: int
+    options: dict[str, Any]
+
+
+SCENES = {
+    "robot": Scene(10_000, 3, {}),
+    "san_miguel": Scene(6_000, 1, {"spp": 8}),
+    "beads": Scene(6_000, 1, {"spp": 16}),
+}
+LOSSES = ("perceptual", "mse")
+RIVALS: Arms = {arm: ARMS[arm] for arm in list(ARMS)[:3]}
+RESULTS = Path(__file__).parent / "results" / "scenes.jsonl"
+GAP = 4  # pixels between the images of a picture
+
+
+def main() -> None:
+    """Run what is missing, or show what was found."""
+    arguments = parse_arguments()
+    if arguments.table:
+        print(table(rows_of(arguments)))
+    elif arguments.pictures:
+        for name in arguments.tasks or SCENES:
+            rows = [row for row in rows_of(arguments) if row["task"] == name]
+            if rows:
+                path = arguments.images / f"scenes_{name}.png"
+                save(picture(rows), path)
+                print(path)
+    else:
+        cells = list(grid(arguments))
+
+        def run(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
+            return run_cell(cell, optimizer, options, arguments.threads)
+
+        run_missing(cells, RIVALS, arguments.out, arguments.part, run)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("tasks", nargs="*", metavar="TASK", help="robot, san_miguel, beads")
+    add("--losses", nargs="+", default=list(LOSSES), choices=losses.names(), metavar="LOSS")
+    add("--arms", nargs="+", default=list(RIVALS), choices=list(RIVALS), metavar="ARM")
+    add("--seeds", type=int, nargs="+", help="0 1 2 for robot, 0 for the others")
+    add("--size", type=int, default=112, metavar="PX")
+    add("--budget", type=int, help="renders; 10,000 for robot, 6,000 for the others")
+    add("--out", type=Path, default=RESULTS, metavar="FILE")
+    add("--part", default="0/1", metavar="I/N", help="the cells of this process")
+    add("--threads", type=int, help="of Mitsuba; all cores by default")
+    add("--table", action="store_true", help="print the table of the file")
+    add("--pictures", action="store_true", help="draw the pictures of the file")
+    add("--images", type=Path, default=Path("docs/images"), metavar="DIR")
+    arguments = parser.parse_args()
+    unknown = set(arguments.tasks) - set(SCENES)
+    if unknown:
+        parser.error(f"a task is one of {', '.join(SCENES)}, not {', '.join(sorted(unknown))}")
+    return arguments
+
+
+def rows_of(arguments: argparse.Namespace) -> list[Cell]:
+    """Rows of the file, of the tasks and arms that were asked for, in the order of the latter."""
+    rows = [row for row in read(arguments.out) if row["task"] in (arguments.tasks or SCENES)]
+    order = {arm: i for i, arm in enumerate(arguments.arms)}
+    return sorted((row for row in rows if row["arm"] in order), key=lambda row: order[row["arm"]])
+
+
+def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+    """All cells, seeds outermost, so that a table can be made before the last is done."""
+    tasks = {name: SCENES[name] for name in arguments.tasks or SCENES}
+    for seed in arguments.seeds or range(max(scene.seeds for scene in tasks.values())):
+        for task, scene in tasks.items():
+            if not arguments.seeds and seed >= scene.seeds:
+                continue
+            for loss in arguments.losses:
+                for arm in arguments.arms:
+                    yield {
+                        "task": task,
+                        "target": seed,
+                        "loss": loss,
+                        "arm": arm,
+                        "seed": seed,
+                        "size": arguments.size,
+                        "budget": arguments.budget or scene.budget,
+                        **scene.options,
+                    }
+
+
+def run_cell(
+    cell: Cell, optimizer: str, options: dict[str, Any], threads: int | None = None
+) -> Cell:
+    """One run: its best loss at every mark, and the judgment of what it found."""
+    task = make_task(cell, threads)
+    result = harness.run(
+        task, optimizer, cell["loss"], cell["budget"], cell["seed"], options=options
+    )
+    answers = {"best": result.x_best, "recommended": result.x_recommended}
+    return {
+        **measured(cell, result),
+        "judged": {who: judged(task, x) for who, x in answers.items() if x is not None},
+        "x": {who: x.tolist() for who, x in answers.items() if x is not None},
+        "render_ms": round(result.render_s / cell["budget"] * 1e3, 3),
+    }
+
+
+def make_task(cell: Cell, threads: int | None = None) -> fide_tasks.Task:
+    """The task of a cell."""
+    options = {name: cell[name] for name in SCENES[cell["task"]].options}
+    if threads is not None and "threads" in fide_tasks.options(cell["task"]):
+        options["threads"] = threads
+    return fide_tasks.make(cell["task"], cell["size"], cell["target"], **options)
+
+
+def judged(task: fide_tasks.Task, x: NDArray[np.float64]) -> dict[str, float]:
+    """Both losses of the reference image of x, (dim,)."""
+    image = task.reference(x)
+    return {name: float(losses.make(name, task.target)(image[None])[0]) for name in LOSSES}
+
+
+def table(rows: list[Cell]) -> str:
+    """Medians over seeds, in Markdown; losses in thousandths."""
+    lines: list[str] = []
+    for task, loss, size, budget in dict.fromkeys(map(kind, rows)):
+        mine = [row for row in rows if kind(row) == (task, loss, size, budget)]
+        marks = sorted(map(int, mine[0]["best"]))
+        columns = ["", "runs", *(f"{m:,}" for m in marks)]
+        columns += [f"judged `{name}`" for name in LOSSES] + ["render ms", "other ms", "minutes"]
+        lines += [f"### {task}, `{loss}`, {size}x{size}, {budget:,} renders", ""]
+        lines += ["| " + " | ".join(columns) + " |", "|---" + "|---:" * (len(columns) - 1) + "|"]
+        for arm in dict.fromkeys(row["arm"] for row in mine):
+            group = [row for row in mine if row["arm"] == arm]
+            best = [thousandths(row["best"][str(m)] for row in group) for m in marks]
+            cells = [arm, str(len(group)), *best, *(verdict(group, name) for name in LOSSES)]
+            for key, scale in (("render_ms", 1.0), ("overhead_ms", 1.0), ("wall_s", 1 / 60)):
+                cells.append(f"{statistics.median(row[key] for row in group) * scale:.1f}")
+            lines.append("| " + " | ".join(cells) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def kind(row: Cell) -> tuple[str, str, int, int]:
+    """What the rows of one table have in common."""
+    return row["task"], row["loss"], row["size"], row["budget"]
+
+
+def verdict(rows: list[Cell], loss: str) -> str:
+    """Judged loss of the best candidate, and in parentheses of the recommendation."""
+    best = thousandths(row["judged"]["best"][loss] for row in rows)
+    return f"{best} ({thousandths(row['judged']['recommended'][loss] for row in rows)})"
+
+
+def thousandths(values: Iterator[float]) -> str:
+    """Median."""
+    return f"{1e3 * statistics.median(values):.3g}"
+
+
+def picture(rows: list[Cell]) -> NDArray[np.float32]:
+    """Start, best candidate of each optimizer, target; a row for each loss, of the first seed."""
+    first = min(row["seed"] for row in rows)
+    rows = [row for row in rows if row["seed"] == first]
+    task = make_task(rows[0])
+    start, target = task.reference(np.full(task.dim, 0.5)), task.target
+    arms = list(dict.fromkeys(row["arm"] for row in rows))
+    found = {(row["loss"], row["arm"]): row["x"]["best"] for row in rows}
+    lines = []
+    for loss in dict.fromkeys(row["loss"] for row in rows):
+        middle = [found.get((loss, arm)) for arm in arms]
+        best = [np.ones_like(target) if x is None else task.reference(x) for x in middle]
+        lines.append(joined([start, *best, target], axis=1))
+    return joined(lines, axis=0)
+
+
+def joined(images: list[NDArray[np.float32]], axis: int) -> NDArray[np.float32]:
+    """Images side by side or one below the other, with a white gap between them."""
+    shape = list(images[0].shape)
+    shape[axis] = GAP
+    gap = np.ones(shape, np.float32)
+    return np.concatenate([part for image in images for part in (gap, image)][1:], axis=axis)
+
+
+if __name__ == "__main__":
+    main()
