@@ -30,7 +30,7 @@ class MitsubaTask(Task):
     """A scene that is loaded once and rendered at many values of its parameters.
 
     A subclass declares `parameters` (as every task), `default_spp`, `default_max_depth`, `_scene`
-    and `_update`, and may override `_integrator`.
+    and `_update`, and may override `default_reference_spp` and `_integrator`.
 
     Options, the same in every Mitsuba task
     ---------------------------------------
@@ -45,7 +45,8 @@ class MitsubaTask(Task):
         One process already uses all cores, so more are faster only for frames of 32 pixels or so;
         but then a renderer that crashes does not take this process with it.
     threads: number of threads of each process; None shares all cores among the processes.
-    reference_spp: paths a pixel of `reference` and of a generated target.
+    reference_spp: paths a pixel of `reference` and of a generated target. None is the task's own
+        default.
     target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
 
     Attributes
@@ -58,6 +59,7 @@ class MitsubaTask(Task):
     incidental_options = ("workers", "threads")
     default_spp: ClassVar[int]
     default_max_depth: ClassVar[int]
+    default_reference_spp: ClassVar[int] = 1024
 
     def __init__(
         self,
@@ -70,12 +72,13 @@ class MitsubaTask(Task):
         denoise: bool = False,
         workers: int = 1,
         threads: int | None = None,
-        reference_spp: int = 1024,
+        reference_spp: int | None = None,
         target: ArrayLike | None = None,
     ) -> None:
         super().__init__(size, seed, picture=target)
         self.spp = whole_number("spp", self.default_spp if spp is None else spp, minimum=1)
-        self.reference_spp = whole_number("reference_spp", reference_spp, minimum=1)
+        judging = self.default_reference_spp if reference_spp is None else reference_spp
+        self.reference_spp = whole_number("reference_spp", judging, minimum=1)
         self.max_depth = _checked_depth(self.default_max_depth if max_depth is None else max_depth)
         self.threads = None if threads is None else whole_number("threads", threads, minimum=1)
         self.workers = whole_number("workers", workers, minimum=1)

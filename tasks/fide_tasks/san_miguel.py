@@ -22,6 +22,7 @@ from fide_tasks.mitsuba_task import MitsubaTask
 from fide_tasks.scene_file import checked_scene
 
 _PLACE = (("x", 7.0, 25.0), ("y", 1.0, 10.0), ("z", -2.0, 12.0))  # m; the paper's bounds
+_THETA = (45.0, 135.0)  # degrees from straight up; the paper gives bounds of positions only
 _FOV = 65.0  # degrees, across the shorter side of the image
 _INTENSITY = (190.0, 148.0, 100.0)  # W/sr of the point light, a warm white
 _ZENITH, _HORIZON = (0.15, 0.23, 0.43), (0.70, 0.50, 0.40)  # radiance of the sky at dusk
@@ -43,8 +44,9 @@ class SanMiguel(MitsubaTask):
 
     The 8 parameters are x, y, z of the camera, the angles theta and phi of the direction in which
     it looks, and x, y, z of the light. Positions are in the paper's bounds, x [7, 25], y [1, 10],
-    z [-2, 12]; theta runs from straight up to straight down, phi all around, so that phi = 0 and
-    phi = 1 give the same image. The camera is never tilted sideways.
+    z [-2, 12]; theta, measured from straight up, is in [45, 135] degrees, since steeper views are
+    mostly floor or sky; phi goes all around, so that phi = 0 and phi = 1 give the same image. The
+    camera is never tilted sideways.
 
     With max_depth = 2, the default, it is the paper's direct light, under a dusk sky; surfaces
     shine a little by themselves, in place of light that bounces between them. Any other max_depth
@@ -57,9 +59,10 @@ class SanMiguel(MitsubaTask):
     name = "san_miguel"
     default_spp = 8
     default_max_depth = 2
+    default_reference_spp = 256
     parameters = (
         *(Parameter("camera", name, "m", low, high) for name, low, high in _PLACE),
-        Parameter("camera", "theta", "deg", 0.0, 180.0),
+        Parameter("camera", "theta", "deg", *_THETA),
         Parameter("camera", "phi", "deg", 0.0, 360.0),
         *(Parameter("light", name, "m", low, high) for name, low, high in _PLACE),
     )

@@ -41,17 +41,18 @@ def gray(image: Image) -> NDArray[np.float64]:
 def test_parameters_are_the_papers_and_have_units(task: SanMiguel) -> None:
     assert task.dim == 8
     assert task.decode([0, 0, 0, 0, 0, 1, 1, 1]) == {
-        "camera": {"x [m]": 7, "y [m]": 1, "z [m]": -2, "theta [deg]": 0, "phi [deg]": 0},
+        "camera": {"x [m]": 7, "y [m]": 1, "z [m]": -2, "theta [deg]": 45, "phi [deg]": 0},
         "light": {"x [m]": 25, "y [m]": 10, "z [m]": 12},
     }
     assert task.decode([1, 1, 1, 1, 1, 0, 0, 0]) == {
-        "camera": {"x [m]": 25, "y [m]": 10, "z [m]": 12, "theta [deg]": 180, "phi [deg]": 360},
+        "camera": {"x [m]": 25, "y [m]": 10, "z [m]": 12, "theta [deg]": 135, "phi [deg]": 360},
         "light": {"x [m]": 7, "y [m]": 1, "z [m]": -2},
     }
 
 
 def test_fidelity_is_the_papers_by_default_and_can_be_set() -> None:
     assert (SanMiguel().size, SanMiguel().spp, SanMiguel().max_depth) == ((224, 224), 8, 2)
+    assert SanMiguel().reference_spp == 256
     options = fide_tasks.options("san_miguel")
     assert {"scene", "spp", "max_depth", "variant", "denoise", "workers"} <= set(options)
     made = fide_tasks.make("san_miguel", 16, spp=2, max_depth=3)
@@ -101,7 +102,7 @@ def test_small_steps_change_the_image_little_and_larger_ones_much() -> None:
     changes = []
     for step in (1e-6, 1e-4, 1e-2):
         X = rng.uniform(0.1, 0.9, (12, 8))
-        X[:, 3] = 0.35 + 0.3 * X[:, 3]
+        X[:, 3] = 0.2 + 0.6 * X[:, 3]
         moved = X + step * rng.choice([-1, 1], X.shape)
         one, other = task.render(X, seed=1), task.render(moved, seed=1)
         changes.append(float(np.median(np.abs(one - other).mean(axis=(1, 2, 3)))))
@@ -110,19 +111,16 @@ def test_small_steps_change_the_image_little_and_larger_ones_much() -> None:
     assert changes[2] > 0.06, "a hundredth of the box is another image"
 
 
-def test_phi_closes_its_circle_and_the_poles_are_ordinary(task: SanMiguel) -> None:
+def test_phi_closes_its_circle(task: SanMiguel) -> None:
     X = np.tile(AHEAD, (2, 1))
     X[:, 4] = 0, 1
     zero, full = task.render(X, seed=[1, 1])
     assert np.abs(zero - full).mean() < 1e-3
-    X[:, 3], X[:, 4] = (0.0, 1e-6), 0.3
-    pole, beside = task.render(X, seed=[1, 1])
-    assert np.abs(pole - beside).mean() < 1e-3
 
 
 def test_the_light_moves_shadows_but_not_the_sky(task: SanMiguel) -> None:
     up, down = AHEAD.copy(), AHEAD.copy()
-    up[3], down[3] = 0.0, 0.8
+    up[3], down[3] = 0.0, 1.0
     lights = np.random.default_rng(4).random((4, 3))
     for x, changes in ((up, False), (down, True)):
         X = np.tile(x, (4, 1))

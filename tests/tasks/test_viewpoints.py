@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from fide_tasks.viewpoints import axes, choose, merit
 
 Array = NDArray[np.float64]
-LOW = np.array([7.0, 1, -2, 0, 0, 7, 1, -2])
-HIGH = np.array([25.0, 10, 12, 180, 360, 25, 10, 12])
+LOW = np.array([7.0, 1, -2, 45, 0, 7, 1, -2])
+HIGH = np.array([25.0, 10, 12, 135, 360, 25, 10, 12])
 
 
 def nothing(origins: Array, directions: Array) -> tuple[Array, Array]:
@@ -101,6 +101,6 @@ def test_the_choice_is_good_if_there_is_a_good_view() -> None:
 def test_of_only_poor_views_it_is_the_best() -> None:
     v = choose(np.random.default_rng(0), LOW, HIGH, ground, 65)
     drawn = np.random.default_rng(1).uniform(LOW, HIGH, (50, 8))
-    drawn[:, 3] = drawn[:, 3] / 180 * 50 + 68
+    drawn[:, 3] = (drawn[:, 3] - 45) / 90 * 50 + 68
     assert merit(v, ground, 65).shortfall <= min(merit(u, ground, 65).shortfall for u in drawn)
     assert np.isfinite(choose(np.random.default_rng(0), LOW, HIGH, nothing, 65)).all()
