@@ -1,9 +1,12 @@
 """Noise of a task that is rendered by random paths, for docs/tasks.md.
 
     python benchmarks/noise.py beads
+    python benchmarks/noise.py beads --losses mse loi perceptual --spp 16 64
 
 One row for each number of paths a pixel: the standard error of a pixel at x_star, averaged over the
 image and the targets, and the mean squared error of a render of x_star against its target.
+With --losses, a row for each loss instead: of renders of x_star, mean and standard deviation, and
+of candidates as a search meets them at its start, mean and lowest, for the target of seed 0.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ import argparse
 import numpy as np
 
 import fide_tasks
+from fide_plugins import losses
+
+RENDERS = 12  # by which losses are compared
 
 
 def row(name: str, size: int, spp: int, targets: int) -> tuple[float, float]:
@@ -28,6 +34,20 @@ def row(name: str, size: int, spp: int, targets: int) -> tuple[float, float]:
     return float(np.mean(errors)), float(np.mean(squares))
 
 
+def contrast(name: str, size: int, spp: int, loss: str) -> str:
+    """Losses of x_star, and of candidates of the first generation."""
+    task = fide_tasks.make(name, size, 0, spp=spp)
+    measure = losses.make(loss, task.target)
+    x = task.x_star
+    if x is None:
+        raise SystemExit(f"the target of {name} has no known parameters")
+    start = np.random.default_rng(0).normal(0.5, 1 / 6, (RENDERS, task.dim)).clip(0, 1)
+    truth = np.asarray(measure(task.render(np.tile(x, (RENDERS, 1)))))
+    others = np.asarray(measure(task.render(start)))
+    found = f"{truth.mean():.4f} ± {truth.std():.4f}"
+    return f"| {loss} | {spp} | {found} | {others.mean():.4f} | {others.min():.4f} |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -36,8 +56,14 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=112)
     parser.add_argument("--spp", type=int, nargs="+", default=[8, 16, 64], metavar="N")
     parser.add_argument("--targets", type=int, default=3)
+    parser.add_argument("--losses", nargs="+", default=[], choices=losses.names(), metavar="LOSS")
     arguments = parser.parse_args()
     for name in arguments.tasks:
+        for loss in arguments.losses:
+            for spp in arguments.spp:
+                print(contrast(name, arguments.size, spp, loss), flush=True)
+        if arguments.losses:
+            continue
         print(f"{name} | paths a pixel | standard error | MSE of x*", flush=True)
         for spp in arguments.spp:
             error, square = row(name, arguments.size, spp, arguments.targets)
