@@ -52,7 +52,7 @@ class Options:
     largest_share: float = 0.8
     share_rate: float = 0.1
 
-    memory: int = 12
+    memory: int = 5
     elite: float = 0.5
     ridge: float = 0.02
     sources: int = 5
@@ -72,9 +72,9 @@ class Options:
 
 
 PRESETS: Mapping[str, Options] = {
-    "fast": Options(),
+    "fast": Options(views=(3,), memory=3),
     "balanced": Options(),
-    "accurate": Options(),
+    "accurate": Options(memory=12),
     "paper": Options(
         encoder="patch",
         popsize=500,

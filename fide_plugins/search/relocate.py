@@ -12,7 +12,8 @@ beginning anew throws most of it away.  Instead:
 
 Who wins is relocated next.  After failures that cost more than the descent from nothing did, the
 next search knows nothing again.  What belongs together depends on the renderer more than on the
-candidate, so the overlaps of all probes are averaged, and a few rounds are enough.
+candidate: one round of probes serves for all, and others are made, and averaged with it, only
+where scouts from what it says have failed.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from fide_plugins.search.parts import Indices, find_parts, overlaps
 
 __all__ = ["Relocation", "Stage"]
 
-_PROBES = 4  # rounds
+_PROBES = 4  # rounds at most
 _PROBE_AGAIN = 3  # failures after which another round is worth its renders
 _SCOUTS = 20
 _WIDE, _NARROW = 1 / 2, 1 / 8  # of sigma0: in the part that moved, in all others
@@ -84,7 +85,7 @@ class Relocation:
         if found is None:  # without an image there is no telling what belongs together
             return Stage.SEARCH
         self.incumbent, self._spent, self._failures = found, 0, 0
-        return Stage.PROBE if self._rounds < _PROBES else Stage.SCOUT
+        return Stage.SCOUT if self._rounds else Stage.PROBE
 
     def _after_failure(self, renders: int) -> Stage:
         self._failures += 1

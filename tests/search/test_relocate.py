@@ -111,7 +111,7 @@ def test_a_winner_is_relocated_next() -> None:
     relocation = probed(stalled(1.0))
     assert relocation.goal == 1.0
     winner = rendered(np.full(DIM, 0.5), 0.5)
-    assert relocation.after_search(winner, 50) is Stage.PROBE
+    assert relocation.after_search(winner, 50) is Stage.SCOUT  # its parts are known
     assert relocation.incumbent is winner and relocation.goal == 0.5
 
 
@@ -132,12 +132,15 @@ def test_a_success_pays_for_more_failures() -> None:
     assert stages[-1] is Stage.SEARCH
 
 
-def test_probes_are_not_repeated_for_ever() -> None:
-    relocation = stalled()
-    for i in range(4):
-        assert relocation.after_search(rendered(np.full(DIM, 0.5), -float(i)), 10) is Stage.PROBE
-        probed(relocation, i)
-    assert relocation.after_search(rendered(np.full(DIM, 0.5), -9.0), 10) is Stage.SCOUT
+def test_probes_are_repeated_where_scouts_fail_but_not_for_ever() -> None:
+    relocation = probed(stalled(renders=10**9))
+    worse = rendered(np.full(DIM, 0.5), 2.0)
+    stages = []
+    for _ in range(30):
+        stages.append(relocation.after_search(worse, 1))
+        if stages[-1] is Stage.PROBE:
+            probed(relocation)
+    assert [i for i, stage in enumerate(stages) if stage is Stage.PROBE] == [2, 5, 8]
 
 
 def test_state_goes_on() -> None:
