@@ -37,7 +37,7 @@ class Scene(NamedTuple):
 
     budget: int
     seeds: int
-    options: dict[str, Any]
+    options: dict[str, int]  # those that make a cell
 
 
 SCENES = {
@@ -84,6 +84,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--seeds", type=int, nargs="+", help="0 1 2 for robot, 0 for the others")
     add("--size", type=int, default=112, metavar="PX")
     add("--budget", type=int, help="renders; 10,000 for robot, 6,000 for the others")
+    add("--spp", type=int, help="paths a pixel; 8 for san_miguel, 16 for beads")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     add("--part", default="0/1", metavar="I/N", help="the cells of this process")
     add("--threads", type=int, help="of Mitsuba; all cores by default")
@@ -121,7 +122,7 @@ def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
                         "seed": seed,
                         "size": arguments.size,
                         "budget": arguments.budget or scene.budget,
-                        **scene.options,
+                        **{name: arguments.spp or n for name, n in scene.options.items()},
                     }
 
 
@@ -157,14 +158,14 @@ def judged(task: fide_tasks.Task, x: NDArray[np.float64]) -> dict[str, float]:
 
 
 def table(rows: list[Cell]) -> str:
-    """Medians over seeds, in Markdown; losses in thousandths."""
+    """Medians over seeds, in Markdown; losses in thousandths, of the recommendation in ()."""
     lines: list[str] = []
-    for task, loss, size, budget in dict.fromkeys(map(kind, rows)):
-        mine = [row for row in rows if kind(row) == (task, loss, size, budget)]
+    for title in dict.fromkeys(map(kind, rows)):
+        mine = [row for row in rows if kind(row) == title]
         marks = sorted(map(int, mine[0]["best"]))
         columns = ["", "runs", *(f"{m:,}" for m in marks)]
         columns += [f"judged `{name}`" for name in LOSSES] + ["render ms", "other ms", "minutes"]
-        lines += [f"### {task}, `{loss}`, {size}x{size}, {budget:,} renders", ""]
+        lines += [f"### {title}", ""]
         lines += ["| " + " | ".join(columns) + " |", "|---" + "|---:" * (len(columns) - 1) + "|"]
         for arm in dict.fromkeys(row["arm"] for row in mine):
             group = [row for row in mine if row["arm"] == arm]
@@ -177,9 +178,11 @@ def table(rows: list[Cell]) -> str:
     return "\n".join(lines)
 
 
-def kind(row: Cell) -> tuple[str, str, int, int]:
-    """What the rows of one table have in common."""
-    return row["task"], row["loss"], row["size"], row["budget"]
+def kind(row: Cell) -> str:
+    """What the rows of one table have in common, as its title."""
+    paths = f" {row['spp']} paths a pixel," if "spp" in row else ""
+    size, budget = row["size"], row["budget"]
+    return f"{row['task']}, `{row['loss']}`, {size}x{size},{paths} {budget:,} renders"
 
 
 def verdict(rows: list[Cell], loss: str) -> str:
