@@ -221,17 +221,14 @@ class FIDE:
 
     @property
     def _generation_size(self) -> int:
-        sizes = {Stage.PROBE: self.dim, Stage.SCOUT: self._relocation.scouts}
-        return sizes.get(self._stage, self.popsize)
+        return {Stage.PROBE: self.dim, Stage.SCOUT: self._relocation.scouts}.get(
+            self._stage, self.popsize
+        )
 
     def _draw_generation(self) -> None:
         """Sample candidates (line 4) and put proposals in the place of some (line 5)."""
         if self._stage is not Stage.SEARCH:
-            draw = {
-                Stage.PROBE: self._relocation.draw_probes,
-                Stage.SCOUT: self._relocation.draw_scouts,
-            }
-            x = draw[self._stage](self._rng)
+            x = self._relocation.draw(self._stage, self._rng)
             self._ledger.draw(x, x, np.zeros(len(x), bool))
             return
         z = self._search.sample(self.popsize, self._rng)  # (k, d) ~ N(m, Sigma)
@@ -280,7 +277,7 @@ class FIDE:
         index = self._ledger.take_back(x, loss)
         number = self._ledger.drawn if index is None else index
         if finite and tokens is not None:
-            self._learn_later(Rendered(number, x, tokens, loss))
+            self._learn_later(Rendered(number, x.copy(), tokens.clone(), loss))
         if finite and index is None and (self._guest is None or loss < self._guest[1]):
             self._guest = (x, loss)
         if finite and self._is_better(loss, number):

@@ -96,6 +96,10 @@ class Relocation:
         again = self._failures % _PROBE_AGAIN == 0 and self._rounds < _PROBES
         return Stage.PROBE if again else Stage.SCOUT
 
+    def draw(self, stage: Stage, rng: np.random.Generator) -> Float64:
+        """Candidates (n, d) of a generation that probes or scouts."""
+        return self.draw_probes(rng) if stage is Stage.PROBE else self.draw_scouts(rng)
+
     def draw_probes(self, rng: np.random.Generator) -> Float64:
         """Copies of the incumbent, (d, d), each with one parameter at a random value."""
         x = self._copies(self.dim)
