@@ -1,7 +1,7 @@
 """What each part of FIDE is worth: the loss without it, at equal renders.
 
     python benchmarks/ablation.py voronoi spline --out runs/ablation.jsonl
-    python benchmarks/ablation.py --table runs/ablation.jsonl > ablation.md
+    python benchmarks/ablation.py --table runs/ablation.jsonl
 
 Cells, files and `--part` are those of `quality.py`.
 """
@@ -23,12 +23,14 @@ NOTHING_PROPOSED: dict[str, Any] = {
     "largest_share": 0.0,
     "share_rate": 0.0,
 }
+DIFFUSION = "proposer: diffusion network"
 CHANGES: dict[str, dict[str, Any]] = {
     "FIDE": {},
     "nothing proposed": NOTHING_PROPOSED,
     "nothing proposed, restarts anew": {"proposer": "none"},
     "restarts anew": {"restarts": "anew"},
     "one search to the end": {"restarts": "none"},
+    "patience of 6 generations": {"patience": 6},
     "patience of 25 generations": {"patience": 25},
     "view: 3 channels": {"views": (3,)},
     "view: all 20 channels": {"views": (20,)},
@@ -39,10 +41,11 @@ CHANGES: dict[str, dict[str, Any]] = {
     "share fixed at 0.3": {"share_rate": 0.0},
     "foreign candidates not guarded": {"guard_search": False},
     "memory of 2 generations": {"memory": 2},
+    "memory of 6 generations": {"memory": 6},
     "memory of 12 generations (accurate)": {"memory": 12},
     "memory of 3 generations, view: 3 channels (fast)": {"memory": 3, "views": (3,)},
     "population of 30": {"popsize": 30},
-    "proposer: diffusion network": {"proposer": "diffusion", "encoder": "patch", "share": 0.3},
+    DIFFUSION: {"proposer": "diffusion", "encoder": "patch", "share": 0.3},
 }
 ARMS: Arms = {arm: ("fide", options) for arm, options in CHANGES.items()}
 
@@ -60,7 +63,7 @@ def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("tasks", nargs="*", help="voronoi, spline")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS)[:-1], metavar="ARM", choices=ARMS)
+    parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", choices=ARMS)
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--size", type=int, default=112)

@@ -1,7 +1,7 @@
 """Loss against renders: FIDE, its parts, and CMA-ES at every population, in one run.
 
     python benchmarks/quality.py voronoi spline --out runs/quality.jsonl
-    python benchmarks/quality.py --table runs/quality.jsonl > docs/quality.md
+    python benchmarks/quality.py --table runs/quality.jsonl
 
 Every cell (task, target, optimizer, seed) is one line of the output file, appended when it is
 done; a second call does what is missing.  One thread a process; use `--part i/n` to share the

@@ -51,6 +51,7 @@ from fide_plugins.solution import Solution
 __all__ = ["FIDE"]
 
 _KIND = "fide"
+_MOST_GUESTS = 1000  # points never asked that are remembered until a generation is complete
 _ENCODE_AT_ONCE = 64  # images whose features are computed together; bounds memory
 
 
@@ -155,8 +156,8 @@ class FIDE:
 
         None: what is left of the present generation, or, if all of it is out and not all told,
         another of its size from the same distribution, for users with more workers than that.
-        A generation has `popsize` candidates; after a search has stalled there is one that probes
-        (`dim` candidates, see `search.relocate`) and one that scouts.
+        A generation has `popsize` candidates; after a search has stalled there may be one that
+        probes (`dim` candidates, see `search.relocate`) and one that scouts.
         """
         with self._timed("search"):
             n = (
@@ -185,8 +186,9 @@ class FIDE:
             (n,), the lower the better; None: the optimizer's own loss of the images.
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
-        them, they can become `best`, and the best of those told during a generation takes the place
-        of its worst candidate if it is better than that, its step cut to what a sample's may be.
+        them, they can become `best`, and the best of those told during a generation of a search (or
+        before one) takes the place of its worst candidate if it is better than that, its step cut
+        to what a sample's may be.  A point that was asked may come back in single precision.
 
         Losses that are NaN or infinite rank last and are counted in `not_finite`.
 
@@ -214,7 +216,10 @@ class FIDE:
                 self._finish_generation()
 
     def recommend(self) -> Float64:
-        """Mean (dim,) of the search distribution that found the best point (line 12)."""
+        """Mean (dim,) of the search distribution that found the best point (line 12).
+
+        The best point itself if no search found it: a probe, a scout, a guess of the user's.
+        """
         return box.into(self._best_mean)
 
     # -- Algorithm 1 -------------------------------------------------------------------------------
@@ -283,13 +288,17 @@ class FIDE:
         if finite and self._is_better(loss, number):
             copy = None if image is None else image.copy()
             self._best = Solution(x.copy(), loss, self.evaluations, copy)
-            self._best_index, self._best_search = number, self._searches
-            if self._stage is not Stage.SEARCH:
+            self._best_index = number
+            if index is not None and self._stage is Stage.SEARCH:
+                self._best_mean, self._best_search = self._search.mean, self._searches
+            else:  # no search found it
                 self._best_mean, self._best_search = x.copy(), 0
         self.evaluations += 1
 
     def _learn_later(self, rendered: Rendered) -> None:
         self._lessons.append(rendered)
+        if len(self._lessons) > _MOST_GUESTS + 2 * self._ledger.size:
+            del self._lessons[0]
         found = self._found
         if found is None or (rendered.loss, rendered.index) < (found.loss, found.index):
             self._found = rendered

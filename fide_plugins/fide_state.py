@@ -63,15 +63,17 @@ def restore(optimizer: FIDE, state: Mapping[str, Any]) -> None:
     for name in _PLAIN_STATE:
         setattr(optimizer, name, state[name])
     optimizer._best = None if state["best"] is None else Solution(**state["best"])
-    optimizer._lessons = [Rendered.from_state(lesson) for lesson in state["lessons"]]
-    optimizer._found = None if state["found"] is None else Rendered.from_state(state["found"])
+    device = optimizer._encoder.device
+    optimizer._lessons = [Rendered.from_state(lesson, device) for lesson in state["lessons"]]
+    found = state["found"]
+    optimizer._found = None if found is None else Rendered.from_state(found, device)
     optimizer._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
     optimizer._rng.bit_generator.state = state["rng"]
     optimizer._search = CMAES.from_state(state["search"])
     if optimizer._search.dim != optimizer.dim:
         raise ValueError(f"a search of {optimizer._search.dim} parameters, not {optimizer.dim}")
     optimizer._stage = Stage(state["stage"])
-    optimizer._relocation.load_state_dict(state["relocation"])
+    optimizer._relocation.load_state_dict(state["relocation"], device)
     optimizer._progress.goal = optimizer._relocation.goal
     optimizer._progress.history = state["history"].tolist()
     optimizer._ledger = Ledger.from_state(state["ledger"])

@@ -75,17 +75,18 @@ class Ledger:
     def hand_out(self) -> Float64:
         """Next candidate of the queue, (d,)."""
         candidate = self._queue.popleft()
-        self._asked.setdefault(candidate.x.tobytes(), []).append(candidate)
+        self._asked.setdefault(_key(candidate.x), []).append(candidate)
         return candidate.x
 
     def take_back(self, x: Float64, loss: float) -> int | None:
         """Note that x (d,) was told; returns its index, or None if it is a guest."""
-        waiting = self._asked.get(x.tobytes())
+        waiting = self._asked.get(_key(x))
         if not waiting:
             return None
-        candidate = waiting.pop(0)
+        exact = (i for i, candidate in enumerate(waiting) if np.array_equal(candidate.x, x))
+        candidate = waiting.pop(next(exact, 0))
         if not waiting:
-            del self._asked[x.tobytes()]
+            del self._asked[_key(x)]
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
         self._told.append((candidate, loss))
@@ -133,10 +134,15 @@ class Ledger:
         ledger._generation_from = int(state["generation_from"])
         ledger._queue.extend(_unpack(state["queue"]))
         for candidate in _unpack(state["asked"]):
-            ledger._asked.setdefault(candidate.x.tobytes(), []).append(candidate)
+            ledger._asked.setdefault(_key(candidate.x), []).append(candidate)
         losses = state["losses"].tolist()
         ledger._told = list(zip(_unpack(state["told"]), losses, strict=True))
         return ledger
+
+
+def _key(x: Float64) -> bytes:
+    """Name of a point, the same after a way through a renderer in single precision."""
+    return x.astype(np.float32).tobytes()
 
 
 def _pack(candidates: list[Candidate]) -> dict[str, Any]:

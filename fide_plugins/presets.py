@@ -22,7 +22,7 @@ class Options:
 
     encoder: name in `fide_plugins.encoders`.
     views: sets of leading channels of its tokens for the linear proposer, such as (3, 20); empty:
-        the encoder's own.
+        the encoder's own. Relocation sees changes in the first of them.
     popsize: k, candidates a generation; None: 4 + 3 ln d.
     proposer: "linear" (closed form), "diffusion" (the published denoiser) or "none" (CMA-ES).
 
@@ -30,7 +30,8 @@ class Options:
     smallest_share, largest_share, share_rate: limits and speed of its adaptation, see
         `proposers.share`; rate 0 keeps it as it is.
 
-    memory: generations that the linear proposer remembers, 600 candidates at most.
+    memory: generations that the linear proposer remembers; 600 candidates, or one generation, at
+        most.
     elite, ridge, sources, shortest_step, longest_step, noise: see `proposers.linear`.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
@@ -39,7 +40,8 @@ class Options:
     patience, improvement: when a search is over, see `search.progress`; patience None: 10
         generations, or 2 d / k if that is more.
     restarts: where the next one begins: "parts" (one part of the best candidate put elsewhere, see
-        `search.relocate`), "anew" (knowing nothing); "none" for one search, to the end.
+        `search.relocate`), "anew" (knowing nothing); "none" for one search, to the end. Without
+        images, and with nothing proposed, "parts" is "anew".
     """
 
     encoder: str = "dense"
@@ -52,7 +54,7 @@ class Options:
     largest_share: float = 0.8
     share_rate: float = 0.1
 
-    memory: int = 5
+    memory: int = 4
     elite: float = 0.5
     ridge: float = 0.02
     sources: int = 5
@@ -120,6 +122,11 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         raise OptionError(
             f"smallest_share, {options.smallest_share}, must not be above largest_share, "
             f"{options.largest_share}"
+        )
+    if options.shortest_step > options.longest_step:
+        raise OptionError(
+            f"shortest_step, {options.shortest_step}, must not be above longest_step, "
+            f"{options.longest_step}"
         )
     return options
 

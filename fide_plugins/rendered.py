@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from torch import Tensor, as_tensor
+from torch import Tensor, as_tensor, device
 
 from fide_plugins.points import Float64
 
@@ -29,6 +29,6 @@ class Rendered:
     loss: float
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Rendered:
-        """Undo `dataclasses.asdict`; arrays serve as tensors."""
-        return cls(**{**state, "tokens": as_tensor(state["tokens"])})
+    def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> Rendered:
+        """Undo `dataclasses.asdict`; arrays serve as tensors, which go to the device."""
+        return cls(**{**state, "tokens": as_tensor(state["tokens"], device=device)})

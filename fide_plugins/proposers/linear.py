@@ -94,8 +94,8 @@ class LinearProposer:
     Parameters
     ----------
     dim : d, the number of parameters.
-    capacity : n, evaluated candidates that are remembered, the latest; fewer if their features
-        would take more than 256 MiB.
+    capacity : n, evaluated candidates that are remembered, the latest; fewer, though never
+        fewer than `minimum`, if their features would take more than 256 MiB.
     views : sets of features, each the leading channels of the tokens, None all; every proposal uses
         one of them, drawn at random.
     elite : weights fall as exp(-rank / (elite * n)).

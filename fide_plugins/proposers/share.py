@@ -23,14 +23,16 @@ def adapt_share(
 
     losses: (k,) of one generation; proposed: (k,), which of them a proposer made.
     The change is `rate` times the difference of the mean ranks, in units of k / 2; a generation of
-    one kind only says nothing.  The share stays within [smallest, largest]: never 0, or it could
-    not recover.
+    one kind only says nothing.  Losses that are not finite are tied for the last ranks.  The share
+    stays within [smallest, largest]; from 0 it could not recover.
     """
     if proposed.all() or not proposed.any():
         return share
     order = np.argsort(losses, kind="stable")
     ranks = np.empty(len(losses))
     ranks[order] = np.arange(len(losses))
-    ranks = np.where(np.isfinite(losses), ranks, ranks.mean())
+    failed = ~np.isfinite(losses)
+    if failed.any():
+        ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
     lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
     return float(np.clip(share + rate * lead, smallest, largest))

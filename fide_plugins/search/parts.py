@@ -14,6 +14,7 @@ Parts are read from a dendrogram of 1 - O by the excess of mass, as clusters are
 (Campello et al. 2015, "Hierarchical Density Estimates for Data Clustering", sec. 5): a branch is
 one part if it lasts longer, from the height at which it forms to the height at which it joins
 another, than its own branches do together.  So neither their number nor a threshold is asked for.
+All parameters together are never one part: moving them all is what a restart does.
 """
 
 from __future__ import annotations

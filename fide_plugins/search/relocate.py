@@ -24,7 +24,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from torch import Tensor
+from torch import Tensor, device
 
 from fide_plugins.points import Float64
 from fide_plugins.rendered import Rendered
@@ -111,9 +111,9 @@ class Relocation:
         incumbent = self._known()
         moved = [np.flatnonzero(probe.x != incumbent.x) for probe in probes]
         single = [(int(m[0]), probe) for m, probe in zip(moved, probes, strict=True) if len(m) == 1]
-        self._rounds += 1
         if not single:
             return
+        self._rounds += 1
         which = np.array([i for i, _ in single])
         changes = np.array([self._change(incumbent.tokens, probe.tokens) for _, probe in single])
         np.add.at(self._overlap, np.ix_(which, which), overlaps(changes))
@@ -162,10 +162,9 @@ class Relocation:
             "counts": [self._descent, self._spent, self._failures, self._rounds],
         }
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave."""
-        self.incumbent = (
-            None if state["incumbent"] is None else Rendered.from_state(state["incumbent"])
-        )
+    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
+        """Put back what `state_dict` gave, tokens on the device."""
+        saved = state["incumbent"]
+        self.incumbent = None if saved is None else Rendered.from_state(saved, device)
         self._overlap, self._pairs = state["overlap"], state["pairs"]
         self._descent, self._spent, self._failures, self._rounds = state["counts"]

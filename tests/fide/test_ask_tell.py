@@ -546,3 +546,46 @@ def test_a_loss_given_by_the_user_is_called_with_images(render: Render, target: 
     assert opt.best is not None and opt.best.image is not None
     assert opt.best.loss == pytest.approx(float(opt.best.image.mean()))
     assert opt.best.loss < 0.02
+
+
+def test_points_may_come_back_in_single_precision(render: Render, target: Float32) -> None:
+    double, single = FIDE(6, target, seed=0, popsize=8), FIDE(6, target, seed=0, popsize=8)
+    for _ in range(12):
+        X, Y = double.ask(), single.ask()
+        np.testing.assert_allclose(X, Y, atol=1e-5)
+        images = render(X)
+        double.tell(X, images)
+        single.tell(Y.astype(np.float32), images)
+    assert single._ledger.asked == 0
+
+
+def test_a_guess_that_is_the_best_is_recommended(
+    render: Render, target: Float32, answer: Float64
+) -> None:
+    opt = FIDE(6, target, seed=0, popsize=8)
+    run(opt, render, 3)
+    opt.tell(answer[None], render(answer[None]))
+    np.testing.assert_array_equal(opt.recommend(), answer)
+    run(opt, render, 3)
+    np.testing.assert_array_equal(opt.recommend(), answer)
+
+
+def test_what_is_recommended_follows_the_search_that_found_the_best_at_once(
+    render: Render, target: Float32
+) -> None:
+    opt = FIDE(6, target, seed=0, popsize=8, restarts="anew", patience=3)
+    while opt._searches == 1:
+        X = opt.ask()
+        opt.tell(X, render(X), np.ones(8))
+    X = opt.ask()
+    opt.tell(X[:1], render(X[:1]), [0.5])
+    np.testing.assert_array_equal(opt.recommend(), np.full(6, 0.5))  # where it began
+
+
+def test_guests_are_not_remembered_for_ever(target: Float32) -> None:
+    opt = FIDE(2, target, seed=0)
+    image = np.zeros((500, *target.shape), np.float32)
+    for i in range(5):
+        opt.tell(np.random.default_rng(i).random((500, 2)), image)
+    assert opt.evaluations == 2500
+    assert len(opt._lessons) <= 1000

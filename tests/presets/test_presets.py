@@ -105,3 +105,5 @@ def test_a_wrong_value_is_named_with_its_rule(name: str, values: list[Any]) -> N
 def test_shares_that_contradict_each_other() -> None:
     with pytest.raises(OptionError, match="smallest_share.*largest_share"):
         make_options("balanced", {"smallest_share": 0.7, "largest_share": 0.2})
+    with pytest.raises(OptionError, match=r"shortest_step, 2.0.*longest_step, 1.2"):
+        make_options("balanced", {"shortest_step": 2.0})

@@ -57,3 +57,12 @@ def test_losses_that_are_all_infinite_say_nothing() -> None:
 
 def test_rate_0_keeps_it() -> None:
     assert adapt(np.arange(4.0), [0], rate=0.0) == 0.5
+
+
+def test_failures_cost_a_proposer_as_much_as_the_worst_losses() -> None:
+    losses = np.arange(10.0)
+    worst = adapt(losses, [9])
+    failed = adapt(np.where(losses == 9, np.inf, losses), [9])
+    assert failed == pytest.approx(worst)
+    tied = adapt(np.where(losses >= 8, np.inf, losses), [8, 9])
+    assert tied == pytest.approx(adapt(losses, [8, 9]))
