@@ -333,7 +333,7 @@ def test_the_memory_is_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_a_large_population_is_not_remembered_many_times_over() -> None:
     for popsize, remembered in ((10, 50), (100, 500), (200, 600), (1000, 1000)):
-        proposer = make_proposer(Options(), D, popsize, 0, encoders.make("dense"))
+        proposer = make_proposer(Options(memory=5), D, popsize, 0, encoders.make("dense"))
         assert isinstance(proposer, LinearProposer)
         assert proposer.capacity == remembered
         assert proposer.minimum <= remembered
