@@ -76,7 +76,7 @@ class Options:
 PRESETS: Mapping[str, Options] = {
     "fast": Options(views=(3,), memory=3),
     "balanced": Options(),
-    "accurate": Options(memory=12),
+    "accurate": Options(patience=25),
     "paper": Options(
         encoder="patch",
         popsize=500,
