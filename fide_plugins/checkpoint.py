@@ -21,6 +21,7 @@ import json
 import math
 import os
 import re
+import stat
 import struct
 import sys
 from pathlib import Path
@@ -73,7 +74,7 @@ def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     checkpoint, or one that was cut short, damaged, or is of another version or kind.
     """
     name = os.fspath(path)
-    body = _body(name, Path(path).read_bytes())
+    body = _body(name, Path(path))
     try:
         (length,) = _LENGTH.unpack_from(body)
         if length > len(body) - _LENGTH.size:
@@ -96,24 +97,37 @@ def _refuse(name: str, why: str, remedy: str = "start again, or use an earlier c
     raise CheckpointError(f"{name}: cannot load this checkpoint: {why}; {remedy}")
 
 
-def _body(name: str, data: bytes) -> memoryview:
-    """What follows the header, once magic, version, length and checksum agree."""
-    if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
-        _refuse(name, "it is not a FIDE checkpoint", "name a file that `save` wrote")
-    if len(data) < _HEADER.size:
-        _refuse(name, f"it was cut short after {len(data)} bytes")
-    _, version, length, checksum = _HEADER.unpack_from(data)
-    if version != VERSION:
-        remedy = "load it with the version of the library that wrote it"
-        _refuse(name, f"its format is version {version} and this is {VERSION}", remedy)
-    body = memoryview(data)[_HEADER.size :]
-    if len(body) < length:
-        _refuse(name, f"it was cut short: {len(body)} of {length} bytes are there")
-    if len(body) > length:
-        _refuse(name, f"{len(body) - length} bytes follow its end")
+def _body(name: str, path: Path) -> memoryview:
+    """What follows the header, once magic, version, length and checksum agree.
+
+    No more of the file is read than what the header makes worth reading.
+    """
+    if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
+        _refuse(name, "it is a device or a pipe", "name a file that `save` wrote")
+    with path.open("rb") as file:
+        header, size = file.read(_HEADER.size), os.fstat(file.fileno()).st_size - _HEADER.size
+        length, checksum = _header(name, header)
+        if size < length:
+            _refuse(name, f"it was cut short: {size} of {length} bytes are there")
+        if size > length:
+            _refuse(name, f"{size - length} bytes follow its end")
+        body = memoryview(file.read(length))
     if hashlib.blake2b(body, digest_size=32).digest() != checksum:
         _refuse(name, "its checksum is wrong, so some of its bytes were changed")
     return body
+
+
+def _header(name: str, header: bytes) -> tuple[int, bytes]:
+    """Length and checksum of the body."""
+    if header[: len(_MAGIC)] != _MAGIC[: len(header)]:
+        _refuse(name, "it is not a FIDE checkpoint", "name a file that `save` wrote")
+    if len(header) < _HEADER.size:
+        _refuse(name, f"it was cut short after {len(header)} bytes")
+    _, version, length, checksum = _HEADER.unpack(header)
+    if version != VERSION:
+        remedy = "load it with the version of the library that wrote it"
+        _refuse(name, f"its format is version {version} and this is {VERSION}", remedy)
+    return length, checksum
 
 
 def _arrays(

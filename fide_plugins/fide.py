@@ -56,6 +56,7 @@ from fide_plugins.search.cma_es import CMAES, default_popsize
 from fide_plugins.search.progress import Progress, default_patience, patience_alone
 from fide_plugins.search.relocate import Relocation, Stage
 from fide_plugins.solution import Solution
+from fide_plugins.state_form import IMPOSSIBLE
 
 __all__ = ["FIDE"]
 
@@ -474,7 +475,7 @@ class FIDE:
             losses_module.resolve(loss, state.get("target"))
         try:
             return fide_state.remake(cls, state, loss, device)
-        except (LookupError, TypeError, AttributeError, ValueError, RuntimeError) as error:
+        except IMPOSSIBLE as error:
             why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
             raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
 

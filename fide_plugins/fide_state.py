@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from fide_plugins.errors import LossError
+from fide_plugins.fide_form import check_sizes, check_state
 from fide_plugins.images import Float32
 from fide_plugins.ledger import Ledger
 from fide_plugins.points import Float64
@@ -73,6 +74,7 @@ def remake(
 
     loss: needed where it was not a name.
     """
+    check_sizes(state)
     o = {**state["options"], "popsize": state["popsize"]}
     o["schedule"], o["views"] = tuple(o["schedule"]), tuple(o["views"])
     if loss is None:
@@ -115,6 +117,9 @@ def restore(optimizer: FIDE, state: Mapping[str, Any]) -> None:
         stored, own = state["loss_version"], _version_of_loss(optimizer)
         if stored != own:
             raise ValueError(f"values of the loss {stored}; the one here is {own}")
+    tokens, channels = optimizer.features_shape
+    sides = {"d": optimizer.dim, "k": optimizer.popsize, "T": tokens, "C": channels}
+    check_state(state, sides)
     for name in _PLAIN_STATE:
         setattr(optimizer, name, state[name])
     optimizer._best = None if state["best"] is None else Solution(**state["best"])
@@ -125,8 +130,6 @@ def restore(optimizer: FIDE, state: Mapping[str, Any]) -> None:
     optimizer._guest = None if state["guest"] is None else (state["guest"][0], state["guest"][1])
     optimizer._rng.bit_generator.state = state["rng"]
     optimizer._search = CMAES.from_state(state["search"])
-    if optimizer._search.dim != optimizer.dim:
-        raise ValueError(f"a search of {optimizer._search.dim} parameters, not {optimizer.dim}")
     optimizer._stage = Stage(state["stage"])
     optimizer._relocation.load_state_dict(state["relocation"], device)
     optimizer._trust.load_state_dict(state["trust"])

@@ -139,10 +139,22 @@ def adam_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
 
 
 def load_adam_state(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Put back what `adam_state` gave; numpy arrays are welcome."""
+    """Put back what `adam_state` gave; numpy arrays are welcome.
+
+    Raises ValueError unless all moments are there and like their weights: Adam does not look.
+    """
+    weights = [weight for group in optimizer.param_groups for weight in group["params"]]
+    if sorted(map(int, state)) not in ([], list(range(len(weights)))):
+        raise ValueError(f"moments of {len(state)} weights, and there are {len(weights)}")
     moments = {
         int(number): {name: torch.as_tensor(value).clone() for name, value in entry.items()}
         for number, entry in state.items()
     }
+    for number, entry in moments.items():
+        weight = weights[number]
+        shapes = {"step": torch.Size(), "exp_avg": weight.shape, "exp_avg_sq": weight.shape}
+        found = {name: value.shape for name, value in entry.items()}
+        if found != shapes or any(value.dtype != weight.dtype for value in entry.values()):
+            raise ValueError(f"moments of weight {number} like {found}, not {shapes}")
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": moments, "param_groups": groups})

@@ -23,6 +23,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import shlex
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -36,6 +37,8 @@ from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.harness import machine
 from fide_plugins.harness.parallel import WORKERS, rounds
 from fide_plugins.harness.record import Record, RunResult
+from fide_plugins.harness.record_form import check_record
+from fide_plugins.state_form import IMPOSSIBLE
 
 if TYPE_CHECKING:
     from fide_plugins.images import Float32
@@ -46,6 +49,7 @@ __all__ = ["TABLES", "RunDirectory", "RunDirectoryError", "check_settings", "che
 FORMAT = 2
 TABLES = ("curve.csv", "improvements.csv")
 _KIND = "run"
+_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+\.ckpt")
 
 
 class RunDirectoryError(FideError, FileExistsError):
@@ -101,12 +105,17 @@ class RunDirectory:
             return None
         state = checkpoint.read(path, _KIND)
         try:
-            name, record = state["optimizer"], Record.from_state(state["record"])
-            if name != Path(name).name:
-                raise ValueError(f"it names a file outside the run directory, {name!r}")
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            name = state["optimizer"]
+            if not _OPTIMIZER_FILE.fullmatch(name):
+                raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
+            check_record(state["record"], self.settings["dim"], self.settings["size"])
+            record = Record.from_state(state["record"])
+        except IMPOSSIBLE as error:
             raise CheckpointError(f"{path}: impossible contents ({error})") from error
-        return record, optimizers.load(self.settings["optimizer"], self.path / name)
+        optimizer = optimizers.load(self.settings["optimizer"], self.path / name)
+        if optimizer.dim != self.settings["dim"]:
+            raise CheckpointError(f"{self.path / name}: an optimizer of {optimizer.dim} parameters")
+        return record, optimizer
 
     def _check(self, before: dict[str, Any], resume: bool) -> None:
         check_settings(before["settings"], self.settings, f"{self.path} holds a run")
@@ -210,8 +219,10 @@ def read_run(path: Path) -> dict[str, Any] | None:
         return None
     try:
         run = json.loads(path.read_text("utf-8"))
-        if run["format"] != FORMAT or not isinstance(run["settings"], dict):
+        if run["format"] != FORMAT:
             raise ValueError(f"format {run['format']!r}, and this version reads {FORMAT}")
+        if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
+            raise ValueError("its settings are no dict, or its times of resuming no list")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
             f"{path} is not the record of a run of this version ({error}); "

@@ -1,0 +1,195 @@
+"""What form a state must have that was read from a file: types, ranges, shapes.
+
+A checkpoint is whole when its checksum agrees, and may still hold anything, since anybody can write
+one.  A *form* is a nested dict like the state, with a rule at each leaf; `check` compares the two
+before anything is made of the state, and raises ValueError with the place of the first entry that
+breaks its rule.  Sides of arrays have names: a name stands for the same number wherever it appears,
+so ("n", "d") and ("n",) have as many rows, and "d" is what the caller said.
+
+    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
+    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
+    Traceback (most recent call last):
+    ValueError: state['x'] has the shape (3, 2), and n is 3
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+
+__all__ = [
+    "IMPOSSIBLE",
+    "Form",
+    "Sides",
+    "array",
+    "check",
+    "each",
+    "flag",
+    "maybe",
+    "numbers",
+    "real",
+    "row",
+    "side",
+    "table",
+    "text",
+    "whole",
+]
+
+Sides: TypeAlias = dict[str, int]
+Rule: TypeAlias = Callable[[Any, str, Sides], None]
+Form: TypeAlias = "Rule | dict[str, Form]"
+
+IMPOSSIBLE = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What can go wrong where something is made of a state that nobody could have saved."""
+_LARGEST = 1.7e308  # what is more is infinite
+
+
+def check(state: Any, form: Form, sides: Sides, place: str = "state") -> None:
+    """Raise ValueError unless `state` has this form; `sides` gains the names that were met."""
+    if not isinstance(form, dict):
+        form(state, place, sides)
+        return
+    _demand(isinstance(state, dict), place, "is no dict")
+    odd = sorted(set(state) ^ set(form))
+    _demand(not odd, place, f"lacks or has too much: {', '.join(map(repr, odd))}")
+    for name, part in form.items():
+        check(state[name], part, sides, f"{place}[{name!r}]")
+
+
+def whole(low: int = 0, high: int = 2**63) -> Rule:
+    """An int within [low, high]."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, int) and not isinstance(value, bool)
+        _demand(sound and low <= value <= high, place, f"is no whole number in [{low}, {high}]")
+
+    return rule
+
+
+def real(low: float = -_LARGEST, high: float = _LARGEST) -> Rule:
+    """A number within [low, high]."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, int | float) and not isinstance(value, bool)
+        _demand(sound and low <= value <= high, place, f"is no number in [{low}, {high}]")
+
+    return rule
+
+
+def flag(value: Any, place: str, sides: Sides) -> None:
+    """True or False."""
+    _demand(isinstance(value, bool), place, "is neither True nor False")
+
+
+def text(value: Any, place: str, sides: Sides) -> None:
+    """A string."""
+    _demand(isinstance(value, str), place, "is no text")
+
+
+def array(
+    *names: str | int,
+    kind: str = "f",
+    low: float | None = -_LARGEST,
+    high: float = _LARGEST,
+) -> Rule:
+    """An array with these sides, of a kind in NumPy's letters, with values within [low, high].
+
+    low None: any values, also NaN.  An array without rows may have lost its other sides.
+    """
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        value = _on_this_machine(value)
+        sound = isinstance(value, np.ndarray) and value.dtype.kind in kind
+        _demand(sound, place, f"is no array of the kind {kind!r}")
+        rows = names[0] if isinstance(names[0], int) else sides.get(names[0], 0)
+        empty = value.shape[:1] == (0,) and rows == 0
+        _demand(empty or value.ndim == len(names), place, f"has the shape {value.shape}")
+        for name, side in zip(names[:1] if empty else names, value.shape, strict=False):
+            known = name if isinstance(name, int) else sides.setdefault(name, side)
+            _demand(side == known, place, f"has the shape {value.shape}, and {name} is {known}")
+        if value.size and kind != "b" and low is not None:
+            ends = float(value.min()), float(value.max())  # NaN if there is one
+            _demand(low <= ends[0] <= ends[1] <= high, place, f"has values outside [{low}, {high}]")
+
+    return rule
+
+
+def numbers(value: Any, place: str, sides: Sides) -> None:
+    """An array of any shape, finite."""
+    value = _on_this_machine(value)
+    sound = isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
+    _demand(sound and bool(np.isfinite(value).all()), place, "is no array of finite numbers")
+
+
+def side(name: str) -> Rule:
+    """An int that is the side of that name."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        known = sides.get(name)
+        _demand(type(value) is int and known in (None, value), place, f"is not {name}, {known}")
+
+    return rule
+
+
+def maybe(form: Form) -> Rule:
+    """None, or what has this form."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        if value is not None:
+            check(value, form, sides, place)
+
+    return rule
+
+
+def each(form: Form) -> Rule:
+    """A list of what has this form."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        _demand(isinstance(value, list), place, "is no list")
+        for i, entry in enumerate(value):
+            check(entry, form, sides, f"{place}[{i}]")
+
+    return rule
+
+
+def row(*forms: Form) -> Rule:
+    """A list of entries with these forms."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, list) and len(value) == len(forms)
+        _demand(sound, place, f"is no list of {len(forms)} entries")
+        for i, (entry, form) in enumerate(zip(value, forms, strict=True)):
+            check(entry, form, sides, f"{place}[{i}]")
+
+    return rule
+
+
+def table(form: Form) -> Rule:
+    """A dict with any keys, of what has this form."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        _demand(isinstance(value, dict), place, "is no dict")
+        for name, entry in value.items():
+            check(entry, form, sides, f"{place}[{name!r}]")
+
+    return rule
+
+
+def _on_this_machine(value: Any) -> Any:
+    """Tensors as arrays: a state that was in no file has some."""
+    return value.detach().cpu().numpy() if hasattr(value, "detach") else value
+
+
+def _demand(sound: bool, place: str, otherwise: str) -> None:
+    if not sound:
+        raise ValueError(f"{place} {otherwise}")

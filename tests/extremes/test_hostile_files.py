@@ -1,0 +1,304 @@
+"""Files from anywhere: damaged, invented, enormous; refused with an error of ours, or harmless."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import io
+import json
+import os
+import struct
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from PIL import Image
+
+from fide_plugins import checkpoint, harness
+from fide_plugins.errors import CheckpointError, FideError, ImageError
+from fide_plugins.fide import FIDE
+from fide_plugins.harness.directory import RunDirectoryError, read_run
+from fide_plugins.images import Float32, as_target
+from fide_plugins.points import Float64
+from fide_tasks import scene_xml
+
+CASES = int(os.environ.get("FIDE_CASES", "1"))  # times as many as in CI
+FOLDER = Path(tempfile.mkdtemp())  # for files that a case writes over
+TARGET = np.random.default_rng(0).random((2, 2, 3), np.float32)
+
+
+def images_of(X: Float64) -> Float32:
+    images: Float32 = (X[:, :1, None, None] * TARGET).astype(np.float32)
+    return images
+
+
+def saved(**options: Any) -> dict[str, Any]:
+    """State of an optimizer that has searched, probed, scouted, and has candidates out."""
+    opt = FIDE(2, TARGET / 2, popsize=4, seed=1, patience=3, guard_images=False, **options)
+    for _ in range(30):
+        X = opt.ask()
+        opt.tell(X, images_of(X))
+    opt.ask(2)
+    opt.save(FOLDER / "saved")
+    return checkpoint.read(FOLDER / "saved", "fide")
+
+
+STATES = {
+    "linear": saved(),
+    "diffusion": saved(proposer="diffusion", epochs=1, restarts="none"),
+}
+
+
+def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Of everything in a state."""
+    children = (
+        node.items() if isinstance(node, dict)
+        else enumerate(node) if isinstance(node, list) else ()
+    )  # fmt: skip
+    for key, child in children:
+        yield (*at, key)
+        yield from places(child, (*at, key))
+
+
+def changed(state: Any, place: tuple[Any, ...], value: Any) -> Any:
+    """A copy with something else at that place; `...`: nothing."""
+    state = copy.deepcopy(state)
+    node = state
+    for key in place[:-1]:
+        node = node[key]
+    if value is ...:
+        del node[place[-1]]
+    else:
+        node[place[-1]] = value
+    return state
+
+
+ODD: list[Any] = [
+    ..., None, True, -1, 0, 1, 3, 2**40, 2**70, -(2**70), 0.5, 1e308, -1e300, 5e-324,
+    float("nan"), float("inf"), "", "x", [], [1], {}, {"a": 1}, b"x".decode(),
+    np.zeros(0), np.zeros(2), np.zeros(3), np.full(2, np.nan), np.full(2, 1e300), np.full(2, -1),
+    np.zeros((2, 2)), np.full((2, 2), np.inf), np.zeros((2, 2), np.int64), np.zeros((0, 7)),
+    np.zeros(2, bool), np.array("x"), np.zeros((2, 2, 3), np.float32), np.array([], "<U5"),
+]  # fmt: skip
+
+
+@settings(max_examples=120 * CASES, deadline=None)
+@given(st.sampled_from(sorted(STATES)), st.data(), st.integers(1, 3))
+def test_a_checkpoint_of_anything_is_refused_or_goes_on(
+    proposer: str, data: st.DataObject, changes: int
+) -> None:
+    """With a good checksum: what is accepted asks for candidates in the box, and can be told."""
+    state = STATES[proposer]
+    for _ in range(changes):
+        place = data.draw(st.sampled_from(list(places(state))))
+        state = changed(state, place, data.draw(st.sampled_from(ODD)))
+    checkpoint.write(FOLDER / "odd", "fide", state)
+    try:
+        opt = FIDE.load(FOLDER / "odd")
+    except CheckpointError:
+        return
+    for _ in range(3):
+        X = opt.ask(4)
+        assert X.shape == (4, opt.dim) and ((X >= 0) & (X <= 1)).all()
+        opt.tell(X, np.full((4, *opt.target.shape), 0.5), X[:, 0])
+    assert np.isfinite(opt.recommend()).all()
+
+
+def damage(data: bytes, kinds: list[tuple[int, int, int]]) -> bytes:
+    """Change, insert, remove, double or cut bytes: (kind, where, what)."""
+    for kind, where, what in kinds:
+        i = where % max(1, len(data))
+        data = {
+            0: data[:i] + bytes([what % 256]) + data[i + 1 :],
+            1: data[:i] + bytes([what % 256]) * (what % 9) + data[i:],
+            2: data[:i] + data[i + what % 40 :],
+            3: data[:i] + data[i : i + what % 40] * 2 + data[i + what % 40 :],
+            4: data[:i],
+        }[kind]
+    return data
+
+
+damages = st.lists(
+    st.tuples(st.sampled_from([0, 0, 0, 1, 2, 3, 4]), st.integers(0, 10**6), st.integers(0, 999)),
+    min_size=1,
+    max_size=4,
+)
+WHOLE = (FOLDER / "saved").read_bytes()
+
+
+@settings(max_examples=150 * CASES, deadline=None)
+@given(damages, st.booleans())
+def test_damaged_bytes_of_a_checkpoint(kinds: list[tuple[int, int, int]], mended: bool) -> None:
+    """Refused by the checksum; if that is mended too, refused or read as a dict."""
+    if mended:
+        body = damage(WHOLE[52:], [(k, w % 4000, b) for k, w, b in kinds])  # in the JSON tree
+        digest = hashlib.blake2b(body, digest_size=32).digest()
+        data = WHOLE[:12] + struct.pack("<Q", len(body)) + digest + body
+    else:
+        data = damage(WHOLE, kinds)
+    (FOLDER / "damaged").write_bytes(data)
+    try:
+        state = checkpoint.read(FOLDER / "damaged", "fide")
+    except CheckpointError:
+        return
+    assert isinstance(state, dict) and (mended or data == WHOLE)
+
+
+def test_an_enormous_file_is_not_read_to_be_refused(tmp_path: Path) -> None:
+    """A terabyte of zeros, and a header that promises as much."""
+    path = tmp_path / "huge"
+    for head in (b"", WHOLE[:12] + struct.pack("<Q", 2**60) + WHOLE[20:]):
+        path.write_bytes(head)
+        os.truncate(path, 2**40)
+        with pytest.raises(CheckpointError):
+            checkpoint.read(path, "fide")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(CheckpointError, match="pipe"):
+        checkpoint.read(tmp_path / "pipe", "fide")
+    with pytest.raises(CheckpointError, match="device"):
+        checkpoint.read("/dev/zero", "fide")
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=120 * CASES, deadline=None)
+@given(st.one_of(st.binary(max_size=60), json_values.map(lambda v: json.dumps(v).encode())))
+def test_a_record_of_a_run_that_is_none(content: bytes) -> None:
+    (FOLDER / "run.json").write_bytes(content)
+    with suppress(RunDirectoryError):
+        assert isinstance(read_run(FOLDER), dict)
+
+
+class Gray:
+    """A task."""
+
+    name, dim, target = "gray", 2, TARGET / 2
+
+    def render(self, X: Float64, seed: Any = None) -> Float32:
+        return images_of(X)
+
+
+def a_run(out: Path, resume: bool = True) -> harness.Run:
+    return harness.prepare(
+        Gray(), "fide", "mse", 30, 0, out=out, resume=resume, options={"popsize": 4},
+        checkpoint_every=0, keep=harness.Keep(summary=False),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    a_run(folder).execute()
+    return folder
+
+
+@settings(max_examples=60 * CASES, deadline=None)
+@given(st.data())
+def test_a_run_directory_of_anything_is_refused_or_goes_on(
+    run_folder: Path, data: st.DataObject
+) -> None:
+    before = {path.name: path.read_bytes() for path in run_folder.iterdir()}
+    state = checkpoint.read(run_folder / "run.ckpt", "run")
+    run = json.loads(before["run.json"])
+    try:
+        if data.draw(st.booleans()):
+            place = data.draw(st.sampled_from(list(places(state))))
+            odd = changed(state, place, data.draw(st.sampled_from(ODD)))
+            checkpoint.write(run_folder / "run.ckpt", "run", odd)
+        else:
+            place = data.draw(st.sampled_from(list(places(run))))
+            odd = changed(run, place, data.draw(st.sampled_from([*ODD[:3], 2**70, "x", [], {}])))
+            (run_folder / "run.json").write_text(json.dumps(odd))
+        with suppress(FideError, OSError):
+            a_run(run_folder).execute()
+    finally:
+        for path in run_folder.iterdir():
+            path.unlink()
+        for name, content in before.items():
+            (run_folder / name).write_bytes(content)
+
+
+@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "a/b", "", ".", "..", "a\0b"])
+def test_no_path_leads_out_of_a_run_directory(name: str, run_folder: Path, tmp_path: Path) -> None:
+    state = checkpoint.read(run_folder / "run.ckpt", "run")
+    for path in run_folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    checkpoint.write(tmp_path / "run.ckpt", "run", {**state, "optimizer": name})
+    with pytest.raises((CheckpointError, OSError)):
+        a_run(tmp_path)
+
+
+PICTURES = {}
+for _kind in ("PNG", "JPEG", "GIF", "TIFF", "BMP", "WEBP", "PPM", "ICO", "TGA"):
+    _stream = io.BytesIO()
+    Image.fromarray(np.arange(12 * 16 * 3, dtype=np.uint8).reshape(12, 16, 3)).save(_stream, _kind)
+    PICTURES[_kind] = _stream.getvalue()
+
+
+@pytest.mark.filterwarnings("ignore")  # Pillow's remarks on damaged files
+@settings(max_examples=200 * CASES, deadline=None)
+@given(st.sampled_from(sorted(PICTURES)), damages)
+def test_a_damaged_picture_is_a_picture_or_refused(
+    kind: str, kinds: list[tuple[int, int, int]]
+) -> None:
+    (FOLDER / "picture").write_bytes(damage(PICTURES[kind], kinds))
+    try:
+        image = as_target(FOLDER / "picture")
+    except ImageError:
+        return
+    assert image.dtype == np.float32 and image.ndim == 3 and image.shape[2] == 3
+    assert image.min() >= 0 and image.max() <= 1
+
+
+BOMBS = {
+    "GIF": b"GIF89a" + struct.pack("<HH", 65000, 65000) + b"\x80\0\0" + bytes(6)
+    + b"," + struct.pack("<HHHH", 0, 0, 65000, 65000) + b"\0\x02\x02D\x01\0;",
+    "BMP": b"BM" + struct.pack("<IHHI", 100, 0, 0, 54)
+    + struct.pack("<IiiHHIIiiII", 40, 100_000, 100_000, 1, 24, 0, 0, 0, 0, 0, 0),
+    "PPM": b"P6 100000 100000 255\n" + bytes(30),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", sorted(BOMBS))
+def test_bombs(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "bomb").write_bytes(BOMBS[kind])
+    with pytest.raises(ImageError):
+        as_target(tmp_path / "bomb")
+
+
+SCENE = b"""<scene version="3.0.0">
+  <default name="spp" value="4"/>
+  <sensor type="perspective"><film type="hdrfilm"/></sensor>
+  <emitter type="constant"/>
+  <shape type="obj"><string name="filename" value="part.obj"/></shape>
+  <include filename="more.xml"/>
+</scene>"""
+(FOLDER / "part.obj").write_text("v 0 0 0\n")
+(FOLDER / "more.xml").write_text('<scene version="3.0.0"></scene>')
+
+
+@settings(max_examples=150 * CASES, deadline=None)
+@given(damages)
+def test_a_damaged_scene_is_a_scene_or_refused(kinds: list[tuple[int, int, int]]) -> None:
+    (FOLDER / "scene.xml").write_bytes(damage(SCENE, kinds))
+    try:
+        scene = scene_xml.read(FOLDER / "scene.xml")
+    except (ValueError, OSError):
+        return
+    named = [e.get("value", "") for e in scene.iter() if e.get("name") == "filename"]
+    assert all(Path(name).resolve().is_relative_to(FOLDER.resolve()) for name in named if name)
