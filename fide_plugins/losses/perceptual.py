@@ -2,9 +2,9 @@
 
 What it is: a comparison of local structure relative to local contrast, at four scales, plus one of
 coarse colors.  It belongs to the family of normalized-gradient and structural-similarity measures.
-Despeckling (see `despeckle`), averaging over areas and a floor under the contrast make it shrug off
-pixel noise, such as that of Monte Carlo rendering; the coarse scales give it a slope toward the
-target from afar.
+Averaging over areas, a floor under the contrast, and an estimate of what noise adds make it shrug
+off the noise of Monte Carlo rendering; the coarse scales give it a slope toward the target from
+afar.
 
 What it is not: LPIPS or any other learned metric.  It has not been fitted to people's judgments,
 knows nothing of semantics, and compares structure place by place, so textures that merely look
@@ -12,19 +12,26 @@ alike differ.
 
 Definition
 ----------
-v_l      despeckled image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is
-         their spacing, sqrt(H W) 2^l / 56, for l = 0..3; coarser scales are averages of the finest
-         one's samples
-g_l      differences of neighboring samples of v_l, right and down, all three colors (six numbers)
+v_l      image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is their spacing,
+         sqrt(H W) 2^l / 56, for l = 0..3; coarser scales are averages of the finest one's samples
+w_l      grain: the same of the image times a checkerboard, +1 and -1 at neighboring pixels
+g_l, h_l differences of neighboring samples of v_l and w_l, right and down, all three colors (six)
 M        local mean: Gaussian of 2 samples width, at every second sample
+(a)_b    a, but not less than b / 10
 
-    loss = 1/4 sum_l  mean  M |g_l - g'_l|^2 / (M |g_l|^2 + M |g'_l|^2 + c)
-           + 4 mean |v_3 - v'_3|^2
+    loss = 1/4 sum_l  mean  (M |g_l - g'_l|^2 - M |h_l - h'_l|^2)_(M |g_l - g'_l|^2)
+                            / (M |g_l|^2 + M |g'_l|^2 + c)
+           + 4 (mean |v_3 - v'_3|^2 - mean |w_3 - w'_3|^2)_(mean |v_3 - v'_3|^2)
 
-with the target's g', v' and c = 0.001, the square of a contrast that is just about noise.  Each
-fraction lies in [0, 2]: 1 where structure is missing or unrelated, 2 where it is inverted.  The
-loss is symmetric, and zero if and only if all v are equal up to constants and v_3 = v'_3.
-Version 1 saw specks.
+with the target's g', h', v', w' and c = 0.001, the square of a contrast that is just about noise.
+Each fraction lies in [0, 2]: 1 where structure is missing or unrelated, 2 where it is inverted.
+The loss is symmetric, and zero if and only if all v are equal up to constants and v_3 = v'_3.
+
+What is subtracted: noise that is independent from pixel to pixel looks the same on a checkerboard,
+so it adds as much, in the mean, to |h - h'|^2 as to |g - g'|^2; a picture whose structures are
+wider than a pixel adds next to nothing.  That takes the noise out of the mean of the loss and
+leaves the picture alone, which a filter would change.  Averages over few pixels tell the two apart
+badly, so below 84 x 84 pixels nothing is subtracted.  Version 1 never did.
 """
 
 from __future__ import annotations
@@ -34,8 +41,8 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+from scipy.sparse import diags_array
 
-from fide_plugins.despeckle import despeckled
 from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
@@ -45,11 +52,15 @@ __all__ = ["PerceptualLoss"]
 LEVELS = 4
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
 FLOOR = np.float32(1e-3)  # c
+LEAST = 0.1  # of a square that remains when noise is subtracted
 COLOR_WEIGHT = 4.0
+GRAIN_FROM = 1.5  # pixels between the finest samples from which on grain is told from picture
 # rows: Y, Cb, Cr of Rec. 601, as weights of R, G, B
 OPPONENT = np.array(
     [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
 )
+
+Weights = tuple[Any, Any]  # of samples, along both axes
 
 
 @dataclass(frozen=True)
@@ -59,17 +70,17 @@ class _Level:
     The finest level samples pixels, the others the finest one's samples.
     """
 
-    samples: tuple[Any, Any]
-    local: tuple[Any, Any]
+    samples: Weights
+    local: Weights
 
 
 @dataclass(frozen=True)
 class _Structure:
-    """Features of one image at one scale.
+    """Features of one image at one scale; k = 2 for picture and grain, or 1 without the latter.
 
-    colors: [a, 3, b] opponent colors of a x b samples
-    gradient: [a, 6, b] their differences along both axes
-    energy: [a, b] squared length of the gradient
+    colors: [a, k, 3, b] opponent colors of a x b samples
+    gradient: [a, k, 6, b] their differences along both axes
+    energy: [a, 1, b] squared length of the picture's gradient
     """
 
     colors: Float32
@@ -87,28 +98,35 @@ class PerceptualLoss(LossOfTarget):
         super().__init__(target)
         height, width, _ = self.target.shape
         self._levels = _levels(height, width)
+        self._samplers = [self._levels[0].samples]  # of picture and grain
+        if FINEST * sqrt(height * width) >= GRAIN_FROM:
+            self._samplers.append(_on_checkerboard(self._levels[0].samples))
         self._structure = self._features(self.target)
 
     def _features(self, image: Float32) -> list[_Structure]:
-        finest, *coarser = self._levels
-        rgb = resample(planes(despeckled(image)), *finest.samples)
-        colors = planes((rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape))
+        pixels = planes(image)
+        sampled = [_opponent(resample(pixels, *weights)) for weights in self._samplers]
+        finest = np.stack(sampled, axis=1)  # (a, k, 3, b)
         return [
-            _structure(colors),
-            *(_structure(planes(resample(colors, *level.samples))) for level in coarser),
+            _structure(finest),
+            *(
+                _structure(_samples_last(resample(finest, *level.samples)))
+                for level in self._levels[1:]
+            ),
         ]
 
     def _distance(self, image: Float32) -> float:
         total = 0.0
         features = self._features(image)
         for own, target, level in zip(features, self._structure, self._levels, strict=True):
-            difference = own.gradient - target.gradient
-            energies = np.stack([_energy(difference), own.energy + target.energy], axis=1)
-            means = resample(energies, *level.local)
-            ratio = means[..., 0] / (means[..., 1] + FLOOR)
+            squares = _sum_of_squares(own.gradient - target.gradient)  # [a, k, b]
+            contrast = own.energy + target.energy
+            means = resample(np.concatenate([squares, contrast], axis=1), *level.local)
+            ratio = _without_noise(means[..., :-1]) / (means[..., -1] + FLOOR)
             total += float(ratio.mean(dtype=np.float64))
-        coarse = np.square(features[-1].colors - self._structure[-1].colors).sum(axis=1)
-        return total / LEVELS + COLOR_WEIGHT * float(coarse.mean(dtype=np.float64))
+        coarse = np.square(features[-1].colors - self._structure[-1].colors).sum(axis=2)
+        color = _without_noise(coarse.mean(axis=(0, 2), dtype=np.float64))
+        return total / LEVELS + COLOR_WEIGHT * float(color)
 
 
 def _levels(height: int, width: int) -> list[_Level]:
@@ -133,13 +151,39 @@ def _local(samples: int) -> Any:
     return gaussian_means(samples, samples_at(samples, 2.0), 2.0)
 
 
+def _on_checkerboard(weights: Weights) -> Weights:
+    """Weights that sample the image times a checkerboard, as `weights` sample the image."""
+    down, across = (w @ diags_array((-1.0) ** np.arange(w.shape[1])) for w in weights)
+    return down.astype(np.float32).tocsr(), across.astype(np.float32).tocsr()
+
+
+def _opponent(rgb: Float32) -> Float32:
+    """Opponent colors (a, 3, b) of (a, b, 3)."""
+    colors: Float32 = (rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape)
+    return colors.transpose(0, 2, 1)
+
+
+def _samples_last(x: Float32) -> Float32:
+    """(a, b, k, 3) as (a, k, 3, b), contiguous."""
+    return np.ascontiguousarray(np.moveaxis(x, 1, -1))
+
+
 def _structure(colors: Float32) -> _Structure:
-    gradient = np.zeros((len(colors), 6, colors.shape[2]), np.float32)
-    np.subtract(colors[1:], colors[:-1], out=gradient[:-1, :3])
-    np.subtract(colors[:, :, 1:], colors[:, :, :-1], out=gradient[:, 3:, :-1])
-    return _Structure(colors, gradient, _energy(gradient))
+    a, k, _, b = colors.shape
+    gradient = np.zeros((a, k, 6, b), np.float32)
+    np.subtract(colors[1:], colors[:-1], out=gradient[:-1, :, :3])
+    np.subtract(colors[..., 1:], colors[..., :-1], out=gradient[:, :, 3:, :-1])
+    return _Structure(colors, gradient, _sum_of_squares(gradient[:, :1]))
 
 
-def _energy(gradient: Float32) -> Float32:
-    energy: Float32 = np.square(gradient).sum(axis=1)
-    return energy
+def _sum_of_squares(gradient: Float32) -> Float32:
+    """Of gradients [a, k, 6, b], [a, k, b]."""
+    squares: Float32 = np.einsum("akcb,akcb->akb", gradient, gradient)
+    return squares
+
+
+def _without_noise(squares: Any) -> Any:
+    """Of squares (..., k) the picture's, less the grain's if it is known; a tenth at least."""
+    if squares.shape[-1] == 1:
+        return squares[..., 0]
+    return np.maximum(squares[..., 0] - squares[..., 1], LEAST * squares[..., 0])

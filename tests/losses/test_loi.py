@@ -52,7 +52,7 @@ def test_local_histograms_by_the_definition(spatial: float, extent: float) -> No
     loss = LocallyOrderlessLoss(image, scales=[(spatial / 24, extent / 24)], tonal=0.15, tones=5)
     (histograms,) = loss.histograms(image)
     blur = weights(24, 24, spatial) if spatial else np.eye(24)
-    blurred = np.einsum("ip,jq,pqc->ijc", blur, blur, image)
+    blurred = np.einsum("ip,jq,pqc->ijc", blur, blur, image, optimize=True)
     isophotes = ndtr((np.linspace(-0.15, 1.15, 5) - blurred[..., None]) / 0.15)
     rows, columns = (weights(24, n, extent) for n in histograms.shape[:2])
     expected = np.einsum("ip,jq,pqck->ijck", rows, columns, isophotes)
@@ -70,9 +70,10 @@ def test_the_three_scales_together() -> None:
         blur, window = weights(96, 96, spatial * unit), weights(96, 96, extent * unit)
         histograms = []
         for image in (a, b):
-            blurred = np.einsum("ip,jq,pqc->ijc", blur, blur, image)
+            blurred = np.einsum("ip,jq,pqc->ijc", blur, blur, image, optimize=True)
             isophotes = ndtr((loss.tones - blurred[..., None]) / loss.tonal)
-            histograms.append(np.einsum("ip,jq,pqck->ijck", window, window, isophotes))
+            orderless = np.einsum("ip,jq,pqck->ijck", window, window, isophotes, optimize=True)
+            histograms.append(orderless)
         spacing = float(loss.tones[1] - loss.tones[0])
         total += np.abs(histograms[0] - histograms[1]).sum(axis=3).mean() * spacing / 4
     np.testing.assert_allclose(loss(b[None].astype(np.float32))[0], total, rtol=0.05)
