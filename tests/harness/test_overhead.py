@@ -40,7 +40,7 @@ def test_the_loop_adds_at_most_a_fifth_of_a_millisecond_to_cma_es(tmp_path: Path
         run.execute()
         return time.process_time() - start
 
-    # CPU time, the smallest of three: what other programs do counts as little as it can.
-    base = min(by_hand() for _ in range(3))
-    whole = min(through_the_harness(tmp_path / str(i)) for i in range(3))
+    # CPU time, the smallest of six: what other programs do counts as little as it can.
+    base = min(by_hand() for _ in range(6))
+    whole = min(through_the_harness(tmp_path / str(i)) for i in range(6))
     assert 1e3 * (whole - base) / BUDGET < LIMIT_MS

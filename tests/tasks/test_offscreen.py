@@ -249,9 +249,9 @@ def test_frames_leave_no_memory_behind(task: Robot) -> None:
 
 @needs_proc
 def test_contexts_leave_no_memory_behind() -> None:
-    """Less than 1 MB each; the allocator may keep some of its own, more after other tests."""
+    """What leaks does so every time; the allocator keeps some of its own now and then."""
     X = random_x(1)
-    assert grows(lambda: Robot(112).render(X), warm=10, n=30) < 25
+    assert min(grows(lambda: Robot(112).render(X), warm=5, n=10) for _ in range(3)) < 8
 
 
 @needs_proc
