@@ -40,7 +40,7 @@ class Subject:
 
     name: str
     options: dict[str, Any] = field(default_factory=dict)
-    evaluations: int = 90
+    evaluations: int = 80
     close: float = 0.16
 
     def __str__(self) -> str:
@@ -89,18 +89,18 @@ class Subject:
 
 SUBJECTS = [
     Subject("cma", evaluations=400, close=1e-4),
-    Subject("dfols", evaluations=60),
-    Subject("dibo", TINY_DIBO, evaluations=80),
+    Subject("dfols", evaluations=40),
+    Subject("dibo", TINY_DIBO, evaluations=60),
     Subject("dual-annealing"),
     Subject("eki", {"popsize": 20}, close=0.1),
-    Subject("fide-annealing", {"samples": 30, "epochs": 1}, evaluations=90),
+    Subject("fide-annealing", {"samples": 20, "epochs": 1}, evaluations=60),
     Subject(
         "inverse",
         {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
         evaluations=80,
     ),
-    Subject("nevergrad:TwoPointsDE", evaluations=60),
-    Subject("optuna:CmaEsSampler", evaluations=60),
+    Subject("nevergrad:TwoPointsDE", evaluations=40),
+    Subject("optuna:CmaEsSampler", evaluations=40),
     Subject("random"),
     Subject("zerograds", {"batch": 4}),
 ]

@@ -101,10 +101,10 @@ def test_global_random_state_is_neither_read_nor_changed(subject: Subject) -> No
 
 def test_seeds(subject: Subject) -> None:
     several = [subject.make(3, seed=s) for s in (0, 1, None, None)]
-    runs = [np.concatenate(subject.minimize(opt, 40)).tobytes() for opt in several]
+    runs = [np.concatenate(subject.minimize(opt, 25)).tobytes() for opt in several]
     assert len(set(runs)) == 4
     assert (
-        np.concatenate(subject.minimize(subject.make(3, seed=several[2].seed), 40)).tobytes()
+        np.concatenate(subject.minimize(subject.make(3, seed=several[2].seed), 25)).tobytes()
         == runs[2]
     )
 
@@ -115,7 +115,7 @@ def test_foreign_points_are_counted_and_can_be_best_but_do_not_move_the_search(
     ours, theirs = subject.make(3, seed=2), subject.make(3, seed=2)
     guess = np.full((1, 3), 0.3)
     subject.tell(theirs, guess)
-    subject.minimize(ours, 50)
+    subject.minimize(ours, 25)
     while theirs.evaluations < ours.evaluations + 1:
         subject.tell(theirs, theirs.ask())
     np.testing.assert_array_equal(ours.ask(), theirs.ask())

@@ -95,11 +95,11 @@ def test_the_size_of_losses_does_not_matter() -> None:
 
 def test_it_goes_downhill_and_stays_in_the_box() -> None:
     opt = ZeroGrads(4, seed=0, learning_rate=5e-3)
-    while opt.evaluations < 3000:
+    while opt.evaluations < 2000:
         X = opt.ask()
         assert X.min() >= 0.0 and X.max() <= 1.0
         opt.tell(X, losses=valley(X))
-    assert valley(opt.recommend()[None])[0] < 0.1 < valley(np.full((1, 4), 0.5))[0] / 3
+    assert valley(opt.recommend()[None])[0] < 0.12 < valley(np.full((1, 4), 0.5))[0] / 3
 
 
 @pytest.mark.parametrize(
