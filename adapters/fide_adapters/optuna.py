@@ -21,13 +21,12 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from torch import Tensor
 
 from fide_plugins.errors import DependencyError, OptionError, ProtocolError
 from fide_plugins.images import as_target
 from fide_plugins.losses.base import as_losses
-from fide_plugins.points import Float64, new_seed, whole_number
+from fide_plugins.points import new_seed, whole_number
 
 try:
     from optuna.distributions import BaseDistribution
@@ -46,12 +45,9 @@ from fide_adapters.optuna_parts.independent import NumberedSampler
 from fide_adapters.optuna_parts.memory import Memory
 from fide_adapters.optuna_parts.records import IMAGE, write_image
 from fide_adapters.optuna_parts.settings import Recipe, Settings
-from fide_adapters.optuna_parts.space import Space
 from fide_adapters.optuna_parts.voice import Voice
 
 __all__ = ["FIDESampler", "ImageLoss", "ImageRef", "image_objective"]
-
-_NO_PARAMETERS: Float64 = np.empty(0)
 
 
 class FIDESampler(BaseSampler):
@@ -208,11 +204,8 @@ class FIDESampler(BaseSampler):
             self._settings.voice.note("target", "FIDESampler without a target is CMA-ES")
         if not search_space:
             return {}
-        space = Space(search_space)
-        if space.dim == 0:
-            return space.decode(_NO_PARAMETERS)
         with self._lock:
-            return self._memory_of(study).ask(study, trial, space)
+            return self._memory_of(study).ask(study, trial, search_space)
 
     def sample_independent(
         self,

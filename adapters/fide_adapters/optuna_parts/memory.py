@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections import OrderedDict
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
-from optuna.distributions import BaseDistribution, distribution_to_json
+from optuna.distributions import BaseDistribution
 from optuna.storages import BaseStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial
@@ -46,6 +44,8 @@ class Memory:
         self._history = History(self._settings.voice)
         self._relative = RelativeSpace(self._settings.voice)
         self._models: OrderedDict[str, Model] = OrderedDict()
+        self._distributions: dict[str, BaseDistribution] = {}  # that were asked for last
+        self._space, self._digest = Space({}), ""
 
     def is_of(self, study: Study) -> bool:
         """Whether this is the study; a restored sampler takes the one of the same name for it."""
@@ -96,11 +96,18 @@ class Memory:
         optimizer = self._settings.recipe.make(before + space.dim, self._seed or 0)
         return space.decode(optimizer.ask(1)[0, before:])[name]
 
-    def ask(self, study: Study, trial: FrozenTrial, space: Space) -> dict[str, Any]:
+    def ask(
+        self, study: Study, trial: FrozenTrial, distributions: Mapping[str, BaseDistribution]
+    ) -> dict[str, Any]:
         """Parameters of a trial, after writing down which candidate it is."""
+        if distributions != self._distributions:
+            self._distributions, self._space = dict(distributions), Space(distributions)
+            self._digest = self._settings.recipe.digest_of(self._space.distributions)
+        if self._space.dim == 0:
+            return self._space.decode(np.empty(0))
         if trial.number >= len(self._trials):
             self.look(study)
-        model = self._model(space)
+        model = self._model()
         lesson = partial(self._lesson, study)
         model.catch_up(self._trials, lesson)
         passed = model.stop_waiting(self._trials, trial.number, lesson)
@@ -110,21 +117,16 @@ class Memory:
         study._storage.set_trial_system_attr(trial._trial_id, ASK, ask.to_json())
         return params
 
-    def _model(self, space: Space) -> Model:
-        digest = self._digest(space)
+    def _model(self) -> Model:
+        digest = self._digest
         model = self._models.get(digest)
         if model is None:
-            make = partial(self._settings.recipe.make, space.dim, self._seed or 0)
-            model = self._models[digest] = Model(space, make, self._history, digest)
+            make = partial(self._settings.recipe.make, self._space.dim, self._seed or 0)
+            model = self._models[digest] = Model(self._space, make, self._history, digest)
         self._models.move_to_end(digest)
         while len(self._models) > _MOST_MODELS:
             self._models.popitem(last=False)
         return model
-
-    def _digest(self, space: Space) -> str:
-        described = {n: distribution_to_json(d) for n, d in space.distributions.items()}
-        text = json.dumps([self._settings.recipe.digest, described])
-        return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
     def _lesson(self, study: Study, trial: FrozenTrial, shared: bool) -> Lesson | None:
         """Loss and tokens of a finished trial."""

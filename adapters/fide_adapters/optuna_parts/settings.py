@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
+from optuna.distributions import BaseDistribution, distribution_to_json
 
 from fide_adapters.optuna_parts.artifacts import ImageArtifacts
 from fide_adapters.optuna_parts.eye import Eye
@@ -49,12 +50,12 @@ class Recipe:
         """Name of the encoder."""
         return make_options(self.preset, self.options).encoder
 
-    @property
-    def digest(self) -> str:
-        """Equal for recipes whose optimizers ask alike, if their seeds are."""
+    def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
+        """Eight characters, equal for optimizers that ask alike, if their seeds are equal."""
         options = asdict(make_options(self.preset, self.options))
-        text = json.dumps([options, self.sigma0, self.target is None], sort_keys=True)
-        return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+        described = {name: distribution_to_json(space[name]) for name in space}
+        text = json.dumps([options, self.sigma0, self.target is None, described], sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
     def make(self, dim: int, seed: int) -> FIDE:
         """Optimizer of so many parameters, at least one."""

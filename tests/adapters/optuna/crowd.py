@@ -1,10 +1,10 @@
 """Worker processes on one study.
 
-    python crowd.py STORAGE WORKERS TRIALS FOLDER [DIES]
+    python crowd.py WORKERS TRIALS DIES FOLDER STORAGE [FOLDER STORAGE ...]
 
-Everything is imported once, then workers are forked, each with a storage and a sampler of its own;
-each runs so many trials.  Worker 0 is killed (SIGKILL) in the middle of its trial number DIES, from
-0.  When all others have finished, each writes what it believes into FOLDER.
+Everything is imported once, then for each storage workers are forked, with a storage and a sampler
+of their own; each runs so many trials.  Worker 0 is killed (SIGKILL) in the middle of its trial
+number DIES, from 0.  When all others have finished, each writes what it believes into FOLDER.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def belief(study: optuna.Study) -> dict[str, Any]:
     return {"counts": counts, "at": model.at, "next": candidate, "pid": os.getpid()}
 
 
-def work(worker: int, where: str, trials: int, folder: Path, dies: int | None) -> None:
+def work(worker: int, where: str, trials: int, folder: Path, dies: int) -> None:
     """Run so many trials."""
     study = open_study(where)
     sampler = study.sampler
@@ -89,28 +89,33 @@ def work(worker: int, where: str, trials: int, folder: Path, dies: int | None) -
     (folder / f"belief-{worker}.json").write_text(json.dumps(belief(study)))
 
 
-def main() -> None:
-    """Fork the workers and wait for them."""
-    where, workers, trials, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
-    dies = int(sys.argv[5]) if len(sys.argv) > 5 else None
-    optuna.logging.set_verbosity(logging.WARNING)
+def crowd(workers: int, trials: int, dies: int, folder: Path, where: str) -> None:
+    """Fork workers and wait for them."""
     optuna.create_study(study_name="crowd", storage=open_storage(where))
     living = set()
     for worker in range(workers):
         pid = os.fork()
         if pid == 0:
-            work(worker, where, trials, Path(folder), dies)
+            work(worker, where, trials, folder, dies)
             os._exit(0)
         living.add(pid)
-    while len(list(Path(folder).glob("finished-*"))) < len(living):
+    while len(list(folder.glob("finished-*"))) < len(living):
         pid, _ = os.waitpid(-1, os.WNOHANG)
         living.discard(pid)
         time.sleep(0.01)
-    Path(folder, "go").touch()
+    (folder / "go").touch()
     for pid in living:
         _, status = os.waitpid(pid, 0)
         if status:
             sys.exit(f"worker {pid} ended with status {status}")
+
+
+def main() -> None:
+    """One crowd after the other."""
+    optuna.logging.set_verbosity(logging.WARNING)
+    workers, trials, dies = map(int, sys.argv[1:4])
+    for folder, where in zip(sys.argv[4::2], sys.argv[5::2], strict=True):
+        crowd(workers, trials, dies, Path(folder), where)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -19,46 +18,7 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 CROWD = Path(__file__).with_name("crowd.py")
-WORKERS, TRIALS = 4, 12
-
-
-def run(where: str, folder: Path, *dies: int) -> list[dict[str, Any]]:
-    """Let a crowd work; what each surviving worker believes."""
-    command = [sys.executable, str(CROWD), where, str(WORKERS), str(TRIALS), str(folder)]
-    done = subprocess.run(
-        [*command, *map(str, dies)],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    assert done.returncode == 0, done.stderr
-    return [json.loads(path.read_text()) for path in sorted(folder.glob("belief-*.json"))]
-
-
-def check(study: optuna.Study, beliefs: list[dict[str, Any]], killed: int) -> None:
-    trials = study.get_trials(deepcopy=False)
-    complete = [t for t in trials if t.state is TrialState.COMPLETE]
-    running = [t for t in trials if t.state is TrialState.RUNNING]
-    assert len(running) == killed
-    assert len(complete) == TRIALS * (WORKERS - killed) + 5 * killed
-    assert all("fide:image" in t.system_attrs for t in complete)
-    assert len({tuple(t.params.values()) for t in trials}) == len(trials)  # nothing asked twice
-    assert len(beliefs) == len({b["pid"] for b in beliefs}) == WORKERS - killed
-    for belief in beliefs:
-        assert {**belief, "pid": 0} == {**beliefs[0], "pid": 0}
-    counts, at = beliefs[0]["counts"], beliefs[0]["at"]
-    told = sum(counts[role] for role in ("member", "late", "guest", "foreign") if role in counts)
-    assert told == counts["image"] == sum(t.number < at for t in complete)  # each exactly once
-    assert at == len(trials)
-    largest = max(len(json.dumps(value)) for t in trials for value in t.system_attrs.values())
-    assert largest <= 2045
-
-
-def test_point_8_four_processes_on_a_journal(tmp_path: Path) -> None:
-    path = str(tmp_path / "study.log")
-    beliefs = run(path, tmp_path, 5)
-    storage = JournalStorage(JournalFileBackend(path))
-    check(optuna.load_study(study_name="crowd", storage=storage), beliefs, 1)
+WORKERS, TRIALS, DIES = 4, 12, 5
 
 
 def postgresql() -> Path | None:
@@ -69,12 +29,13 @@ def postgresql() -> Path | None:
     return next((folder for folder in folders if (folder / "initdb").exists()), None)
 
 
-@pytest.fixture
-def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """URL of a new PostgreSQL server that listens to a socket in a folder only."""
+@pytest.fixture(scope="module")
+def database() -> Iterator[str | None]:
+    """URL of a new PostgreSQL server that listens to a socket in a folder; None: there is none."""
     programs = postgresql()
     if programs is None:
-        pytest.skip("PostgreSQL is not installed (apt-get install postgresql)")
+        yield None
+        return
     folder = Path("/tmp") / f"fide-postgresql-{os.getpid()}"  # short, as sockets must be
     folder.mkdir(mode=0o700)
     as_user: list[str] = []
@@ -84,24 +45,72 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         as_user = ["setpriv", f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"]
     quick = "-c fsync=off -c synchronous_commit=off -c shared_buffers=16MB"
     options = f"{quick} -c listen_addresses='' -k {folder}"
-    data = str(folder / "data")
 
     def call(program: str, *arguments: str) -> None:
-        command = [*as_user, str(programs / program), "-D", data, *arguments]
+        command = [*as_user, str(programs / program), "-D", str(folder / "data"), *arguments]
         subprocess.run(command, check=True, capture_output=True, cwd=folder)
 
     try:
         call("initdb", "-U", "postgres", "--auth=trust", "--no-sync", "-E", "UTF8")
         call("pg_ctl", "-w", "-l", str(folder / "log"), "-o", options, "start")
-        yield f"postgresql+psycopg://postgres@/postgres?host={folder}"
-        call("pg_ctl", "-w", "-m", "immediate", "stop")
+        try:
+            yield f"postgresql+psycopg://postgres@/postgres?host={folder}"
+        finally:
+            call("pg_ctl", "-w", "-m", "immediate", "stop")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def test_point_8_four_processes_on_postgresql(database: str, tmp_path: Path) -> None:
-    beliefs = run(database, tmp_path, 5)
-    storage = RDBStorage(database)
-    check(optuna.load_study(study_name="crowd", storage=storage), beliefs, 1)
+@pytest.fixture(scope="module")
+def folders(
+    database: str | None, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[Path, str]]:
+    """Where a crowd has worked on each kind of storage, and the storage."""
+    journal = tmp_path_factory.mktemp("journal")
+    places = {"journal": (journal, str(journal / "study.log"))}
+    if database is not None:
+        places["postgresql"] = (tmp_path_factory.mktemp("postgresql"), database)
+    settings = map(str, (WORKERS, TRIALS, DIES))
+    arguments = [str(part) for place in places.values() for part in place]
+    done = subprocess.run(
+        [sys.executable, str(CROWD), *settings, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    return places
+
+
+def check(study: optuna.Study, folder: Path) -> None:
+    trials = study.get_trials(deepcopy=False)
+    complete = [t for t in trials if t.state is TrialState.COMPLETE]
+    running = [t for t in trials if t.state is TrialState.RUNNING]
+    assert len(running) == 1  # what the killed worker was at
+    assert len(complete) == TRIALS * (WORKERS - 1) + DIES
+    assert all("fide:image" in t.system_attrs for t in complete)
+    assert len({tuple(t.params.values()) for t in trials}) == len(trials)  # nothing asked twice
+    beliefs = [json.loads(path.read_text()) for path in folder.glob("belief-*.json")]
+    assert len(beliefs) == len({b["pid"] for b in beliefs}) == WORKERS - 1
+    for belief in beliefs:
+        assert {**belief, "pid": 0} == {**beliefs[0], "pid": 0}
+    counts, at = beliefs[0]["counts"], beliefs[0]["at"]
+    told = sum(counts.get(role, 0) for role in ("member", "late", "guest", "foreign"))
+    assert told == counts["image"] == sum(t.number < at for t in complete)  # each exactly once
+    assert at >= running[0].number
+
+
+def test_point_8_four_processes_on_a_journal(folders: dict[str, tuple[Path, str]]) -> None:
+    folder, path = folders["journal"]
+    storage = JournalStorage(JournalFileBackend(path))
+    check(optuna.load_study(study_name="crowd", storage=storage), folder)
+
+
+def test_point_8_four_processes_on_postgresql(folders: dict[str, tuple[Path, str]]) -> None:
+    if "postgresql" not in folders:
+        pytest.skip("PostgreSQL is not installed (apt-get install postgresql)")
+    folder, url = folders["postgresql"]
+    storage = RDBStorage(url)
+    check(optuna.load_study(study_name="crowd", storage=storage), folder)
     storage.remove_session()
     storage.engine.dispose()

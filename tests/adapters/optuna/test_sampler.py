@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import copy
 import gc
+import json
 import logging
-import multiprocessing
 import os
 import pickle
 import subprocess
@@ -150,29 +150,26 @@ def test_point_2_reseeding_reaches_the_independent_sampler() -> None:
 
 
 ELSEWHERE = """
-import logging, optuna
-optuna.logging.set_verbosity(logging.WARNING)
+import json
+import optuna
 from fide_adapters.optuna import FIDESampler
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
 study = optuna.create_study(sampler=FIDESampler(seed=1))
 study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
-print([t.params for t in study.trials], hash("nondeterministic hash"))
+print(json.dumps([[t.params for t in study.trials], hash("differs from process to process")]))
 """
 
 
 def test_point_2_reproducible_in_another_process() -> None:
-    outputs = []
-    for hash_seed in ("1", "2"):
-        environment = {**os.environ, "PYTHONHASHSEED": hash_seed}
-        output = subprocess.run(
-            [sys.executable, "-c", ELSEWHERE],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        outputs.append(output.rsplit(" ", 1))
-    assert outputs[0][0] == outputs[1][0]
-    assert outputs[0][1] != outputs[1][1]
+    run = [sys.executable, "-c", ELSEWHERE]
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
+    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=True)
+    params, hashed = json.loads(done.stdout)
+    study = optuna.create_study(sampler=FIDESampler(seed=1))
+    study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
+    assert [t.params for t in study.trials] == params
+    assert hash("differs from process to process") != hashed
 
 
 @pytest.mark.parametrize("how", ["pickle", "deepcopy"])
@@ -436,7 +433,7 @@ def test_point_13_constraints_are_used(bench: Bench) -> None:
         trial.set_constraint("left half", x[0] - 0.5)
         return sampler.tell_image(trial, bench.render(x))
 
-    study.optimize(objective, n_trials=250)
+    study.optimize(objective, n_trials=200)
     assert study.best_trial.params["x0"] <= 0.5
     last = [t for t in study.trials[-60:]]
     assert sum(t.params["x0"] <= 0.5 for t in last) > 30
@@ -756,9 +753,3 @@ def test_it_is_found_where_the_optimizer_is() -> None:
     import fide_plugins
 
     assert fide_plugins.FIDESampler is FIDESampler
-    assert multiprocessing.get_start_method(allow_none=True) in (
-        None,
-        "fork",
-        "spawn",
-        "forkserver",
-    )

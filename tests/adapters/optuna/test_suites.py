@@ -24,6 +24,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 class TestFIDESampler(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase):
-    @pytest.fixture(params=VARIANTS)
+    @pytest.fixture(params=["target", pytest.param("no target", marks=pytest.mark.slow)])
     def sampler(self, request: pytest.FixtureRequest) -> Callable[[], FIDESampler]:
         return lambda: FIDESampler(**VARIANTS[request.param])

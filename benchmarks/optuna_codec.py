@@ -1,0 +1,97 @@
+"""What it costs that workers learn from features as they are stored, in 1,300 bytes.
+
+    python benchmarks/optuna_codec.py --out benchmarks/results/optuna_codec.jsonl
+    python benchmarks/optuna_codec.py --table benchmarks/results/optuna_codec.jsonl
+
+Eight Voronoi cells, 40 parameters; the optimizer is told features, either as the encoder gives them
+or as they come out of the storage.  The same targets and seeds for both; a second call does what is
+missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+
+import fide_tasks
+from fide_adapters.optuna_parts.eye import Eye
+from fide_plugins import FIDE
+
+MARKS = (500, 1000, 2000)
+SIZE = 112
+ARMS = ("full", "stored")
+
+
+def run(arm: str, task_seed: int, seed: int) -> dict[str, Any]:
+    """Best losses at the marks."""
+    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
+    eye = Eye(task.target, None, "dense", "cpu")
+    optimizer = FIDE(task.dim, task.target, seed=seed)
+    losses: list[float] = []
+    while optimizer.evaluations < MARKS[-1]:
+        X = optimizer.ask()
+        images = task.render(X)
+        told = [eye.loss(image[None]) for image in images]
+        features = torch.stack([eye.tokens(image[None]) for image in images])
+        if arm == "stored":
+            features = torch.stack([eye.codec.unpack(eye.codec.pack(f)) for f in features])
+        optimizer.tell(X, losses=told, features=features)
+        losses += told
+    best = np.minimum.accumulate(losses)
+    return {str(mark): float(best[mark - 1]) for mark in MARKS}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--targets", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=5)
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(table(read(arguments.table)))
+        return
+    done = {(line["arm"], line["target"], line["seed"]) for line in read(arguments.out)}
+    for seed in range(arguments.seeds):
+        for target in range(arguments.targets):
+            for arm in ARMS:
+                if (arm, target, seed) not in done:
+                    line = {"arm": arm, "target": target, "seed": seed, **run(arm, target, seed)}
+                    with arguments.out.open("a") as file:
+                        file.write(json.dumps(line | {"date": time.strftime("%Y-%m-%d")}) + "\n")
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """Lines of a result file, if there is one."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def table(lines: list[dict[str, Any]]) -> str:
+    """Medians, and the mean ratio of pairs with its standard error, as Markdown."""
+    found = {(line["arm"], line["target"], line["seed"]): line for line in lines}
+    pairs = [key[1:] for key in found if key[0] == "full" and ("stored", *key[1:]) in found]
+    rows = ["| trials | pairs | full | stored | stored / full |", "|---|---|---|---|---|"]
+    for mark in map(str, MARKS):
+        full, stored = (np.array([found[arm, *pair][mark] for pair in pairs]) for arm in ARMS)
+        ratio = np.log((stored + 1e-4) / (full + 1e-4))
+        error = ratio.std(ddof=1) / np.sqrt(len(ratio))
+        low, high = np.exp(ratio.mean() - error), np.exp(ratio.mean() + error)
+        rows.append(
+            f"| {mark} | {len(pairs)} | {np.median(full):.5f} | {np.median(stored):.5f} | "
+            f"{np.exp(ratio.mean()):.2f} ({low:.2f} to {high:.2f}) |"
+        )
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""How many trials several workers need for what one worker reaches.
+
+    python benchmarks/optuna_workers.py --out benchmarks/results/optuna_workers.jsonl
+    python benchmarks/optuna_workers.py --table benchmarks/results/optuna_workers.jsonl
+
+Eight Voronoi cells, 40 parameters.  Workers are samplers of their own on one study in memory; they
+take turns in the order of a clock that is not real: a trial takes a time drawn from a log-normal
+distribution (standard deviation 0.3 of the logarithm), asking and telling take none.  So the
+figures do not depend on how many cores there are.  The same targets and seeds for all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import optuna
+
+import fide_tasks
+from fide_adapters.optuna import FIDESampler
+
+TRIALS = 1500
+EVERY = 25
+SIZE = 64
+SPREAD = 0.3
+LEVELS = (400, 700, 1000)  # trials of one worker
+
+
+def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
+    """Best loss after every 25 completed trials, and what the trials counted as."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
+    storage = optuna.storages.InMemoryStorage()
+    optuna.create_study(study_name="workers", storage=storage)
+    samplers = [FIDESampler(task.target, seed=seed) for _ in range(workers)]
+    studies = [
+        optuna.load_study(study_name="workers", storage=storage, sampler=sampler)
+        for sampler in samplers
+    ]
+    clock = np.random.default_rng([seed, workers])
+    busy: list[tuple[float, int, optuna.Trial]] = []
+    losses: list[float] = []
+
+    def begin(worker: int, now: float) -> None:
+        trial = studies[worker].ask()
+        for i in range(task.dim):
+            trial.suggest_float(f"x{i}", 0, 1)
+        heapq.heappush(busy, (now + clock.lognormal(0.0, SPREAD), worker, trial))
+
+    for worker in range(workers):
+        begin(worker, 0.0)
+    while len(losses) < TRIALS:
+        now, worker, trial = heapq.heappop(busy)
+        x = np.array([[trial.params[f"x{i}"] for i in range(task.dim)]])
+        loss = samplers[worker].tell_image(trial, task.render(x)[0])
+        studies[worker].tell(trial, loss)
+        losses.append(loss)
+        begin(worker, now)
+    curve = np.minimum.accumulate(losses)[EVERY - 1 :: EVERY]
+    return {"curve": curve.tolist(), "counts": samplers[0].counts(studies[0])}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 4])
+    parser.add_argument("--targets", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=5)
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(table(read(arguments.table)))
+        return
+    done = {(line["workers"], line["target"], line["seed"]) for line in read(arguments.out)}
+    for seed in range(arguments.seeds):
+        for target in range(arguments.targets):
+            for workers in arguments.workers:
+                if (workers, target, seed) not in done:
+                    line = {"workers": workers, "target": target, "seed": seed}
+                    line |= run(workers, target, seed) | {"date": time.strftime("%Y-%m-%d")}
+                    with arguments.out.open("a") as file:
+                        file.write(json.dumps(line) + "\n")
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """Lines of a result file, if there is one."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def table(lines: list[dict[str, Any]]) -> str:
+    """Trials that the mean curve (of the logarithm) takes to the level of one worker's."""
+    curves: dict[int, dict[tuple[int, int], Any]] = {}
+    for line in lines:
+        cell = line["target"], line["seed"]
+        curves.setdefault(line["workers"], {})[cell] = np.log(np.array(line["curve"]) + 1e-4)
+    shared = sorted(set.intersection(*(set(c) for c in curves.values())))
+    rows = [
+        "| workers | runs | "
+        + " | ".join(f"loss of {n} trials alone" for n in LEVELS)
+        + " | late |",
+        "|---|---|" + "---|" * (len(LEVELS) + 1),
+    ]
+    alone = mean(curves[1], shared)
+    for workers, cells in sorted(curves.items()):
+        needed = [trials_to(mean(cells, shared), alone[n // EVERY - 1]) for n in LEVELS]
+        ratios = [bootstrap(curves[1], cells, shared, n) for n in LEVELS]
+        cell = [
+            f"{t:.0f} ({t / n:.2f}; {low:.2f} to {high:.2f})"
+            for t, n, (low, high) in zip(needed, LEVELS, ratios, strict=True)
+        ]
+        counts = [line["counts"] for line in lines if line["workers"] == workers]
+        late = np.mean([c.get("late", 0) / sum_of(c) for c in counts])
+        rows.append(f"| {workers} | {len(shared)} | {' | '.join(cell)} | {late:.0%} |")
+    return "\n".join(rows)
+
+
+def sum_of(counts: dict[str, int]) -> int:
+    """Trials that were told."""
+    return sum(counts.get(role, 0) for role in ("member", "foreign", "late", "guest"))
+
+
+def mean(cells: dict[tuple[int, int], Any], which: list[tuple[int, int]]) -> Any:
+    """Mean of the logarithms of the curves."""
+    return np.mean([cells[cell] for cell in which], axis=0)
+
+
+def trials_to(curve: Any, level: float) -> float:
+    """Trials after which a falling curve is at the level, linear between its points."""
+    after = int(np.argmax(curve <= level))
+    if curve[after] > level:
+        return float("nan")
+    if after == 0:
+        return float(EVERY)
+    before = (curve[after - 1] - level) / (curve[after - 1] - curve[after])
+    return float(EVERY * (after + before))
+
+
+def bootstrap(
+    one: dict[tuple[int, int], Any],
+    several: dict[tuple[int, int], Any],
+    cells: list[tuple[int, int]],
+    n: int,
+) -> tuple[float, float]:
+    """Middle 68 % of the ratio of trials when runs are drawn again, in pairs."""
+    rng, ratios = np.random.default_rng(0), []
+    for _ in range(400):
+        drawn = [cells[i] for i in rng.integers(len(cells), size=len(cells))]
+        ratios.append(trials_to(mean(several, drawn), mean(one, drawn)[n // EVERY - 1]) / n)
+    low, high = np.nanpercentile(ratios, [16, 84])
+    return float(low), float(high)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Continue a study that another sampler began; its pictures are in an artifact store."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import optuna
+from optuna.artifacts import FileSystemArtifactStore, upload_artifact
+from PIL import Image
+
+import fide_tasks
+from fide_adapters.optuna import FIDESampler, image_objective
+
+optuna.logging.set_verbosity(optuna.logging.WARNING)
+task = fide_tasks.make("voronoi", size=64, seed=0)
+
+
+def render(trial: optuna.Trial) -> np.ndarray:
+    x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(task.dim)]
+    image: np.ndarray = task.render(np.array([x]))[0]
+    return image
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store = FileSystemArtifactStore(folder)
+
+        def objective(trial: optuna.Trial) -> float:  # as it was before anybody knew of FIDE
+            image = render(trial)
+            path = Path(folder, "image.png")
+            Image.fromarray(np.round(image * 255).astype(np.uint8)).save(path)
+            upload_artifact(artifact_store=store, file_path=str(path), study_or_trial=trial)
+            return float(np.square(image - task.target).mean())
+
+        study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=0))
+        study.optimize(objective, n_trials=100)
+        print(f"TPE, 100 trials: {study.best_value:.4f}")
+
+        sampler = FIDESampler(task.target, seed=0, artifact_store=store)
+        study.sampler = sampler
+        study.optimize(image_objective(render), n_trials=300)
+        print(f"FIDE, 300 more: {study.best_value:.4f}; counted as {sampler.counts(study)}")
+
+
+if __name__ == "__main__":
+    main()
