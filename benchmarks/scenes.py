@@ -29,7 +29,7 @@ from quality import ARMS, Arms, Cell, measured, read, run_missing
 from task_pictures import save
 
 import fide_tasks
-from fide_plugins import harness, losses
+from fide_plugins import encoders, harness, losses
 
 
 class Scene(NamedTuple):
@@ -46,7 +46,9 @@ SCENES = {
     "beads": Scene(6_000, 1, {"spp": 16}),
 }
 LOSSES = ("perceptual", "mse")
-RIVALS: Arms = {arm: ARMS[arm] for arm in list(ARMS)[:3]}
+RIVALS: Arms = {
+    arm: ARMS[arm] for arm in ("FIDE", "CMA-ES, default k, restarts", "CMA-ES, k = 50")
+}
 RESULTS = Path(__file__).parent / "results" / "scenes.jsonl"
 GAP = 4  # pixels between the images of a picture
 
@@ -139,6 +141,7 @@ def run_cell(
         **measured(cell, result),
         "judged": {who: judged(task, x) for who, x in answers.items() if x is not None},
         "x": {who: x.tolist() for who, x in answers.items() if x is not None},
+        "versions": versions(cell["loss"], task.target),
         "render_ms": round(result.render_s / cell["budget"] * 1e3, 3),
     }
 
@@ -149,6 +152,12 @@ def make_task(cell: Cell, threads: int | None = None) -> fide_tasks.Task:
     if threads is not None and "threads" in fide_tasks.options(cell["task"]):
         options["threads"] = threads
     return fide_tasks.make(cell["task"], cell["size"], cell["target"], **options)
+
+
+def versions(loss: str, target: NDArray[np.float32]) -> dict[str, str]:
+    """What the numbers depend on besides the options."""
+    named = {"loss": losses.make(loss, target), "encoder": encoders.make("dense")}
+    return {what: str(getattr(part, "version", loss)) for what, part in named.items()}
 
 
 def judged(task: fide_tasks.Task, x: NDArray[np.float64]) -> dict[str, float]:

@@ -42,13 +42,20 @@ class CMA(Replayed):
         super().__init__(dim, target, **options)
         self.restarts = restarts
         self.starts = 0  # searches begun so far
+        self._ended = (np.inf, np.full(self.dim, 0.5))  # as `_present`, the best that is over
         self._first_popsize = self.popsize
         self._rng = np.random.default_rng(self.seed)
         self._start(np.full(self.dim, 0.5))
 
     def recommend(self) -> Float64:
-        """Mean (dim,) of the present search distribution, in the box."""
-        return np.clip(np.asarray(self._es.result.xfavorite, np.float64), 0.0, 1.0)
+        """Mean (dim,) of the search that found the lowest loss, at its end or now; in the box."""
+        _, mean = min(self._ended, self._present(), key=lambda search: search[0])
+        return mean.copy()
+
+    def _present(self) -> tuple[float, Float64]:
+        """Lowest loss of the search under way, and the mean of its distribution."""
+        mean = np.asarray(self._es.result.xfavorite, np.float64)
+        return float(self._es.best.f), np.clip(mean, 0.0, 1.0)
 
     def _start(self, x0: Float64) -> None:
         import cma  # takes half a second
@@ -79,6 +86,7 @@ class CMA(Replayed):
             self._es.tell(list(X), _finite(losses).tolist())
             over = self.restarts != "none" and bool(self._es.stop())
         if over:
+            self._ended = min(self._ended, self._present(), key=lambda search: search[0])
             if self.restarts == "ipop":
                 self.popsize *= 2
             self._forget_pending()

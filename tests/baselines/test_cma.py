@@ -96,3 +96,19 @@ def test_an_optimum_in_the_corner_of_the_box() -> None:
         X = opt.ask()
         opt.tell(X, losses=X.sum(axis=1))
     assert opt.best is not None and opt.best.loss < 1e-6
+
+
+def test_the_recommendation_is_of_the_search_that_found_the_best() -> None:
+    """Two basins: most searches end in the worse one, and the last is seldom the best."""
+
+    def basins(X: Float64) -> Float64:
+        near, far = ((X - 0.15) ** 2).sum(axis=1), ((X - 0.8) ** 2).sum(axis=1)
+        losses: Float64 = np.minimum(50 * near, 0.05 + far)
+        return losses
+
+    opt = CMA(2, popsize=6, sigma0=0.1, seed=0)
+    while opt.starts < 12:
+        X = opt.ask()
+        opt.tell(X, losses=basins(X))
+    assert opt.best is not None and opt.best.loss < 1e-9
+    np.testing.assert_allclose(opt.recommend(), 0.15, atol=1e-3)
