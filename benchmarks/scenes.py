@@ -46,9 +46,7 @@ SCENES = {
     "beads": Scene(6_000, 1, {"spp": 16}),
 }
 LOSSES = ("perceptual", "mse")
-RIVALS: Arms = {
-    arm: ARMS[arm] for arm in ("FIDE", "CMA-ES, default k, restarts", "CMA-ES, k = 50")
-}
+RIVALS: Arms = {arm: ARMS[arm] for arm in ("FIDE", "CMA-ES, default k, restarts", "CMA-ES, k = 50")}
 RESULTS = Path(__file__).parent / "results" / "scenes.jsonl"
 GAP = 4  # pixels between the images of a picture
 
