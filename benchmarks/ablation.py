@@ -38,6 +38,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "weights: the best tenth counts": {"elite": 0.1},
     "source: the best candidate only": {"sources": 1},
     "all of the way, no noise": {"shortest_step": 1.0, "longest_step": 1.0, "noise": 0.0},
+    "proposed without evidence": {"evidence": 0.0},
     "share fixed at 0.3": {"share_rate": 0.0},
     "foreign candidates not guarded": {"guard_search": False},
     "memory of 2 generations": {"memory": 2},

@@ -34,7 +34,7 @@ class Options:
         3 d / 2 candidates; 600, or one generation, at most.
     select_tokens: whether the linear proposer leaves out tokens that do not vary, see
         `proposers.views`.
-    elite, ridge, sources, shortest_step, longest_step, noise: see `proposers.linear`.
+    elite, ridge, sources, shortest_step, longest_step, noise, evidence: see `proposers.linear`.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
 
@@ -66,6 +66,7 @@ class Options:
     shortest_step: float = 0.3
     longest_step: float = 1.2
     noise: float = 0.5
+    evidence: float = 0.05
 
     epochs: int = 20
     learning_rate: float = 1e-3
@@ -110,7 +111,14 @@ _POSITIVE = (
     "longest_step",
     "learning_rate",
 )
-_SHARES = ("share", "smallest_share", "largest_share", "share_rate", "improvement")
+_SHARES = (
+    "share",
+    "smallest_share",
+    "largest_share",
+    "share_rate",
+    "improvement",
+    "evidence",
+)
 
 
 def make_options(preset: str, changes: Mapping[str, Any]) -> Options:

@@ -73,6 +73,7 @@ def make_proposer(
             sources=options.sources,
             step=(options.shortest_step, options.longest_step),
             noise=options.noise,
+            evidence=options.evidence,
             minimum=min(2 * popsize, remembered),
             select=options.select_tokens,
         )

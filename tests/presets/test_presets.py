@@ -19,6 +19,8 @@ def test_the_paper_s_values() -> None:
     assert (paper.proposer, paper.share, paper.share_rate) == ("diffusion", 0.5, 0.0)
     assert (paper.epochs, paper.learning_rate, paper.schedule) == (20, 1e-3, (0.3, 0.2, 0.1))
     assert not paper.guard_search
+    assert not paper.select_tokens  # on elsewhere
+    assert all(PRESETS[name].select_tokens for name in PRESETS if name != "paper")
     assert paper.restarts == "none"
 
 
@@ -76,6 +78,7 @@ def test_unknown_names() -> None:
         ("patience", [0]),
         ("share", [-0.1, 1.1, float("nan"), "half", True]),
         ("smallest_share", [-0.1, 1.1]),
+        ("evidence", [-0.1, 1.1]),
         ("largest_share", [-0.1, 1.1]),
         ("share_rate", [-1, 2]),
         ("improvement", [-0.1, 1.1, float("nan")]),
