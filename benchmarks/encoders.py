@@ -53,9 +53,9 @@ class Scene(NamedTuple):
 
 
 SCENES = {
-    "voronoi": Scene(2000, 5, {}),
-    "spline": Scene(2000, 5, {}),
-    "robot": Scene(1000, 3, {}),
+    "voronoi": Scene(2000, 10, {}),
+    "spline": Scene(2000, 10, {}),
+    "robot": Scene(1000, 10, {}),
     "san_miguel": Scene(800, 2, {"spp": 8}),
     "beads": Scene(800, 2, {"spp": 16}),
 }
@@ -116,9 +116,10 @@ def run_cell(cell: Cell, loss: str, options: dict[str, Any]) -> Cell:
 def cells(arguments: argparse.Namespace, arms: list[str]) -> Iterator[Cell]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
     scenes = {name: SCENES[name] for name in arguments.tasks or list(SCENES)[:3]}
-    for seed in range(max(scene.seeds for scene in scenes.values())):
+    seeds = {task: arguments.seeds or scene.seeds for task, scene in scenes.items()}
+    for seed in range(max(seeds.values())):
         for task, scene in scenes.items():
-            if seed >= (arguments.seeds or scene.seeds):
+            if seed >= seeds[task]:
                 continue
             for arm in arms:
                 yield {
@@ -180,8 +181,13 @@ def make_control() -> None:
 
 
 def tables(rows: list[Cell]) -> str:
-    """Both tables, in Markdown: medians over the seeds."""
-    return "\n".join([*encoder_table(of(rows, "encoder")), "", *loss_table(of(rows, "loss"))])
+    """All tables, in Markdown: medians over the seeds that all arms of a table share."""
+    every = of(rows, "encoder")
+    handmade = [row for row in every if row["arm"][8:] in ("dense", "patch")]
+    with_networks = {(row["task"], row["size"]) for row in every if row not in handmade}
+    networks = [row for row in every if (row["task"], row["size"]) in with_networks]
+    blocks = [encoder_table(handmade), encoder_table(networks), loss_table(of(rows, "loss"))]
+    return "\n\n".join("\n".join(block) for block in blocks)
 
 
 def of(rows: list[Cell], kind: str) -> list[Cell]:
@@ -189,30 +195,45 @@ def of(rows: list[Cell], kind: str) -> list[Cell]:
 
 
 def groups(rows: list[Cell]) -> Iterator[tuple[str, str, list[Cell]]]:
-    """Task, arm and rows of the runs, of those (target, seed) that every arm of the task has."""
-    for task in dict.fromkeys(row["task"] for row in rows):
-        mine = [row for row in rows if row["task"] == task]
-        arms = list(dict.fromkeys(row["arm"] for row in mine))
-        for arm in arms:
-            yield task, arm, [row for row in mine if row["arm"] == arm]
+    """Task, arm and rows of the runs, of those seeds that every arm of the task and size has.
+
+    Rows of different budgets are alike up to the smaller one: no run knows its budget.
+    """
+    for task, size in dict.fromkeys((row["task"], row["size"]) for row in rows):
+        mine = [row for row in rows if (row["task"], row["size"]) == (task, size)]
+        by_arm: dict[str, dict[int, Cell]] = {}
+        for row in mine:
+            by_arm.setdefault(row["arm"], {})[row["seed"]] = row
+        shared = set.intersection(*(set(by_seed) for by_seed in by_arm.values()))
+        for arm, by_seed in by_arm.items():
+            if len(by_arm) > 1 and shared:
+                yield f"{task}, {size} px", arm, [by_seed[seed] for seed in sorted(shared)]
 
 
 def encoder_table(rows: list[Cell]) -> list[str]:
-    lines = ["| task | encoder | runs | 500 | 1,000 | 2,000 | ms | time to the loss of `patch` |"]
-    lines.append("|---|---|" + "---:|" * 6)
-    for task, arm, group in groups(rows):
-        patch = {
-            row["seed"]: row for row in rows if (row["task"], row["arm"][8:]) == (task, "patch")
-        }
+    """Losses after some renders, milliseconds a render, and the comparison with `patch`."""
+    head = ["task", "encoder", "runs", "500", "1,000", "2,000", "better than `patch`", "ms"]
+    lines = [f"| {' | '.join([*head, 'time to the loss of `patch`'])} |", "|---|---|" + "---:|" * 7]
+    table = list(groups(rows))
+    patch = {task: group for task, arm, group in table if arm[8:] == "patch"}
+    for task, arm, group in table:
         marks = [median_at(group, renders) for renders in (500, 1000, 2000)]
-        cost = statistics.median(row["ms"] for row in group)
-        shares = [share_of_time(row, patch[row["seed"]]) for row in group if row["seed"] in patch]
-        share = statistics.median(shares) if shares else float("inf")
+        cost = f"{statistics.median(row['ms'] for row in group):.2f}"
+        others = patch[task]
+        better = "" if arm[8:] == "patch" else f"{wins(group, others)} of {len(group)}"
+        share = statistics.median(map(share_of_time, group, others))
         when = f"{share:.2f}" if share < float("inf") else "not reached"
-        lines.append(
-            f"| {task} | {arm[8:]} | {len(group)} | {' | '.join(marks)} | {cost:.2f} | {when} |"
-        )
+        cells = [task, arm[8:], len(group), *marks, better, cost, when]
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return lines
+
+
+def wins(rows: list[Cell], others: list[Cell]) -> int:
+    """In how many pairs the first is better, at the smaller of their budgets."""
+    pairs = zip(rows, others, strict=True)
+    ends = (min(len(row["best"]), len(other["best"])) - 1 for row, other in pairs)
+    triples = zip(rows, others, ends, strict=True)
+    return sum(row["best"][end] < other["best"][end] for row, other, end in triples)
 
 
 def median_at(rows: list[Cell], renders: int) -> str:
@@ -223,8 +244,11 @@ def median_at(rows: list[Cell], renders: int) -> str:
 
 
 def share_of_time(row: Cell, other: Cell) -> float:
-    """The time a run took to the other's final loss, over the time the other took; inf if never."""
-    final = other["best"][-1]
+    """The time a run took to the other's loss at the end, over the other's; inf if never.
+
+    The end: of the shorter of both.
+    """
+    final = other["best"][min(len(row["best"]), len(other["best"])) - 1]
     mine, others = (time_to(final, each) for each in (row, other))
     return mine / others
 
