@@ -264,7 +264,7 @@ class FIDESampler(BaseSampler):
         so many of them with their image; "left out": failed, pruned, or of another search space.
         """
         with self._lock:
-            return self._memory_of(study).counts(study)
+            return self._memory_of(study).counts(study, self._search_space)
 
     def _memory_of(self, study: Study) -> Memory:
         if self._memory is None or not self._memory.is_of(study):

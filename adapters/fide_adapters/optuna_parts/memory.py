@@ -75,6 +75,10 @@ class Memory:
         storage = study._storage
         seed = storage.get_study_system_attrs(study._study_id).get(SEED)
         if type(seed) is not int or seed < 0:
+            if seed is not None:
+                self._settings.voice.warn(
+                    SEED, f"the study's attribute {SEED!r} is not ours, and is replaced"
+                )
             seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> np.uint64(11))
             storage.set_study_system_attr(study._study_id, SEED, seed)
             seed = storage.get_study_system_attrs(study._study_id)[SEED]
@@ -100,9 +104,7 @@ class Memory:
         self, study: Study, trial: FrozenTrial, distributions: Mapping[str, BaseDistribution]
     ) -> dict[str, Any]:
         """Parameters of a trial, after writing down which candidate it is."""
-        if distributions != self._distributions:
-            self._distributions, self._space = dict(distributions), Space(distributions)
-            self._digest = self._settings.recipe.digest_of(self._space.distributions)
+        self._search(distributions)
         if self._space.dim == 0:
             return self._space.decode(np.empty(0))
         if trial.number >= len(self._trials):
@@ -116,6 +118,12 @@ class Memory:
         ask, params = model.ask(trial.number, passed, late)
         study._storage.set_trial_system_attr(trial._trial_id, ASK, ask.to_json())
         return params
+
+    def _search(self, distributions: Mapping[str, BaseDistribution]) -> None:
+        """Make these the present search space."""
+        if distributions != self._distributions:
+            self._distributions, self._space = dict(distributions), Space(distributions)
+            self._digest = self._settings.recipe.digest_of(self._space.distributions)
 
     def _model(self) -> Model:
         digest = self._digest
@@ -175,12 +183,19 @@ class Memory:
         if len(self.tokens) > _MOST_WAITING:
             del self.tokens[min(self.tokens)]
 
-    def counts(self, study: Study) -> dict[str, int]:
-        """How many trials counted as what, in the model used last."""
-        self.look(study)
-        if not self._models:
+    def counts(
+        self, study: Study, distributions: Mapping[str, BaseDistribution] | None
+    ) -> dict[str, int]:
+        """How many trials counted as what, in the search space that was asked for last.
+
+        distributions: the search space, if nothing was asked; None: what trials have in common.
+        """
+        relative = self.look(study)
+        if not self._distributions:
+            self._search(relative.current if distributions is None else distributions)
+        if self._space.dim == 0:
             return {}
-        model = next(reversed(self._models.values()))
+        model = self._model()
         model.catch_up(self._trials, partial(self._lesson, study))
         self._drop_tokens(model)
         return dict(model.counts)

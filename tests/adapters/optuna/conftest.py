@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import FloatDistribution
-from optuna.trial import Trial
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.trial import BaseTrial
 
 from fide_adapters.optuna import FIDESampler
+from fide_plugins import FIDE
 from fide_plugins.images import Float32
 from fide_plugins.points import Float64
 
@@ -27,7 +28,9 @@ class Bench:
     answer = np.array([0.7, 0.35, 0.9, 0.4, 0.2])
 
     def __init__(self) -> None:
-        self.space = {name: FloatDistribution(0.0, 1.0) for name in self.names}
+        self.space: dict[str, BaseDistribution] = {
+            name: FloatDistribution(0.0, 1.0) for name in self.names
+        }
         self.target = self.render(self.answer)
 
     def render(self, x: Any) -> Float32:
@@ -38,13 +41,13 @@ class Bench:
         image: Float32 = (inside[..., None] * np.asarray(x[2:5])).astype(np.float32)
         return image
 
-    def suggest(self, trial: Trial) -> list[float]:
+    def suggest(self, trial: BaseTrial) -> list[float]:
         return [trial.suggest_float(name, 0.0, 1.0) for name in self.names]
 
     def sampler(self, **settings: Any) -> FIDESampler:
         return FIDESampler(**{"target": self.target, "seed": 0, "popsize": 6, **settings})
 
-    def objective(self, sampler: FIDESampler) -> Callable[[Trial], float]:
+    def objective(self, sampler: FIDESampler) -> Callable[[BaseTrial], float]:
         return lambda trial: sampler.tell_image(trial, self.render(self.suggest(trial)))
 
     def run(self, study: optuna.Study, trials: int, **settings: Any) -> None:
@@ -60,6 +63,23 @@ class Bench:
         """Parameters (n, 5) of all trials that have them."""
         trials = [t for t in study.get_trials(deepcopy=False) if len(t.params) == 5]
         return np.array([[t.params[name] for name in self.names] for t in trials])
+
+
+def counts_of(study: optuna.Study) -> dict[str, int]:
+    sampler = study.sampler
+    assert isinstance(sampler, FIDESampler)
+    return sampler.counts(study)
+
+
+def asked_by_core(bench: Bench, trials: int, **settings: Any) -> Float64:
+    """Candidates (n, 5) of the core, told one by one."""
+    core = FIDE(5, bench.target, **{"seed": 0, "popsize": 6, **settings})
+    asked = []
+    while core.evaluations < trials:
+        x = core.ask(1)
+        asked.append(x[0])
+        core.tell(x, bench.render(x[0])[None])
+    return np.array(asked)
 
 
 @pytest.fixture

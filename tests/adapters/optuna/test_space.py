@@ -51,7 +51,7 @@ def test_axes() -> None:
 
 @given(points)
 @settings(max_examples=60, deadline=None)
-def test_every_point_is_a_choice_of_native_values(x: Any) -> None:
+def test_point_11_every_point_is_a_choice_of_native_values(x: Any) -> None:
     space = Space(SPACE)
     params = space.decode(x)
     for name, distribution in SPACE.items():
@@ -67,6 +67,18 @@ def test_every_point_is_a_choice_of_native_values(x: Any) -> None:
     for name, value in space.decode(again).items():
         same = value == params[name]
         assert same if type(value) is not float else value == pytest.approx(params[name], rel=1e-12)
+
+
+def test_point_11_ten_thousand_candidates_are_inside() -> None:
+    """Of a wide normal distribution, so that many have coordinates at the ends of their axes."""
+    space = Space(SPACE)
+    X = np.clip(np.random.default_rng(0).normal(0.5, 0.7, (10_000, space.dim)), 0, 1)
+    drawn = [space.decode(x) for x in X]
+    for name, distribution in SPACE.items():
+        found = {params[name] for params in drawn}
+        assert all(distribution._contains(distribution.to_internal_repr(v)) for v in found), name
+        if isinstance(distribution, FloatDistribution | IntDistribution):
+            assert {distribution.low, distribution.high} <= found
 
 
 @given(points)

@@ -6,7 +6,7 @@ import json
 import pickle
 import warnings
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import optuna
@@ -20,7 +20,7 @@ from PIL import Image
 from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna_parts.records import MOST_NAMED, Ask, write_image
 
-Bench: TypeAlias = Any
+from .conftest import Bench
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,8 @@ def test_point_7_eight_threads(bench: Bench) -> None:
     study = optuna.create_study(sampler=sampler)
     bench.run(study, 120, n_jobs=8)
     assert all(t.state is TrialState.COMPLETE for t in study.trials)
-    eye = sampler._settings.eye
+    eye, memory = sampler._settings.eye, sampler._memory
+    assert eye is not None and memory is not None
     for trial in study.trials:  # every feature belongs to its own trial
         image = bench.render([trial.params[name] for name in bench.names])
         code = trial.system_attrs["fide:image"]["d"]
@@ -90,7 +91,7 @@ def test_point_7_eight_threads(bench: Bench) -> None:
     counts = sampler.counts(study)
     assert counts["image"] == 120
     assert sum(counts.values()) - counts["image"] == 120
-    assert not sampler._memory.tokens and not sampler._memory._settings.voice._said
+    assert not memory.tokens and not sampler._settings.voice._said
     X = bench.points(study)
     assert len(np.unique(X, axis=0)) == 120
 

@@ -18,12 +18,16 @@ from fide_adapters.optuna import FIDESampler
 TARGET = np.full((8, 8, 3), 0.5)
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "no target": {},
     "target": {"target": TARGET, "seed": 0},
+    "no target": {},
+    "fast": {"target": TARGET, "preset": "fast"},
+    "accurate": {"target": TARGET, "preset": "accurate"},
+    "paper": {"target": TARGET, "preset": "paper"},
 }
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in VARIANTS if name != "target"]
 
 
-class TestFIDESampler(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase):
-    @pytest.fixture(params=["target", pytest.param("no target", marks=pytest.mark.slow)])
+class TestPoint1(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase):
+    @pytest.fixture(params=["target", *SLOW])
     def sampler(self, request: pytest.FixtureRequest) -> Callable[[], FIDESampler]:
         return lambda: FIDESampler(**VARIANTS[request.param])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import optuna
@@ -16,7 +16,7 @@ from fide_adapters.optuna_parts.model import Model
 from fide_adapters.optuna_parts.records import ASK
 from fide_plugins.points import Float64
 
-Bench: TypeAlias = Any
+from .conftest import Bench
 
 
 class LaggingStorage:
@@ -125,7 +125,7 @@ def counted(model: Model) -> int:
 
 
 @pytest.mark.parametrize("workers", [2, 4, 9])
-def test_all_believe_the_same(bench: Bench, workers: int) -> None:
+def test_point_8_all_believe_the_same(bench: Bench, workers: int) -> None:
     crowd = Crowd(bench, workers, seed=0)
     crowd.work(80)
     for worker in list(crowd.running):
@@ -141,7 +141,7 @@ def test_all_believe_the_same(bench: Bench, workers: int) -> None:
     assert models[0].counts["image"] == counted(models[0])
 
 
-def test_no_two_ask_the_same(bench: Bench) -> None:
+def test_point_8_no_two_ask_the_same(bench: Bench) -> None:
     crowd = Crowd(bench, 4, 0)
     crowd.work(100)
     asks = [t.system_attrs[ASK] for t in crowd.storage.get_all_trials(0)]
@@ -170,7 +170,7 @@ def test_the_dead_are_passed_and_nothing_is_lost(bench: Bench, seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_newcomer_believes_what_the_others_do(bench: Bench, seed: int) -> None:
+def test_point_8_a_newcomer_believes_what_the_others_do(bench: Bench, seed: int) -> None:
     crowd = Crowd(bench, 3, seed)
     crowd.work(120, dies=0.02, slow=0.05)
     newcomer = crowd.join()
@@ -182,7 +182,7 @@ def test_a_newcomer_believes_what_the_others_do(bench: Bench, seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_who_sees_things_later_comes_to_the_same(bench: Bench, seed: int) -> None:
+def test_point_8_who_sees_things_later_comes_to_the_same(bench: Bench, seed: int) -> None:
     """Old snapshots make workers disagree on who is passed, until they have read the records."""
     crowd = Crowd(bench, 5, seed, lag=0.5)
     crowd.work(160, dies=0.02, slow=0.15)
@@ -191,7 +191,7 @@ def test_who_sees_things_later_comes_to_the_same(bench: Bench, seed: int) -> Non
     assert all(belief == told[0] for belief in told)
 
 
-def test_a_late_trial_counts_once(bench: Bench) -> None:
+def test_point_8_a_late_trial_counts_once(bench: Bench) -> None:
     crowd = Crowd(bench, 2, 0)
     crowd.ask(0)
     for _ in range(40):
@@ -247,7 +247,7 @@ def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Benc
     assert studies[0].best_value < 5e-3
 
 
-def test_a_batch_told_in_reverse(bench: Bench) -> None:
+def test_point_9_a_batch_told_in_reverse(bench: Bench) -> None:
     """Sixty trials asked at once, and told from the last to the first."""
     study = optuna.create_study(sampler=bench.sampler(search_space=bench.space))
     sampler = study.sampler

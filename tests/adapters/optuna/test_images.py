@@ -1,0 +1,171 @@
+"""Which images are taken, and that none is kept (acceptance points 17 and 18)."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+import torch
+from optuna.samplers import RandomSampler
+from optuna.trial import FixedTrial, Trial
+from PIL import Image
+
+from fide_adapters.optuna import FIDESampler, ImageLoss, ImageRef, image_objective
+from fide_plugins import encoders
+from fide_plugins.errors import FeaturesError, ImageError, LossError, ProtocolError
+
+from .conftest import Bench, counts_of
+
+
+def as_png(image: Any) -> Any:
+    return Image.fromarray(np.round(image * 255).astype(np.uint8))
+
+
+GOOD: dict[str, Any] = {
+    "HxWx3": lambda image: image,
+    "HxWx1": lambda image: image[..., :1],
+    "HxW": lambda image: image[..., 0],
+    "HxWx4": lambda image: np.dstack([image, np.ones(image.shape[:2])]),
+    "CHW tensor": lambda image: torch.from_numpy(image).permute(2, 0, 1),
+    "uint8": lambda image: np.round(image * 255).astype(np.uint8),
+    "bool": lambda image: image > 0.5,
+    "float64": lambda image: image.astype(np.float64),
+    "not contiguous": lambda image: np.repeat(image, 2, axis=0)[::2],
+    "PIL": as_png,
+}
+
+
+@pytest.mark.parametrize("form", GOOD)
+def test_point_17_forms_of_images(bench: Bench, form: str) -> None:
+    sampler = bench.sampler()
+    study = optuna.create_study(sampler=sampler)
+    image = GOOD[form](bench.render(bench.answer))
+    study.optimize(
+        lambda trial: sampler.tell_image(trial, image) + 0 * sum(bench.suggest(trial)), n_trials=1
+    )
+    assert counts_of(study) == {} or counts_of(study)["image"] == 1
+    assert "fide:image" in study.trials[0].system_attrs
+    if form in ("HxWx3", "CHW tensor", "float64", "not contiguous", "HxWx4"):
+        assert study.trials[0].value == pytest.approx(0.0, abs=1e-12)
+
+
+BAD: dict[str, tuple[Any, str]] = {
+    "NaN": (np.full((8, 8, 3), np.nan), "finite"),
+    "another size": (np.zeros((9, 8, 3)), r"\(9, 8, 3\)"),
+    "1x1": (np.zeros((1, 1, 3)), r"\(1, 1, 3\)"),
+    "two channels": (np.zeros((8, 8, 2)), r"\(8, 8, 2\)"),
+    "int64": (np.zeros((8, 8, 3), np.int64), "int64"),
+    "text": ("/no/such/file.png", "/no/such/file.png"),
+    "a batch": (np.zeros((2, 8, 8, 3)), r"\(2, 8, 8, 3\)"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_point_17_bad_images_change_nothing(bench: Bench, what: str) -> None:
+    image, message = BAD[what]
+    sampler = bench.sampler()
+    study = optuna.create_study(sampler=sampler)
+    trial = study.ask()
+    with pytest.raises(ImageError, match=f"(?s){message}") as caught:
+        sampler.tell_image(trial, image)
+    assert isinstance(caught.value, ValueError)
+    assert not study.trials[0].system_attrs
+    assert sampler._memory is None or not sampler._memory.tokens
+
+
+def test_point_17_bad_losses_and_features_change_nothing(bench: Bench) -> None:
+    sampler = bench.sampler()
+    study = optuna.create_study(sampler=sampler)
+    trial = study.ask()
+    image = bench.render(bench.answer)
+    tokens = encoders.make("dense")(image[None])
+    bad_losses: list[Any] = ["low", None, 1j, [0.0, 1.0]]
+    for loss in bad_losses[:1] + bad_losses[2:]:
+        with pytest.raises(LossError):
+            sampler.tell_image(trial, image, loss)
+    for loss in bad_losses:
+        with pytest.raises(LossError):
+            sampler.tell_features(trial, tokens, loss)
+    for features in (tokens[0, :3], tokens[..., :4], tokens * float("nan"), "text", None):
+        with pytest.raises(FeaturesError):
+            sampler.tell_features(trial, features, 0.5)
+    assert not study.trials[0].system_attrs
+
+
+def test_features_are_as_good_as_the_image(bench: Bench) -> None:
+    encode = encoders.make("dense")
+    near: FIDESampler = bench.sampler()
+    far: FIDESampler = bench.sampler()
+    studies = [optuna.create_study(sampler=sampler) for sampler in (near, far)]
+    bench.run(studies[0], 40)
+
+    def objective(trial: Trial) -> float:
+        image = bench.render(bench.suggest(trial))
+        loss = float(np.square(image.astype(np.float64) - bench.target).mean())
+        return far.tell_features(trial, encode(image[None]), loss)
+
+    studies[1].optimize(objective, n_trials=40)
+    np.testing.assert_array_equal(bench.points(studies[0]), bench.points(studies[1]))
+
+
+@pytest.mark.parametrize("kind", ["image", "pair", "image loss", "features", "file"])
+def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
+    encode = encoders.make("dense")
+
+    def render(trial: Trial) -> Any:
+        image = bench.render(bench.suggest(trial))
+        loss = float(np.square(image.astype(np.float64) - bench.target).mean())
+        if kind == "file":
+            np.save(tmp_path / "image.npy", image)
+            return ImageLoss(loss, ImageRef(tmp_path / "image.npy"))
+        if kind == "features":
+            return ImageLoss(loss, features=encode(image[None])[0].numpy())
+        return {"image": image, "pair": (loss, image), "image loss": ImageLoss(loss, image)}[kind]
+
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(image_objective(render), n_trials=20)
+    plain = optuna.create_study(sampler=bench.sampler())
+    bench.run(plain, 20)
+    np.testing.assert_array_equal(bench.points(study), bench.points(plain))
+
+
+def test_an_image_objective_may_give_no_image(bench: Bench) -> None:
+    sampler = bench.sampler()
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(sampler.image_objective(lambda trial: sum(bench.suggest(trial))), n_trials=5)
+    assert counts_of(study)["image"] == 0
+    assert all(t.value == pytest.approx(sum(t.params.values())) for t in study.trials)
+
+
+def test_an_image_objective_needs_a_sampler_of_ours(bench: Bench) -> None:
+    study = optuna.create_study(sampler=RandomSampler(seed=0))
+    with pytest.raises(ProtocolError, match="name it"):
+        study.optimize(image_objective(lambda t: bench.render(bench.suggest(t))), n_trials=1)
+
+
+def test_an_objective_can_be_called_with_the_best_trial(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    bench.run(study, 20)
+    objective = bench.objective(bench.sampler_of(study))
+    assert objective(study.best_trial) == study.best_value
+    assert objective(FixedTrial(study.best_params)) == study.best_value
+
+
+def test_point_18_an_image_is_not_kept(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    sampler = study.sampler
+    assert isinstance(sampler, FIDESampler)
+    images: list[weakref.ref[Any]] = []
+
+    def objective(trial: Trial) -> float:
+        image = bench.render(bench.suggest(trial))
+        images.append(weakref.ref(image))
+        return sampler.tell_image(trial, image)
+
+    study.optimize(objective, n_trials=20)
+    gc.collect()
+    assert [ref() for ref in images] == [None] * 20
