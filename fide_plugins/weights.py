@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -108,9 +109,9 @@ def read(path: Path) -> dict[str, Tensor]:
     except (OSError, ImportError):
         raise
     except Exception as error:  # readers of untrusted bytes raise nearly anything
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise WeightsMismatchError(
-            f"{path} is cut short, damaged, or holds more than tensors ({reason}); get it again"
+            f"{path} is cut short, damaged, or holds more than tensors ({_reason(error)}); get it "
+            "again"
         ) from error
     if not isinstance(state, Mapping) or not all(
         isinstance(k, str) and isinstance(v, Tensor) for k, v in state.items()
@@ -119,6 +120,15 @@ def read(path: Path) -> dict[str, Tensor]:
             f"{path} must hold tensors by name, a state dict, and holds {type(state).__name__}"
         )
     return dict(state)
+
+
+def _reason(error: Exception) -> str:
+    """What is wrong with a file, in one line, without PyTorch's advice on how to run its code."""
+    refused = re.search(r"GLOBAL [\w.]+|Unsupported operand \d+", str(error))
+    first = (str(error).splitlines() or [""])[0]
+    if refused:
+        return refused[0].replace("GLOBAL", "it refers to").replace("Unsupported", "unknown")
+    return first if first and "weights_only" not in first else type(error).__name__
 
 
 def _read_safetensors(path: Path) -> Any:

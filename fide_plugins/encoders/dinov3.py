@@ -104,7 +104,7 @@ def _dtype(precision: str | None, device: torch.device) -> torch.dtype:
 def _find(variant: str, download: bool) -> Path:
     """Folder with the network's files."""
     folder = Path(variant).expanduser()
-    if folder.is_dir():
+    if variant and folder.is_dir():
         return folder
     hub = _transformers("huggingface_hub")
     with suppress(ValueError):  # no name of a repository

@@ -146,14 +146,25 @@ def test_no_code_in_a_file_runs(how: str, tmp_path: Path) -> None:
         path.write_bytes(pickle.dumps(content))
     else:
         torch.save(content, path, _use_new_zipfile_serialization=how == "torch")
-    with pytest.raises(WeightsMismatchError, match="holds more than tensors"):
+    with pytest.raises(WeightsMismatchError, match="holds more than tensors") as error:
         weights.read(path)
     assert not sprung.exists()
+    assert "weights_only" not in str(error.value)  # no advice to set it to False
+    assert how == "pickle" or "it refers to getattr" in str(error.value)
     if how == "pickle":
         pickle.loads(path.read_bytes())
     else:
         torch.load(path, weights_only=False)
     assert sprung.exists()  # so it was a trap
+
+
+def test_a_page_in_place_of_a_file(tmp_path: Path) -> None:
+    """As a server sends it that wants a login."""
+    (tmp_path / "page.pth").write_text("<html>sign in</html>")
+    with pytest.raises(
+        WeightsMismatchError, match=r"tensors \(unknown operand 60\); get it again$"
+    ):
+        weights.read(tmp_path / "page.pth")
 
 
 @pytest.mark.parametrize("content", [torch.ones(3), [torch.ones(3)], {"a": 1}, {1: torch.ones(3)}])
