@@ -1,0 +1,227 @@
+"""Where the time of a generation goes, and how near training comes to what the processor can do.
+
+    python benchmarks/profile_generation.py parts voronoi spline --presets balanced fast paper
+    python benchmarks/profile_generation.py training
+    python benchmarks/profile_generation.py table           # of what was run
+
+Times are the processor's, one thread, so that other programs disturb them little; every part counts
+without the parts that it calls.  Every measurement is a line of the file `--out`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from quality import machine
+from torch.utils.flop_counter import FlopCounterMode
+
+import fide_tasks
+from fide_plugins import FIDE, fide as fide_module
+from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.search.cma_es import CMAES
+
+RESULTS = Path(__file__).parent / "results" / "profile.jsonl"
+PARTS = ("render", "loss", "encode", "train", "sample", "search", "copy", "rest")
+TRAINING: dict[str, dict[str, Any]] = {
+    "as published, 112": {"T": 49, "C": 768},
+    "as published, 224": {"T": 196, "C": 768},
+    "dense tokens": {"T": 196, "C": 16},
+    "as published, 112, batch 250": {"T": 49, "C": 768, "batch_size": 250},
+}
+DIM, EXAMPLES = 40, 500
+
+
+class Stopwatch:
+    """Processor time by part; a part that calls another stands still meanwhile."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self._running: list[str] = []
+        self._since = 0.0
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        self._note()
+        self._running.append(name)
+        try:
+            yield
+        finally:
+            self._note()
+            self._running.pop()
+
+    def _note(self) -> None:
+        now = time.process_time()
+        if self._running:
+            self.seconds[self._running[-1]] += now - self._since
+        self._since = now
+
+    def wrap(self, owner: Any, method: str, name: str) -> Callable[[], None]:
+        """Count `owner.method` as that part; returns what undoes it."""
+        original = getattr(owner, method)
+
+        def timed(*arguments: Any, **options: Any) -> Any:
+            with self.part(name):
+                return original(*arguments, **options)
+
+        setattr(owner, method, timed)
+        return lambda: setattr(owner, method, original)
+
+
+def parts(task_name: str, preset: str, size: int, renders: int, options: dict[str, Any]) -> Any:
+    """Milliseconds an evaluation, by part, of a run by hand."""
+    task = fide_tasks.make(task_name, size=size, seed=0)
+    optimizer = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu", **options)
+    watch = Stopwatch()
+    undo = [
+        watch.wrap(CMAES, "sample", "search"),
+        watch.wrap(CMAES, "tell", "search"),
+        watch.wrap(fide_module, "as_batch", "copy"),
+        watch.wrap(optimizer, "_note", "copy"),
+        watch.wrap(optimizer._encoder, "compute", "encode"),
+        watch.wrap(optimizer._loss, "compute", "loss"),
+    ]
+    if optimizer._proposer is not None:
+        watch.wrap(optimizer._proposer, "update", "train")
+        watch.wrap(optimizer._proposer, "propose", "sample")
+    try:
+        while optimizer.evaluations < renders:
+            with watch.part("rest"):
+                X = optimizer.ask()
+            with watch.part("render"):
+                images = task.render(X)
+            with watch.part("rest"):
+                optimizer.tell(X, images)
+    finally:
+        for step in undo:
+            step()
+    return {part: 1e3 * s / optimizer.evaluations for part, s in watch.seconds.items()}
+
+
+def peak(dtype: torch.dtype, side: int = 1024, repeats: int = 8) -> float:
+    """GFLOP/s of the largest products, one thread."""
+    a, b = (torch.randn(side, side).to(dtype) for _ in range(2))
+    return 2e-9 * side**3 / fastest(lambda: torch.mm(a, b), repeats)
+
+
+def fastest(work: Callable[[], object], repeats: int) -> float:
+    best = np.inf
+    for _ in range(repeats):
+        start = time.process_time()
+        work()
+        best = min(best, time.process_time() - start)
+    return best
+
+
+def training(T: int, C: int, **options: Any) -> dict[str, float]:
+    """An epoch of training on `EXAMPLES` candidates, and proposing half as many."""
+    rng = np.random.default_rng(0)
+    x, std = rng.random((EXAMPLES, DIM)), np.full(DIM, 1 / 6)
+    tokens = torch.rand(EXAMPLES, T, C, generator=torch.Generator().manual_seed(0))
+    proposer = DiffusionProposer(DIM, epochs=1, **options)
+
+    def epoch() -> object:
+        return proposer.update(x, tokens, None, std)
+
+    epoch()
+    with FlopCounterMode(display=False) as counter:
+        epoch()
+    seconds = fastest(epoch, 3)
+    half = EXAMPLES // 2
+    proposing = fastest(lambda: proposer.propose(x[:half], tokens[0], x[0], std), 3)
+    return {
+        "MFLOP an example": 1e-6 * counter.get_total_flops() / EXAMPLES,
+        "ms an example": 1e3 * seconds / EXAMPLES,
+        "GFLOP/s": 1e-9 * counter.get_total_flops() / seconds,
+        "ms a proposal": 1e3 * proposing / half,
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Both tables, in Markdown; of the same cell the last."""
+    last = {row["cell"]: row for row in rows}.values()
+    lines = [f"| | {' | '.join(PARTS)} | all but rendering |", "|---|" + "---|" * (len(PARTS) + 1)]
+    for row in last:
+        if row["kind"] == "parts":
+            ms = row["ms"]
+            cells = [f"{ms[part]:.3f}" for part in PARTS]
+            lines.append(f"| {row['cell']} | {' | '.join(cells)} | {overhead(ms):.3f} |")
+    names = ["MFLOP an example", "ms an example", "GFLOP/s", "ms a proposal"]
+    lines += ["", f"| | {' | '.join(names)} | of the peak |", "|---|" + "---|" * 5]
+    for row in last:
+        if row["kind"] == "training":
+            found = row["found"]
+            cells = [f"{found[name]:.2f}" for name in names]
+            share = found["GFLOP/s"] / row["peak"]["float32"]
+            lines.append(f"| {row['cell']} | {' | '.join(cells)} | {100 * share:.0f} % |")
+    return "\n".join(lines)
+
+
+def overhead(ms: dict[str, float]) -> float:
+    return sum(ms.values()) - ms["render"]
+
+
+def append(path: Path, row: dict[str, Any]) -> None:
+    with open(path, "a", encoding="utf-8") as file:
+        file.write(json.dumps({**row, "machine": machine()}) + "\n")
+
+
+def run_parts(arguments: argparse.Namespace) -> None:
+    for task in arguments.tasks:
+        for preset in arguments.presets:
+            for size in arguments.sizes:
+                options = {"epochs": arguments.epochs} if preset == "paper" else {}
+                renders = arguments.renders * (2 if preset == "paper" else 1)
+                ms = parts(task, preset, size, renders, options)
+                said = f", {arguments.epochs} epochs" if preset == "paper" else ""
+                cell = f"{task}, {preset}{said}, {size} px"
+                print(f"{cell:42} {overhead(ms):.3f} ms", flush=True)
+                append(arguments.out, {"kind": "parts", "cell": cell, "ms": ms})
+
+
+def run_training(arguments: argparse.Namespace) -> None:
+    peaks = {"float32": peak(torch.float32), "bfloat16": peak(torch.bfloat16)}
+    print("peak of one thread, GFLOP/s:", peaks)
+    for name, settings in TRAINING.items():
+        found = training(**settings)
+        print(f"{name:32} {found}", flush=True)
+        append(arguments.out, {"kind": "training", "cell": name, "found": found, "peak": peaks})
+
+
+def main() -> None:
+    """Measure, or print the tables."""
+    arguments = parse_arguments()
+    torch.set_num_threads(1)
+    if arguments.what == "table":
+        print(table([json.loads(line) for line in arguments.out.read_text().splitlines()]))
+    elif arguments.what == "parts":
+        run_parts(arguments)
+    else:
+        run_training(arguments)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("what", choices=("parts", "training", "table"))
+    parser.add_argument("tasks", nargs="*", default=["voronoi"])
+    parser.add_argument("--presets", nargs="+", default=["fast", "balanced", "accurate", "paper"])
+    parser.add_argument("--sizes", nargs="+", type=int, default=[112, 224])
+    parser.add_argument("--epochs", type=int, default=4, help="of the paper's preset")
+    parser.add_argument("--renders", type=int, default=1000, help="twice as many of the paper's")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
