@@ -109,7 +109,7 @@ def library() -> str | None:
 
 @contextmanager
 def in_variant(variant: str, threads: int | None = None) -> Iterator[Any]:
-    """Give Mitsuba with `variant` active, on so many threads, with no plugins but its own.
+    """Give Mitsuba with `variant` active, on so many threads, its own plugins first.
 
     Mitsuba has one active variant and one set of threads for the whole process, so only one thread
     of Python can be in here at a time. Afterwards the number of threads is as before, and so is the
@@ -118,7 +118,8 @@ def in_variant(variant: str, threads: int | None = None) -> Iterator[Any]:
 
     Plugins are code. Mitsuba would load them first of all from a folder called plugins in the
     folder in which this process was started, which may be that of a scene from elsewhere. Here it
-    looks up files in its own folder only; others are to be named by absolute paths.
+    looks up files in its own folder first; others are to be named by absolute paths, and plugins
+    must be those it has.
     """
     global _left
     with _LOCK:
@@ -212,6 +213,6 @@ def _trial(variant: str, llvm: str | None) -> str | None:
     with tempfile.TemporaryDirectory() as home:
         environment = {"HOME": home, "TMP": home, "TEMP": home}
         environment["PYTHONUSERBASE"] = site.getuserbase()  # where packages of this user lie
-        if llvm is not None:
-            environment[_LIBRARY] = llvm
+        if llvm is not None:  # the trial is made in another folder
+            environment[_LIBRARY] = os.path.abspath(llvm) if os.sep in llvm else llvm
         return trial.failure(_TRIAL, variant, seconds=_TRIAL_SECONDS, environment=environment)

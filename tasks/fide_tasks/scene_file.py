@@ -1,7 +1,8 @@
 """A scene of the user's own: what must be right before Mitsuba loads it, and what is taken from it.
 
 A scene may name only files in its own folder and the folders below it; see `scene_xml`. Plugins,
-which are code, come from Mitsuba's folder only; see `mitsuba_variant.in_variant`.
+which are code, must be Mitsuba's own: one that it has not got it would look for in the folder in
+which this process was started, whatever `mitsuba_variant.in_variant` says.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def load(mi: Any, file: Path) -> tuple[dict[str, Any], float | None]:
     light under the name "light", and the field of view of its sensor in degrees, across the shorter
     side of its film. A mesh gives its one shape, "mesh"; its field of view is None.
 
-    Raises ValueError with Mitsuba's reason if it cannot be loaded, or if nothing is in it.
+    Raises ValueError with Mitsuba's reason if it cannot be loaded, or if nothing is in it, or if it
+    names a plugin that Mitsuba has not got.
     """
     try:
         if file.suffix.lower() == ".xml":
@@ -56,7 +58,11 @@ def load(mi: Any, file: Path) -> tuple[dict[str, Any], float | None]:
 
 
 def _from_xml(mi: Any, file: Path) -> tuple[dict[str, Any], float]:
-    scene = mi.load_string(scene_xml.text(_read(file)))
+    description = _read(file)
+    for integrator in description.findall("integrator"):  # a task has its own
+        description.remove(integrator)
+    _check_plugins(mi, description, file)
+    scene = mi.load_string(scene_xml.text(description))
     if not scene.shapes():
         raise ValueError(f"the scene {str(file)!r} has no shape")
     parts = {f"shape_{i}": shape for i, shape in enumerate(scene.shapes())}
@@ -72,6 +78,17 @@ def _from_xml(mi: Any, file: Path) -> tuple[dict[str, Any], float]:
     width, height = sensor.film().size()
     half = math.tan(math.radians(float(np.ravel(params["x_fov"])[0]) / 2)) * min(1, height / width)
     return parts, math.degrees(2 * math.atan(half))
+
+
+def _check_plugins(mi: Any, scene: Element, file: Path) -> None:
+    own = {plugin.stem for plugin in (Path(mi.__file__).parent / "plugins").iterdir()}
+    for element in scene.iter():
+        kind = element.get("type")
+        if kind is not None and kind not in own:
+            raise ValueError(
+                f"Mitsuba cannot load the scene {str(file)!r}: it has no {element.tag} of type "
+                f"{kind!r}"
+            )
 
 
 def _from_mesh(mi: Any, file: Path) -> dict[str, Any]:

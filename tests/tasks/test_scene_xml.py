@@ -140,15 +140,26 @@ def no_library(folder: Path, name: str) -> None:
         (folder / f"{name}.{suffix}").write_text("no library")
 
 
+@pytest.mark.parametrize("started_in", [".", "scene"])
 @pytest.mark.parametrize("folder", [".", "sub"], ids=["scene", "path"])
-def test_no_code_of_a_scene_is_run(tmp_path: Path, mi: Any, folder: str) -> None:
-    no_library(tmp_path / folder / "plugins", "court")
+def test_no_code_of_a_scene_is_run(
+    tmp_path: Path, mi: Any, folder: str, started_in: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    no_library(tmp_path / "scene" / folder / "plugins", "court")
     body = f'<path value="{folder}"/>' + LIT + '<shape type="court"/>'
-    path = write(tmp_path / "scene.xml", body)
+    path = write(tmp_path / "scene" / "scene.xml", body)
+    monkeypatch.chdir(tmp_path / started_in)
     with pytest.raises(RuntimeError, match="Error while loading plugin .*court"):
         mi.load_file(str(path))
-    with pytest.raises(ValueError, match='Plugin "court" not found'):
+    with pytest.raises(ValueError, match="it has no shape of type 'court'"):
         scene_file.load(mi, path)
+
+
+def test_an_integrator_of_its_own_is_left_out(tmp_path: Path, mi: Any) -> None:
+    body = LIT + '<integrator type="ours"><integer name="depth" value="3"/></integrator>'
+    path = write(tmp_path / "scene.xml", body + '<shape type="cube"/>')
+    parts, _ = scene_file.load(mi, path)
+    assert "shape_0" in parts
 
 
 def test_no_code_beside_a_scene_is_run_where_it_is_rendered(tmp_path: Path) -> None:
