@@ -1,0 +1,306 @@
+"""Which descriptors: what the encoder `dense` was chosen from.
+
+    python benchmarks/descriptors.py tell                     # what features tell of parameters
+    python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each of them
+    python benchmarks/descriptors.py table                    # of what was fitted
+
+`tell`: a ridge regression, as the proposer's, from features of 200 renders to their parameters;
+how much of the variance of the parameters of 100 other renders it explains, the mean over the
+parameters.  The parameters have a standard deviation of 0.1 around a random point (wide), or 0.03
+(narrow).  Noisy: scenes with few paths a pixel, and others with normal noise of 0.1 a pixel.
+
+All descriptors share a grid of 14 x 14 tokens, but where they say otherwise, and begin with the
+mean colors, so the proposer looks at the colors alone every second time, as it does with `dense`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from encoders import SCENES, run_cell
+from numpy.typing import NDArray
+from quality import Cell, read, run_missing
+from torch import Tensor
+
+import fide_tasks
+from fide_plugins import encoders
+from fide_plugins.encoders import dense
+from fide_plugins.images import Float32
+
+RESULTS = Path(__file__).parent / "results" / "descriptors.jsonl"
+RENDERS = Path("runs/descriptors")
+CLEAN = {"san_miguel": {"spp": 64}, "beads": {"spp": 128}}
+TRAINING, TESTED = 200, 100
+WIDTHS = {"wide": 0.1, "narrow": 0.03}  # standard deviations
+
+Samples = Callable[[int], Tensor]  # side of a patch in samples -> (n, 3, 14 side, 14 side)
+
+
+def luminance(samples: Tensor) -> Tensor:
+    """(n, h, w) of (n, 3, h, w)."""
+    return (samples * samples.new_tensor(dense.LUMINANCE)[:, None, None]).sum(1)
+
+
+def colors(at: Samples) -> list[Tensor]:
+    """Mean colors of patches, 3 channels."""
+    return [at(1)]
+
+
+def quarters(at: Samples) -> list[Tensor]:
+    """Mean colors and what tells the four quarters apart, 12 channels."""
+    return list(dense._haar(at(2)))
+
+
+def edges(at: Samples, gain: float = 1.0) -> list[Tensor]:
+    """What `dense` has, 16 channels."""
+    return [*quarters(at), gain * dense._edges(luminance(at(2)))]
+
+
+def fine_edges(at: Samples) -> list[Tensor]:
+    """Edges of half that scale too, as version 1 had, 20 channels."""
+    return [*edges(at), F.avg_pool2d(dense._edges(luminance(at(4))), 2)]
+
+
+def wavelets(at: Samples) -> list[Tensor]:
+    """Two levels of Haar wavelets: all of 4 x 4 samples a patch, 48 channels."""
+    mean, *details = dense._haar(at(4))
+    finest = [F.pixel_unshuffle(detail, 2) for detail in details]
+    return [*dense._haar(mean), *finest]
+
+
+def blurs(at: Samples) -> list[Tensor]:
+    """Colors of a wider and a still wider surrounding, 22 channels."""
+    wider = [
+        F.avg_pool2d(at(1), 2 * r + 1, stride=1, padding=r, count_include_pad=False) for r in (1, 3)
+    ]
+    return [*edges(at), *wider]
+
+
+def histograms(at: Samples) -> list[Tensor]:
+    """Soft histograms of each color with five tones, 31 channels."""
+    tones = torch.linspace(0, 1, 7)[1:-1]
+    shares = torch.sigmoid((at(4)[:, :, None] - tones[:, None, None]) / 0.08).flatten(1, 2)
+    return [*edges(at), F.avg_pool2d(shares, 4)]
+
+
+def orientations(at: Samples) -> list[Tensor]:
+    """Gradients of the luminance in eight directions, with their sign, 20 channels."""
+    y = F.pad(luminance(at(4))[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+    gx, gy = y[:, 1:-1, 2:] - y[:, 1:-1, :-2], y[:, 2:, 1:-1] - y[:, :-2, 1:-1]
+    angles = torch.arange(8) * (torch.pi / 4)
+    along = gx[:, None] * angles.cos()[:, None, None] + gy[:, None] * angles.sin()[:, None, None]
+    return [*quarters(at), F.avg_pool2d(along.clamp(min=0), 4)]
+
+
+def random_kernels(at: Samples) -> list[Tensor]:
+    """Positive and negative part of 24 random 5 x 5 convolutions, averaged, 51 channels."""
+    kernels = torch.randn(24, 3, 5, 5, generator=torch.Generator().manual_seed(0))
+    kernels -= kernels.mean((2, 3), keepdim=True)
+    kernels /= kernels.flatten(1).norm(dim=1)[:, None, None, None]
+    answers = F.conv2d(F.pad(at(4), (2, 2, 2, 2), mode="replicate"), kernels)
+    return [*colors(at), F.avg_pool2d(torch.cat([answers, -answers], 1).clamp(min=0), 4)]
+
+
+def sift(at: Samples) -> list[Tensor]:
+    """OpenCV's SIFT around each patch, 131 channels."""
+    samples = at(4)
+    points = [
+        cv2.KeyPoint(4 * j + 1.5, 4 * i + 1.5, 8.0, 0.0) for i in range(14) for j in range(14)
+    ]
+    descriptor = cv2.SIFT_create()
+    found = [
+        descriptor.compute(image, points)[1]
+        for image in (255 * luminance(samples)).round().to(torch.uint8).numpy()
+    ]
+    grids = torch.tensor(np.array(found) / 512, dtype=torch.float32).transpose(1, 2)
+    return [*colors(at), grids.unflatten(2, (14, 14))]
+
+
+def roots(at: Samples) -> list[Tensor]:
+    """`dense` of the square roots of the colors, which are steeper in the dark, 16 channels."""
+    return edges(lambda side: at(side).sqrt())
+
+
+class Descriptor(encoders.dense.DenseEncoder):
+    """An encoder of one of the descriptors, on `side` x `side` tokens."""
+
+    def __init__(
+        self,
+        describe: Callable[[Samples], list[Tensor]] = edges,
+        *,
+        side: int = 14,
+        despeckle: bool = True,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        super().__init__(device=device)
+        self._describe, self._side, self._despeckle = describe, side, despeckle
+        self._channels = self._encode(torch.zeros(1, 112, 112, 3)).shape[2]
+
+    def shape(self, height: int, width: int) -> tuple[int, int]:
+        """(T, C)."""
+        return self._side**2, self._channels
+
+    def _prepare(self, batch: Float32) -> Float32:
+        return super()._prepare(batch) if self._despeckle else batch
+
+    def _encode(self, images: Tensor) -> Tensor:
+        def at(side: int) -> Tensor:
+            return dense._samples(images, side * self._side, side * self._side)
+
+        return torch.cat(self._describe(at), dim=1).flatten(2).transpose(1, 2)
+
+
+VARIANTS: dict[str, Callable[..., Descriptor]] = {
+    "dense": Descriptor,
+    "without despeckling": partial(Descriptor, despeckle=False),
+    "mean colors only": partial(Descriptor, colors),
+    "without edges": partial(Descriptor, quarters),
+    "edges times 4": partial(Descriptor, partial(edges, gain=4.0)),
+    "finer edges too": partial(Descriptor, fine_edges),
+    "gradients in 8 directions": partial(Descriptor, orientations),
+    "Haar wavelets, 2 levels": partial(Descriptor, wavelets),
+    "colors at 3 scales": partial(Descriptor, blurs),
+    "histograms of 5 tones": partial(Descriptor, histograms),
+    "random convolutions": partial(Descriptor, random_kernels),
+    "SIFT": partial(Descriptor, sift),
+    "roots of colors": partial(Descriptor, roots),
+    "7 x 7 tokens": partial(Descriptor, side=7),
+    "20 x 20 tokens": partial(Descriptor, side=20),
+}
+
+
+# -- what features tell ----------------------------------------------------------------------------
+
+
+def tell(arguments: argparse.Namespace) -> None:
+    """Explained variance for every scene, width and noise; milliseconds an image."""
+    columns = []
+    for task in arguments.tasks or SCENES:
+        for noisy in (False, True):
+            columns += [(task, width, noisy) for width in WIDTHS]
+    head = " | ".join(f"{t}, {w}{', noisy' if n else ''}" for t, w, n in columns)
+    print(f"| descriptor | channels | ms | {head} |\n|---|{'---:|' * (2 + len(columns))}")
+    populations = [population(*column, arguments.size) for column in columns]
+    for name, make in VARIANTS.items():
+        encoder = make()
+        start = time.process_time()
+        shares = [explained(encoder, x, images) for x, images in populations]
+        cost = 1e3 * (time.process_time() - start) / sum(len(x) for x, _ in populations)
+        cells = [name, encoder._channels, f"{cost:.2f}", *(f"{share:.2f}" for share in shares)]
+        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def population(
+    task: str, width: str, noisy: bool, size: int
+) -> tuple[NDArray[np.float64], Float32]:
+    """Candidates and their images; rendered once, and kept in runs/."""
+    traced = task in CLEAN
+    path = RENDERS / f"{task}-{width}-{size}{'-noisy' if noisy and traced else ''}.npz"
+    if not path.exists():
+        rng = np.random.default_rng(1)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        options = SCENES[task].options if noisy else CLEAN.get(task, {})
+        scene = fide_tasks.make(task, size, 0, **options)
+        center = rng.uniform(0.3, 0.7, scene.dim)
+        x = rng.normal(center, WIDTHS[width], (TRAINING + TESTED, scene.dim)).clip(0, 1)
+        images = scene.render(x, seed=list(range(len(x))))
+        np.savez(path, x=x, images=np.round(255 * images).astype(np.uint8))
+        print(path, file=sys.stderr, flush=True)
+    with np.load(path) as file:
+        x, images = file["x"], file["images"] / np.float32(255)
+    if noisy and not traced:
+        noise = np.random.default_rng(2).standard_normal(images.shape, dtype=np.float32)
+        images = images + np.float32(0.1) * noise
+    return x, images.clip(0, 1)
+
+
+def explained(encoder: Descriptor, x: NDArray[np.float64], images: Float32) -> float:
+    """Share of the variance of the tested parameters, 0 where there is none, the mean of all."""
+    features = encoder(images).flatten(1).double().numpy()
+    features -= features[:TRAINING].mean(axis=0)
+    mean, scale = x[:TRAINING].mean(axis=0), x[:TRAINING].std(axis=0)
+    u = (x - mean) / scale
+    gram = features @ features[:TRAINING].T
+    penalty = 0.02 * np.trace(gram[:TRAINING]) / 64  # as the proposer's
+    weights = np.linalg.solve(gram[:TRAINING] + penalty * np.eye(TRAINING), u[:TRAINING])
+    errors = np.square(u[TRAINING:] - gram[TRAINING:] @ weights).mean(axis=0)
+    shares = 1 - errors / u[TRAINING:].var(axis=0)
+    return float(shares.clip(min=0).mean())
+
+
+# -- what FIDE makes of them -----------------------------------------------------------------------
+
+
+def fit(arguments: argparse.Namespace) -> None:
+    """Runs of the mean squared error, with the targets and seeds of benchmarks/encoders.py."""
+    table: dict[str, tuple[str, dict[str, Any]]] = {}
+    for name, make in VARIANTS.items():
+        encoders.register(f"descriptor {name}", make)
+        table[name] = ("mse", {"encoder": f"descriptor {name}"})
+    cells = [
+        {"task": task, "target": seed, "arm": arm, "seed": seed, "size": arguments.size}
+        | {"budget": SCENES[task].budget}
+        for seed in range(arguments.seeds)
+        for task in arguments.tasks or ("voronoi", "spline", "robot")
+        for arm in table
+    ]
+    run_missing(cells, table, arguments.out, "0/1", run_cell)
+
+
+def print_table(arguments: argparse.Namespace) -> None:
+    """Median of the last losses; the mean of log10(loss / loss of `dense`), and how sure it is."""
+    rows = read(arguments.out)
+    tasks = list(dict.fromkeys(row["task"] for row in rows))
+    print(f"| descriptor | {' | '.join(f'{t} | 10^' for t in tasks)} |")
+    print(f"|---|{'---:|' * 2 * len(tasks)}")
+    for name in VARIANTS:
+        cells = [cell for task in tasks for cell in compared(rows, task, name)]
+        print(f"| {name} | {' | '.join(cells)} |")
+
+
+def compared(rows: list[Cell], task: str, name: str) -> tuple[str, str]:
+    """Median loss at the end; the comparison with `dense` on the same seeds."""
+    ends = {
+        arm: {r["seed"]: r["best"][-1] for r in rows if (r["task"], r["arm"]) == (task, arm)}
+        for arm in (name, "dense")
+    }
+    shared = sorted(set(ends[name]) & set(ends["dense"]))
+    logs = np.log10([max(ends[name][s], 1e-6) / max(ends["dense"][s], 1e-6) for s in shared])
+    sure = logs.std(ddof=1) / np.sqrt(len(logs)) if len(logs) > 1 else np.nan
+    median = statistics.median(ends[name][s] for s in shared)
+    return f"{median:.5f}", "" if name == "dense" else f"{logs.mean():+.2f} ± {sure:.2f}"
+
+
+def main() -> None:
+    """Do what is asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("what", choices=("tell", "fit", "table"))
+    add("tasks", nargs="*", metavar="TASK")
+    add("--seeds", type=int, default=6)
+    add("--size", type=int, default=112, metavar="PX")
+    add("--out", type=Path, default=RESULTS, metavar="FILE")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    {"tell": tell, "fit": fit, "table": print_table}[arguments.what](arguments)
+
+
+if __name__ == "__main__":
+    main()
