@@ -4,8 +4,8 @@
     python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each of them
     python benchmarks/descriptors.py table                    # of what was fitted
 
-`tell`: a ridge regression, as the proposer's, from features of 200 renders to their parameters;
-how much of the variance of the parameters of 100 other renders it explains, the mean over the
+`tell`: a ridge regression, as the proposer's, from features of 160 renders to their parameters;
+how much of the variance of the parameters of 80 other renders it explains, the mean over the
 parameters.  The parameters have a standard deviation of 0.1 around a random point (wide), or 0.03
 (narrow).  Noisy: scenes with few paths a pixel, and others with normal noise of 0.1 a pixel.
 
@@ -38,13 +38,15 @@ from torch import Tensor
 
 import fide_tasks
 from fide_plugins import encoders
+from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders import dense
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.images import Float32
 
 RESULTS = Path(__file__).parent / "results" / "descriptors.jsonl"
 RENDERS = Path("runs/descriptors")
-CLEAN = {"san_miguel": {"spp": 64}, "beads": {"spp": 128}}
-TRAINING, TESTED = 200, 100
+TRACED = ("san_miguel", "beads")  # noisy as they are
+TRAINING, TESTED = 160, 80
 WIDTHS = {"wide": 0.1, "narrow": 0.03}  # standard deviations
 
 Samples = Callable[[int], Tensor]  # side of a patch in samples -> (n, 3, 14 side, 14 side)
@@ -135,8 +137,11 @@ def roots(at: Samples) -> list[Tensor]:
     return edges(lambda side: at(side).sqrt())
 
 
-class Descriptor(encoders.dense.DenseEncoder):
+class Descriptor(PatchEncoder):
     """An encoder of one of the descriptors, on `side` x `side` tokens."""
+
+    name = version = "descriptor"
+    views = (3, None)
 
     def __init__(
         self,
@@ -155,11 +160,13 @@ class Descriptor(encoders.dense.DenseEncoder):
         return self._side**2, self._channels
 
     def _prepare(self, batch: Float32) -> Float32:
-        return super()._prepare(batch) if self._despeckle else batch
+        return np.stack([despeckled(image) for image in batch]) if self._despeckle else batch
 
     def _encode(self, images: Tensor) -> Tensor:
         def at(side: int) -> Tensor:
-            return dense._samples(images, side * self._side, side * self._side)
+            n = side * self._side
+            boxes = [cv2.resize(i, (n, n), interpolation=cv2.INTER_AREA) for i in images.numpy()]
+            return torch.tensor(np.array(boxes)).permute(0, 3, 1, 2).contiguous()
 
         return torch.cat(self._describe(at), dim=1).flatten(2).transpose(1, 2)
 
@@ -190,7 +197,7 @@ def tell(arguments: argparse.Namespace) -> None:
     """Explained variance for every scene, width and noise; milliseconds an image."""
     columns = []
     for task in arguments.tasks or SCENES:
-        for noisy in (False, True):
+        for noisy in (True,) if task in TRACED else (False, True):
             columns += [(task, width, noisy) for width in WIDTHS]
     head = " | ".join(f"{t}, {w}{', noisy' if n else ''}" for t, w, n in columns)
     print(f"| descriptor | channels | ms | {head} |\n|---|{'---:|' * (2 + len(columns))}")
@@ -208,13 +215,11 @@ def population(
     task: str, width: str, noisy: bool, size: int
 ) -> tuple[NDArray[np.float64], Float32]:
     """Candidates and their images; rendered once, and kept in runs/."""
-    traced = task in CLEAN
-    path = RENDERS / f"{task}-{width}-{size}{'-noisy' if noisy and traced else ''}.npz"
+    path = RENDERS / f"{task}-{width}-{size}.npz"
     if not path.exists():
         rng = np.random.default_rng(1)
         path.parent.mkdir(parents=True, exist_ok=True)
-        options = SCENES[task].options if noisy else CLEAN.get(task, {})
-        scene = fide_tasks.make(task, size, 0, **options)
+        scene = fide_tasks.make(task, size, 0, **SCENES[task].options)
         center = rng.uniform(0.3, 0.7, scene.dim)
         x = rng.normal(center, WIDTHS[width], (TRAINING + TESTED, scene.dim)).clip(0, 1)
         images = scene.render(x, seed=list(range(len(x))))
@@ -222,7 +227,7 @@ def population(
         print(path, file=sys.stderr, flush=True)
     with np.load(path) as file:
         x, images = file["x"], file["images"] / np.float32(255)
-    if noisy and not traced:
+    if noisy and task not in TRACED:
         noise = np.random.default_rng(2).standard_normal(images.shape, dtype=np.float32)
         images = images + np.float32(0.1) * noise
     return x, images.clip(0, 1)
@@ -256,7 +261,7 @@ def fit(arguments: argparse.Namespace) -> None:
         | {"budget": SCENES[task].budget}
         for seed in range(arguments.seeds)
         for task in arguments.tasks or ("voronoi", "spline", "robot")
-        for arm in table
+        for arm in arguments.arms
     ]
     run_missing(cells, table, arguments.out, "0/1", run_cell)
 
@@ -267,7 +272,7 @@ def print_table(arguments: argparse.Namespace) -> None:
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     print(f"| descriptor | {' | '.join(f'{t} | 10^' for t in tasks)} |")
     print(f"|---|{'---:|' * 2 * len(tasks)}")
-    for name in VARIANTS:
+    for name in [name for name in VARIANTS if any(row["arm"] == name for row in rows)]:
         cells = [cell for task in tasks for cell in compared(rows, task, name)]
         print(f"| {name} | {' | '.join(cells)} |")
 
@@ -293,6 +298,7 @@ def main() -> None:
     add = parser.add_argument
     add("what", choices=("tell", "fit", "table"))
     add("tasks", nargs="*", metavar="TASK")
+    add("--arms", nargs="+", default=list(VARIANTS), choices=list(VARIANTS), metavar="NAME")
     add("--seeds", type=int, default=6)
     add("--size", type=int, default=112, metavar="PX")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
