@@ -9,6 +9,8 @@ or LOADING_SILENCE_SECONDS while libraries are loaded, in which no thread of Pyt
 heart beats while nothing comes of it is given up when a frame takes far longer than it should by
 the slowest path before, or loading LOADING_SECONDS. In all these cases all processes are ended and
 `RenderWorkerError` is raised; the next frame asked for starts new ones.
+
+They belong to the process that started them: one that is forked from it starts its own.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ import signal
 import threading
 import time
 import weakref
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing import connection
 from typing import Any, NamedTuple, Protocol
 
@@ -42,6 +44,8 @@ _SECONDS_A_PATH = 2e-6  # taken for the slowest before there is one
 _SLICE = 1.0  # seconds; a longer pause between two looks was this process's own
 _BEAT = 0.5  # seconds from one beat to the next
 _LONGEST_WORD = 4096  # bytes that go through a pipe at once
+_SAFE_PATH = "PYTHONSAFEPATH"  # read by Python when it starts
+_STARTING = threading.Lock()  # the environment belongs to the whole process
 
 
 class RenderWorkerError(RuntimeError):
@@ -80,11 +84,13 @@ class RenderWorkers:
         self._artist, self._slowest = artist, _SECONDS_A_PATH
         self._measured, self._pixels = False, shape[0] * shape[1]
         self._workers: list[_Worker] = []
-        self._finalizer = weakref.finalize(self, _end, self._workers)
+        self._process = os.getpid()
+        self._finalizer = weakref.finalize(self, _end, self._workers, self._process)
         context = multiprocessing.get_context("spawn")
         try:
-            for _ in range(count):
-                self._workers.append(_Worker(context, artist, shape))
+            with _no_code_of_this_folder():
+                for _ in range(count):
+                    self._workers.append(_Worker(context, artist, shape))
         except BaseException as error:
             self.close()
             if not isinstance(error, OSError):
@@ -101,8 +107,8 @@ class RenderWorkers:
 
     @property
     def closed(self) -> bool:
-        """Whether the processes have been ended."""
-        return not self._finalizer.alive
+        """Whether the processes have been ended, or are those of another process."""
+        return not self._finalizer.alive or self._process != os.getpid()
 
     def close(self) -> None:
         """End the processes."""
@@ -243,7 +249,26 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def _end(workers: list[_Worker]) -> None:
+@contextmanager
+def _no_code_of_this_folder() -> Iterator[None]:
+    """Let processes that start look for no module in the folder that this one was started in.
+
+    It may be that of a scene from elsewhere. Once started they have the path of this process.
+    """
+    with _STARTING:
+        before = os.environ.get(_SAFE_PATH)
+        os.environ[_SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            del os.environ[_SAFE_PATH]
+            if before is not None:
+                os.environ[_SAFE_PATH] = before
+
+
+def _end(workers: list[_Worker], owner: int) -> None:
+    if owner != os.getpid():  # a forked process
+        return
     for worker in workers:
         worker.process.kill()  # it holds nothing that would have to be saved
         worker.pipe.close()

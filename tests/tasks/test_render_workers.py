@@ -265,6 +265,40 @@ def test_threads_share_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(pools) == 1
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # this process has threads
+def test_a_forked_process_neither_uses_the_processes_nor_ends_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Idle, "made", 0)
+    monkeypatch.setattr(Idle, "ended", 0)
+    monkeypatch.setattr(render_workers, "_Worker", Idle)
+    pool = render_workers.RenderWorkers(make(1), 2, (8, 8, 3))
+    assert not pool.closed
+    child = os.fork()
+    if child == 0:
+        failed = 1
+        try:
+            failed = int(not pool.closed)
+            pool.close()
+            failed += Idle.ended
+        finally:
+            os._exit(failed)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    assert not pool.closed
+    pool.close()
+    assert (Idle.ended, pool.closed) == (2, True)
+
+
+def test_no_code_of_the_folder_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that starts looks for modules in the folder in which this one is."""
+    (tmp_path / "multiprocessing.py").write_text("raise SystemExit('code of the folder')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    make(2, size=8, spp=1, variant="scalar").render(random_x(1))
+    assert "PYTHONSAFEPATH" not in os.environ
+
+
 def test_an_error_in_a_process_is_raised_here() -> None:
     task = make(2)
     task.variant = "llvm_ad_nonsense"
