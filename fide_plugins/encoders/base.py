@@ -62,9 +62,9 @@ class PatchEncoder(ABC):
         """(T, C) for images of that size; `ImageError` if they are too small."""
 
     def _prepare(self, batch: Float32) -> Float32:
-        """Images (n, H, W, 3) as `_encode` shall see them, still on the processor."""
+        """What `_encode` shall see of images (n, H, W, 3), still on the processor."""
         return batch
 
     @abstractmethod
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        """Tokens (n, T, C) of images (n, H, W, 3)."""
+        """Tokens (n, T, C) of what `_prepare` made of images, (n, H, W, 3) by default."""

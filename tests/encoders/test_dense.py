@@ -2,10 +2,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings, strategies as st
 
-from fide_plugins.encoders.dense import DenseEncoder, box_weights, grid
+from fide_plugins.encoders.dense import DenseEncoder, box_weights, grid, sampled
 
 RNG = np.random.default_rng(3)
 MEAN, RIGHT, DOWN, DIAGONAL = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -186,9 +185,18 @@ def test_range_of_black_and_white_noise() -> None:
 @settings(max_examples=100, deadline=None)
 @given(st.integers(1, 200), st.integers(1, 60))
 def test_boxes_share_out_every_pixel(pixels: int, boxes: int) -> None:
-    weights = box_weights(pixels, boxes, torch.device("cpu")).double()
-    torch.testing.assert_close(
-        weights.sum(1), torch.ones(boxes, dtype=torch.float64), atol=1e-6, rtol=0
-    )
-    share = torch.full((pixels,), boxes / pixels, dtype=torch.float64)
-    torch.testing.assert_close(weights.sum(0), share, atol=1e-5, rtol=1e-5)
+    weights = box_weights(pixels, boxes).astype(np.float64)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(weights.sum(axis=0), boxes / pixels, atol=1e-5, rtol=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(*[st.integers(1, 130)] * 4, st.integers(0, 2**31))
+def test_samples_are_the_means_of_their_boxes(
+    height: int, width: int, rows: int, columns: int, seed: int
+) -> None:
+    """Whatever computes them: both ways are the same, where both are possible and where not."""
+    image = np.random.default_rng(seed).random((height, width, 3), dtype=np.float32)
+    down, across = box_weights(height, rows), box_weights(width, columns)
+    expected = np.einsum("rh,hwc,vw->rvc", down, image, across, optimize=True)
+    np.testing.assert_allclose(sampled(image, rows, columns), expected, atol=2e-6)

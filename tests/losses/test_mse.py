@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from fide_plugins.losses.mse import MeanSquaredError
 
@@ -8,17 +9,18 @@ RNG = np.random.default_rng(6)
 def test_equals_numpy() -> None:
     target, *images = RNG.random((6, 31, 17, 3), dtype=np.float32)
     expected = [np.mean((x.astype(np.float64) - target) ** 2) for x in images]
-    assert MeanSquaredError(target)(images).tolist() == expected
+    np.testing.assert_allclose(MeanSquaredError(target)(images), expected, rtol=1e-14)
 
 
 def test_by_hand() -> None:
     image = np.zeros((1, 2, 2, 3))
     image[0, 0, 0] = (1.0, 0.5, 0.0)
-    assert MeanSquaredError(np.zeros((2, 2, 3)))(image)[0] == 1.25 / 12
+    assert MeanSquaredError(np.zeros((2, 2, 3)))(image)[0] == pytest.approx(1.25 / 12, rel=1e-14)
 
 
 def test_differences_below_single_precision_of_the_mean_count() -> None:
     target = np.full((112, 112, 3), 0.5, np.float32)
     image = target.copy()
     image[0, 0, 0] += 2.0**-20
-    assert MeanSquaredError(target)(image[None])[0] == 2.0**-40 / target.size
+    expected = 2.0**-40 / target.size
+    assert MeanSquaredError(target)(image[None])[0] == pytest.approx(expected, rel=1e-14)
