@@ -129,7 +129,13 @@ _STATE: dict[str, Form] = {
         "pairs": array("d", "d", low=0.0),
         "counts": row(whole(), whole(), whole(), whole()),
     },
-    "trust": {"share": real(0.0, 1.0), "sum": real(-1e60, 1e60), "variance": real(0.0, 1e60)},
+    "trust": {
+        "share": real(0.0, 1.0),
+        "sum": real(-1e60, 1e60),
+        "variance": real(0.0, 1e60),
+        "recent": real(-1e60, 1e60),
+        "weight": real(0.0, 1e60),
+    },
     "ledger": {
         "size": whole(),
         "drawn": whole(),

@@ -17,6 +17,10 @@ generations j, older ones counting less by c_j,
 
 would then be a number of about standard normal law.  Images that agree lift it beyond 3 in the
 first two generations and beyond 10 by the tenth (`docs/extremes.md`).
+
+That is to be sure of *some* agreement, and a lie can have some: a target of something else has a
+side that is nearer, too.  So it is also asked how *much* images agree of late, by the mean of rho_j
+over the last generations, the newest counting most.
 """
 
 from __future__ import annotations
@@ -34,6 +38,8 @@ __all__ = ["Agreement", "rank_correlation"]
 
 _MEMORY = 400  # candidates after which a generation counts for 1/e
 _SURE = 3.0  # standard deviations
+_SHORT_MEMORY = 100  # candidates, of how much the last generations agree
+_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `docs/extremes.md`
 
 
 class Agreement:
@@ -46,11 +52,19 @@ class Agreement:
         self.views = views
         self._sum = 0.0
         self._variance = 0.0  # of the sum, if images said nothing
+        self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory
 
     @property
-    def shown(self) -> bool:
-        """Whether it is as good as certain that nearer images have lower losses."""
-        return 0 < _SURE * math.sqrt(self._variance) <= self._sum
+    def strength(self) -> float:
+        """How far images may be followed, in [0, 1].
+
+        0 unless it is as good as certain that nearer images have lower losses, 1 where of late they
+        agree much, in proportion between.
+        """
+        if not 0 < _SURE * math.sqrt(self._variance) <= self._sum:
+            return 0.0
+        rho = self._recent / self._weight
+        return min(1.0, max(0.0, (rho - _LITTLE) / (_MUCH - _LITTLE)))
 
     def note(self, tokens: Tensor, target: Tensor, losses: Float64) -> None:
         """Note one generation: tokens (n, T, C) of images, those of the target, losses (n,).
@@ -66,14 +80,23 @@ class Agreement:
         keep = float(np.exp(-n / _MEMORY))
         self._sum = keep * self._sum + n * float(rho)
         self._variance = keep**2 * self._variance + n**2 / (n - 1)
+        keep = float(np.exp(-n / _SHORT_MEMORY))
+        self._recent = keep * self._recent + n * float(rho)
+        self._weight = keep * self._weight + n
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
-        return {"sum": self._sum, "variance": self._variance}
+        return {
+            "sum": self._sum,
+            "variance": self._variance,
+            "recent": self._recent,
+            "weight": self._weight,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Put back what `state_dict` gave."""
         self._sum, self._variance = float(state["sum"]), float(state["variance"])
+        self._recent, self._weight = float(state["recent"]), float(state["weight"])
 
 
 def rank_correlation(a: Float64, b: Float64) -> float:

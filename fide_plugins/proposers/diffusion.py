@@ -7,7 +7,9 @@ target.  Nothing here knows the search, the renderer or the loss.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
+from copy import deepcopy
 from functools import partial
 from typing import Any
 
@@ -82,12 +84,15 @@ class DiffusionProposer:
         self.objective: Objective = objective or XLoss()
         self.precondition = precondition
         self.updates = 0
+        self._warned = False  # that training diverged
         self._sizes = network
         self._network: ParameterTransformer | None = None
         self._optimizer: torch.optim.Adam | None = None
         for_weights, for_noise = np.random.SeedSequence(seed).generate_state(2)
         self._weights_seed = int(for_weights)
         self._generator = torch.Generator(self.device).manual_seed(int(for_noise))
+
+    beside = False
 
     @property
     def ready(self) -> bool:
@@ -102,12 +107,14 @@ class DiffusionProposer:
 
         `losses` of the images play no part.
         `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean training loss
-        of each epoch, on the device.
+        of each epoch, on the device.  Training that diverges is undone, with a RuntimeWarning the
+        first time.
         """
         network, optimizer = self._parts(*tokens.shape[1:])
         for group in optimizer.param_groups:
             group["lr"] = self.learning_rate  # may have been changed between generations
         network.train()
+        before = deepcopy(network.state_dict()), adam_state(optimizer)
         history = fit(
             network,
             self.precondition,
@@ -120,8 +127,22 @@ class DiffusionProposer:
             batch_size=self.batch_size,
             generator=self._generator,
         )
+        if not all(bool(weight.isfinite().all()) for weight in network.parameters()):
+            network.load_state_dict(before[0])
+            load_adam_state(optimizer, before[1])
+            self._warn_diverged()
         self.updates += 1
         return history
+
+    def _warn_diverged(self) -> None:
+        if not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"training of the denoiser diverged with learning_rate={self.learning_rate:g}; its "
+                "weights stay as they were: choose a lower one, such as 0.001",
+                RuntimeWarning,
+                stacklevel=3,
+            )
 
     @torch.no_grad()
     def propose(
@@ -136,14 +157,16 @@ class DiffusionProposer:
 
         The sampler needs neither `mean` nor `rng`.
 
-        Returns (m, d); values may leave the unit cube, the caller repairs as for its own samples.
+        Returns (m, d), finite: where the network overflows, the sample itself.  Values may leave
+        the unit cube, the caller repairs as for its own samples.
         """
         network, _ = self._parts(*target.shape)
         network.eval()
         context = network.encode_context(target.to(self.device, torch.float32)[None])
         denoise = self.precondition(partial(network, context=context))
         proposed = euler(denoise, self._tensor(z), self._tensor(std), self.schedule)
-        return proposed.cpu().numpy().astype(np.float64)
+        x = proposed.cpu().numpy().astype(np.float64)
+        return np.where(np.isfinite(x), x, z)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes, as a nested dict of tensors, ints and strings."""

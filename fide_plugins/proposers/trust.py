@@ -27,17 +27,23 @@ class Trust:
     def __init__(self, options: Options, views: tuple[int | None, ...]) -> None:
         self.options = options
         self.share = options.share
-        """Of a generation that is proposed, while images guide."""
+        """Of a generation that is proposed, where images are followed wholly."""
         self._agreement = Agreement(views)
 
     @property
+    def strength(self) -> float:
+        """How far images are followed, in [0, 1]; where they are not, the search is CMA-ES."""
+        return self._agreement.strength if self.options.guard_images else 1.0
+
+    @property
     def guided(self) -> bool:
-        """Whether images guide the search; where they do not, it is CMA-ES."""
-        return not self.options.guard_images or self._agreement.shown
+        """Whether images say when a search is over, and where to go on."""
+        return self.strength == 1.0
 
     def number(self, popsize: int, rng: np.random.Generator) -> int:
         """How many of a generation to propose, at random around the share of it."""
-        return min(int(self.share * popsize + rng.random()), popsize - 1) if self.guided else 0
+        share = self.share * self.strength
+        return min(int(share * popsize + rng.random()), popsize - 1) if share else 0
 
     def note_images(self, tokens: Tensor, target: Tensor, losses: Float64) -> None:
         """Note tokens (n, T, C) of a generation's images, those of the target, losses (n,)."""

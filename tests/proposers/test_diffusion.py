@@ -140,6 +140,32 @@ def test_finite_for_collapsed_and_for_wide_populations(n: int, scale: float) -> 
     assert bool(np.isfinite(proposed).all())
 
 
+@pytest.mark.parametrize("rate", [1e3, 1e300])
+def test_training_that_diverges_is_undone_and_said_once(rate: float) -> None:
+    x, tokens = scene(30)
+    proposer = make(learning_rate=rate)
+    calm = make()
+    calm.update(x, tokens, None, STD)
+    weights = calm.state_dict()["weights"]
+    proposer.load_state_dict(calm.state_dict())
+    with pytest.warns(RuntimeWarning, match="diverged with learning_rate"):
+        proposer.update(x, tokens, None, STD)
+    proposer.update(x, tokens, None, STD)  # with no other warning
+    after = proposer.state_dict()["weights"]
+    assert all(torch.equal(after[name], weights[name]) for name in weights)
+    assert np.isfinite(proposer.propose(x, tokens[0], MEAN, STD)).all()
+
+
+def test_a_network_that_overflows_leaves_samples_as_they_are() -> None:
+    x, tokens = scene(20)
+    proposer = make()
+    proposer.update(x, tokens, None, STD)
+    state = proposer.state_dict()
+    state["weights"] = {name: 1e30 * value for name, value in state["weights"].items()}
+    proposer.load_state_dict(state)
+    np.testing.assert_array_equal(proposer.propose(x, tokens[0], MEAN, STD), x)
+
+
 def test_other_images_are_refused_before_anything_changes() -> None:
     proposer = make()
     x, tokens = scene(10)
