@@ -190,7 +190,7 @@ class FIDESampler(BaseSampler):
     ) -> dict[str, BaseDistribution]:
         """Return the parameters that are searched together, by name."""
         with self._lock:
-            relative = self._memory_of(study).look(study)
+            relative = self._memory_of(study).look(study, trial.number)
             if relative.completed < self._n_startup_trials:
                 return {}
             return dict(relative.current if self._search_space is None else self._search_space)

@@ -11,7 +11,7 @@ import numpy as np
 from optuna.distributions import BaseDistribution
 from optuna.storages import BaseStorage
 from optuna.study import Study
-from optuna.trial import FrozenTrial
+from optuna.trial import FrozenTrial, TrialState
 from torch import Tensor
 
 from fide_adapters.optuna_parts.eye import Eye
@@ -55,12 +55,15 @@ class Memory:
 
     # -- before a trial ----------------------------------------------------------------------------
 
-    def look(self, study: Study) -> RelativeSpace:
-        """Read what is new in the storage; say what trials had in common."""
+    def look(self, study: Study, number: int = 0) -> RelativeSpace:
+        """Read what is new in the storage; say what trials before that number had in common."""
         self._trials = study._get_trials(deepcopy=False, use_cache=False)
         news = self._history.update(self._trials)
         for trial in news.finished:
             self._relative.add(trial)
+        if not self._relative.completed:
+            before = (t for t in self._trials[:number] if t.state is TrialState.RUNNING)
+            self._relative.begin(next((t.distributions for t in before if t.params), {}))
         for model in self._models.values():
             if not model.agrees(news):
                 model.forget()

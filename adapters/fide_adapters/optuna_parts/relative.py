@@ -4,6 +4,9 @@ Those that the last ten completed trials have all had, with the same distributio
 that sometimes is absent, or whose range keeps changing, is left to the independent sampler, and one
 that has changed for good is searched again ten trials later.  A study that changes too often
 falls back to what all of its trials have had.
+
+Before any trial has completed it is what the first of those that are running has so far, so that
+workers that begin together, and trials that are asked in a batch, are candidates of one generation.
 """
 
 from __future__ import annotations
@@ -54,9 +57,14 @@ class RelativeSpace:
         if not same or len(set(map(id, self._recent))) > 1 or not self._current:
             self._decide()
 
+    def begin(self, running: Mapping[str, BaseDistribution]) -> None:
+        """Take what a running trial has, while none has completed."""
+        if not self.completed:
+            self._current = _common([running])
+
     @property
     def current(self) -> dict[str, BaseDistribution]:
-        """Distributions by name, in order; empty before the first trial."""
+        """Distributions by name, in order; empty where nothing is known."""
         return self._current
 
     def _decide(self) -> None:

@@ -14,6 +14,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna_parts.model import Model
 from fide_adapters.optuna_parts.records import ASK
+from fide_plugins import FIDE
 from fide_plugins.points import Float64
 
 from .conftest import Bench
@@ -261,3 +262,15 @@ def test_point_9_a_batch_told_in_reverse(bench: Bench) -> None:
     bench.run(study, 1)
     assert counted(model_of(study)) == 61
     assert sampler._memory is not None and not sampler._memory.tokens
+
+
+def test_point_9_a_batch_of_an_unknown_space(bench: Bench) -> None:
+    """Trials that are asked before any was told are candidates of the first generation."""
+    study = optuna.create_study(sampler=bench.sampler())
+    sampler = bench.sampler_of(study)
+    asked = [(trial, bench.suggest(trial)) for trial in (study.ask() for _ in range(6))]
+    for trial, x in asked:
+        study.tell(trial, sampler.tell_image(trial, bench.render(x)))
+    assert sampler.counts(study) == {"member": 6, "image": 6}
+    core = FIDE(5, bench.target, seed=0, popsize=6)
+    np.testing.assert_allclose(bench.points(study), core.ask(6), rtol=0, atol=1e-15)
