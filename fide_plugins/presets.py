@@ -31,7 +31,7 @@ class Options:
         `proposers.share`; rate 0 keeps it as it is.
 
     memory: generations that the linear proposer remembers; of many parameters (d > 4 k) at least
-        3 d / 2 candidates; 600, or one generation, at most.
+        3 d / 2 candidates; 600 at most.
     select_tokens: whether the linear proposer leaves out tokens that do not vary, see
         `proposers.views`.
     elite, ridge, sources, shortest_step, longest_step, noise, evidence: see `proposers.linear`.

@@ -63,7 +63,7 @@ def make_proposer(
 
         enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
         wanted = max(options.memory * popsize, enough)
-        remembered = min(wanted, max(_MOST_REMEMBERED, popsize))
+        remembered = min(wanted, _MOST_REMEMBERED)
         return LinearProposer(
             dim,
             capacity=remembered,

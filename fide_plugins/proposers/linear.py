@@ -50,6 +50,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from torch import Tensor
 
 from fide_plugins.points import Float64
@@ -129,9 +130,15 @@ class LinearProposer:
         return len(self._x) >= self.minimum
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
-        """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
+        """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,).
+
+        Of more than can be remembered, some of every rank.
+        """
         affordable = max(self.minimum, _MOST_BYTES // (8 * tokens[0].numel()))
         n = min(self.capacity, affordable)
+        if len(x) > n:
+            kept = _of_every_rank(losses, n)
+            x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
         for view in self._views:
             view.add(tokens, n)
         self._x = np.concatenate([self._x, x])[-n:]
@@ -227,6 +234,12 @@ def _explained(u: Float64, residuals: Float64) -> Float64:
 
 def _ranks(losses: Float64) -> npt.NDArray[np.intp]:
     return np.argsort(np.argsort(losses, kind="stable"), kind="stable")
+
+
+def _of_every_rank(losses: Float64, n: int) -> npt.NDArray[np.intp]:
+    """Indices, rising, of n candidates of (m,), m > n, evenly by rank; the best is one of them."""
+    by_rank = np.argsort(losses, kind="stable")
+    return np.sort(by_rank[np.linspace(0, len(losses) - 1, n).round().astype(np.intp)])
 
 
 def _rank_weights(ranks: npt.NDArray[np.intp], scale: float) -> Float64:

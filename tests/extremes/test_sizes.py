@@ -1,0 +1,103 @@
+"""The smallest and the largest of everything: parameters, candidates, pixels, numbers told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.errors import ImageError
+from fide_plugins.fide import FIDE
+from fide_plugins.images import Float32
+from fide_plugins.points import Float64
+
+
+def shown(X: Float64, size: tuple[int, int]) -> Float32:
+    """Images (n, H, W, 3), gray, as bright as the mean of the parameters, brighter to the right."""
+    ramp = np.linspace(0.2, 1.0, size[1], dtype=np.float32)
+    images: Float32 = np.empty((len(X), *size, 3), np.float32)
+    images[:] = X.mean(axis=1).astype(np.float32)[:, None, None, None] * ramp[:, None]
+    return images
+
+
+def run(dim: int, size: tuple[int, int], generations: int, **settings: Any) -> FIDE:
+    """Check what was asked, what was learned, and that the same seed asks the same."""
+    target = shown(np.full((1, dim), 0.7), size)[0]
+    opt, twin = (FIDE(dim, target, seed=3, **settings) for _ in range(2))
+    best = np.inf
+    for _ in range(generations):
+        X = opt.ask()
+        np.testing.assert_array_equal(twin.ask(), X)
+        assert X.shape[1] == dim and ((X >= 0) & (X <= 1)).all()
+        for each in (opt, twin):
+            each.tell(X, shown(X, size))
+        assert opt.best is not None and opt.best.loss <= best
+        best = opt.best.loss
+    np.testing.assert_array_equal(opt.ask(), twin.ask())
+    search = opt._search
+    np.testing.assert_array_equal(search.C, search.C.T)
+    assert np.isfinite(search.C).all() and search._D.min() > 0
+    return opt
+
+
+@pytest.mark.parametrize("dim", [1, 64, 512])
+def test_parameters(dim: int) -> None:
+    opt = run(dim, (4, 4), 4)
+    assert opt.best is not None and opt.best.loss < 0.02
+
+
+@pytest.mark.parametrize("popsize", [4, 4096])
+def test_candidates_of_a_generation(popsize: int) -> None:
+    opt = run(2, (1, 1), 1, popsize=popsize)
+    assert opt.evaluations == popsize
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 300), (16, 4096), (4096, 16)])
+def test_pixels(size: tuple[int, int]) -> None:
+    opt = run(2, size, 4)
+    tokens, channels = opt.features_shape
+    assert 1 <= tokens <= 256 and channels == 16
+
+
+def refused(images: Any, opt: FIDE, X: Float64) -> None:
+    """And nothing of it is remembered."""
+    before = opt._ledger.asked, opt.evaluations, opt._rng.bit_generator.state
+    with pytest.raises(ImageError):
+        opt.tell(X, images)
+    assert (opt._ledger.asked, opt.evaluations, opt._rng.bit_generator.state) == before
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("pixels", [1, 12])
+def test_pixels_that_are_no_numbers(value: float, pixels: int) -> None:
+    opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)
+    X = opt.ask()
+    images = np.zeros((len(X), 2, 2, 3))
+    images[-1].reshape(-1)[:pixels] = value
+    refused(images, opt, X)
+    opt.tell(X, np.nan_to_num(images, posinf=1.0, neginf=0.0))
+    assert opt.evaluations == len(X)
+
+
+@pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
+@pytest.mark.parametrize("scale", [1e-45, 1e-30, 1e30, 3e38, -1e30])
+def test_brightness(scale: float) -> None:
+    """Told as it is: what is beyond [0, 1] is clipped, and ranks like what is clipped."""
+    target = np.zeros((2, 2, 3), np.float32)
+    opt, clipped = (FIDE(2, target, seed=0) for _ in range(2))
+    for _ in range(5):
+        X = opt.ask()
+        images = shown(X, (2, 2)) * np.float32(scale)
+        opt.tell(X, images)
+        np.testing.assert_array_equal(clipped.ask(), X)
+        clipped.tell(X, np.clip(images, 0, 1))
+    np.testing.assert_array_equal(opt.ask(), clipped.ask())
+
+
+def test_what_is_a_number_in_double_precision_only_is_clipped_before_it_is_none() -> None:
+    opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)
+    X = opt.ask()
+    with pytest.warns(RuntimeWarning, match="clipped to"):
+        opt.tell(X, np.full((len(X), 2, 2, 3), 1e300))
+    assert opt.best is not None and opt.best.loss == pytest.approx(1.0)
