@@ -18,6 +18,7 @@ from fide_adapters.optuna_parts.eye import Eye
 from fide_adapters.optuna_parts.history import History, Trials
 from fide_adapters.optuna_parts.losses import loss_of
 from fide_adapters.optuna_parts.model import Lesson, Model, NotHereError
+from fide_adapters.optuna_parts.reader import Reader
 from fide_adapters.optuna_parts.records import ASK, IMAGE, SEED, read_image
 from fide_adapters.optuna_parts.relative import RelativeSpace
 from fide_adapters.optuna_parts.settings import Settings
@@ -39,6 +40,7 @@ class Memory:
         self._settings = settings
         self._storage: BaseStorage | None = study._storage
         self._study = (study._study_id, study.study_name)
+        self._reader = Reader()
         self._trials: Trials = []
         self._seed = settings.seed
         self._history = History(self._settings.voice)
@@ -57,7 +59,7 @@ class Memory:
 
     def look(self, study: Study, number: int = 0) -> RelativeSpace:
         """Read what is new in the storage; say what trials before that number had in common."""
-        self._trials = study._get_trials(deepcopy=False, use_cache=False)
+        self._trials = self._reader.read(study)
         news = self._history.update(self._trials)
         for trial in news.finished:
             self._relative.add(trial)
