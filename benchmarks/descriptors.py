@@ -8,6 +8,7 @@
 how much of the variance of the parameters of 80 other renders it explains, the mean over the
 parameters.  The parameters have a standard deviation of 0.1 around a random point (wide), or 0.03
 (narrow).  Noisy: scenes with few paths a pixel, and others with normal noise of 0.1 a pixel.
+Noise: that of the table of this name in docs/encoders.md.
 
 All descriptors share a grid of 14 x 14 tokens, but where they say otherwise, and begin with the
 mean colors, so the proposer looks at the colors alone every second time, as it does with `dense`.
@@ -31,7 +32,7 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from encoders import SCENES, run_cell
+from encoders import SCENES, noise_share, noisy_pairs, run_cell, squares
 from numpy.typing import NDArray
 from quality import Cell, read, run_missing
 from torch import Tensor
@@ -200,14 +201,17 @@ def tell(arguments: argparse.Namespace) -> None:
         for noisy in (True,) if task in TRACED else (False, True):
             columns += [(task, width, noisy) for width in WIDTHS]
     head = " | ".join(f"{t}, {w}{', noisy' if n else ''}" for t, w, n in columns)
-    print(f"| descriptor | channels | ms | {head} |\n|---|{'---:|' * (2 + len(columns))}")
+    print(f"| descriptor | channels | ms | noise | {head} |\n|---|{'---:|' * (3 + len(columns))}")
+    pairs = noisy_pairs(arguments.size)
     populations = [population(*column, arguments.size) for column in columns]
     for name, make in VARIANTS.items():
         encoder = make()
         start = time.process_time()
         shares = [explained(encoder, x, images) for x, images in populations]
         cost = 1e3 * (time.process_time() - start) / sum(len(x) for x, _ in populations)
-        cells = [name, encoder._channels, f"{cost:.2f}", *(f"{share:.2f}" for share in shares)]
+        noise = f"{noise_share(squares(encoder, *pairs)):.3f}"
+        shown = [f"{share:.2f}" for share in shares]
+        cells = [name, encoder._channels, f"{cost:.2f}", noise, *shown]
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 

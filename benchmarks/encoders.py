@@ -284,9 +284,7 @@ def loss_table(rows: list[Cell]) -> list[str]:
 
 def print_noise(arguments: argparse.Namespace) -> None:
     """Median distance of two renders of one candidate over that of two candidates."""
-    task = fide_tasks.make("beads", arguments.size, 0, spp=16)
-    X = np.random.default_rng(0).normal(0.5, 1 / 6, (24, task.dim)).clip(0, 1)
-    one, two = (task.render(X, seed=[100 * k + i for i in range(len(X))]) for k in (1, 2))
+    one, two = noisy_pairs(arguments.size)
     print("| | distance of noise / of candidates |\n|---|---:|")
     for name in LOSSES:
         if problem("loss", name) is None:
@@ -295,10 +293,22 @@ def print_noise(arguments: argparse.Namespace) -> None:
     for name in ENCODERS.values():
         if problem("encoder", name) is None:
             make = encoders.make(name)
-            e, f = (make(images).flatten(1).double() for images in (one, two))
-            print(
-                f"| encoder `{name}`, squared | {noise_share(torch.cdist(e, f).numpy() ** 2):.3f} |"
-            )
+            print(f"| encoder `{name}`, squared | {noise_share(squares(make, one, two)):.3f} |")
+
+
+def noisy_pairs(size: int) -> tuple[Any, Any]:
+    """Two renders each of 24 candidates of Beads, as at the start of a search."""
+    task = fide_tasks.make("beads", size, 0, spp=16)
+    X = np.random.default_rng(0).normal(0.5, 1 / 6, (24, task.dim)).clip(0, 1)
+    one, two = (task.render(X, seed=[100 * k + i for i in range(len(X))]) for k in (1, 2))
+    return one, two
+
+
+def squares(encoder: Any, one: Any, two: Any) -> NDArray[np.float64]:
+    """Squared distances (n, n) of the features of images from those of others."""
+    e, f = (encoder(images).flatten(1).double() for images in (one, two))
+    distances: NDArray[np.float64] = torch.cdist(e, f).numpy() ** 2
+    return distances
 
 
 def noise_share(distances: NDArray[np.float64]) -> float:
