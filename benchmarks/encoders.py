@@ -23,7 +23,7 @@ import os
 import statistics
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -185,12 +185,22 @@ def tables(rows: list[Cell]) -> str:
     handmade = [row for row in every if row["arm"][8:] in ("dense", "patch")]
     with_networks = {(row["task"], row["size"]) for row in every if row not in handmade}
     networks = [row for row in every if (row["task"], row["size"]) in with_networks]
-    blocks = [encoder_table(handmade), encoder_table(networks), loss_table(of_losses(rows))]
+    blocks = [
+        encoder_table(handmade, (500, 1000, 2000)),
+        encoder_table(up_to_the_shortest(networks), (100, 200, 300, 500, 1000)),
+        loss_table(of_losses(rows)),
+    ]
     return "\n\n".join("\n".join(block) for block in blocks)
 
 
 def of(rows: list[Cell], kind: str) -> list[Cell]:
     return [row for row in rows if row["arm"].startswith(f"{kind} ")]
+
+
+def up_to_the_shortest(rows: list[Cell]) -> list[Cell]:
+    """Rows with curves of the same length: no run knows its budget, so all are alike till then."""
+    length = min((len(row["best"]) for row in rows), default=0)
+    return [{**row, "best": row["best"][:length]} for row in rows]
 
 
 def of_losses(rows: list[Cell]) -> list[Cell]:
@@ -202,10 +212,7 @@ def of_losses(rows: list[Cell]) -> list[Cell]:
 
 
 def groups(rows: list[Cell]) -> Iterator[tuple[str, str, list[Cell]]]:
-    """Task, arm and rows of the runs, of those seeds that every arm of the task and size has.
-
-    Rows of different budgets are alike up to the smaller one: no run knows its budget.
-    """
+    """Task, arm and rows of the runs, of those seeds that every arm of the task and size has."""
     for task, size in dict.fromkeys((row["task"], row["size"]) for row in rows):
         mine = [row for row in rows if (row["task"], row["size"]) == (task, size)]
         by_arm: dict[str, dict[int, Cell]] = {}
@@ -217,30 +224,25 @@ def groups(rows: list[Cell]) -> Iterator[tuple[str, str, list[Cell]]]:
                 yield f"{task}, {size} px", arm, [by_seed[seed] for seed in sorted(shared)]
 
 
-def encoder_table(rows: list[Cell]) -> list[str]:
+def encoder_table(rows: list[Cell], marks: Sequence[int]) -> list[str]:
     """Losses after some renders, milliseconds a render, and the comparison with `patch`."""
-    head = ["task", "encoder", "runs", "500", "1,000", "2,000", "better than `patch`", "ms"]
-    lines = [f"| {' | '.join([*head, 'time to the loss of `patch`'])} |", "|---|---|" + "---:|" * 7]
+    marks = [m for m in marks if any(len(row["best"]) * STEP >= m for row in rows)]
+    head = ["task", "encoder", "runs", *(f"{m:,}" for m in marks), "better than `patch`", "ms"]
+    lines = [f"| {' | '.join([*head, 'time to the loss of `patch`'])} |"]
+    lines.append("|---|---|" + "---:|" * (len(head) - 1))
     table = list(groups(rows))
     patch = {task: group for task, arm, group in table if arm[8:] == "patch"}
     for task, arm, group in table:
-        marks = [median_at(group, renders) for renders in (500, 1000, 2000)]
+        losses_then = [median_at(group, renders) for renders in marks]
         cost = f"{statistics.median(row['ms'] for row in group):.2f}"
         others = patch[task]
-        better = "" if arm[8:] == "patch" else f"{wins(group, others)} of {len(group)}"
+        wins = sum(r["best"][-1] < o["best"][-1] for r, o in zip(group, others, strict=True))
+        better = "" if arm[8:] == "patch" else f"{wins} of {len(group)}"
         share = statistics.median(map(share_of_time, group, others))
         when = f"{share:.2f}" if share < float("inf") else "not reached"
-        cells = [task, arm[8:], len(group), *marks, better, cost, when]
+        cells = [task, arm[8:], len(group), *losses_then, better, cost, when]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return lines
-
-
-def wins(rows: list[Cell], others: list[Cell]) -> int:
-    """In how many pairs the first is better, at the smaller of their budgets."""
-    pairs = zip(rows, others, strict=True)
-    ends = (min(len(row["best"]), len(other["best"])) - 1 for row, other in pairs)
-    triples = zip(rows, others, ends, strict=True)
-    return sum(row["best"][end] < other["best"][end] for row, other, end in triples)
 
 
 def median_at(rows: list[Cell], renders: int) -> str:
@@ -251,11 +253,8 @@ def median_at(rows: list[Cell], renders: int) -> str:
 
 
 def share_of_time(row: Cell, other: Cell) -> float:
-    """The time a run took to the other's loss at the end, over the other's; inf if never.
-
-    The end: of the shorter of both.
-    """
-    final = other["best"][min(len(row["best"]), len(other["best"])) - 1]
+    """The time a run took to the other's final loss, over the time the other took; inf if never."""
+    final = other["best"][-1]
     mine, others = (time_to(final, each) for each in (row, other))
     return mine / others
 
