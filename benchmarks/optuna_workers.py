@@ -27,11 +27,11 @@ import optuna
 import fide_tasks
 from fide_adapters.optuna import FIDESampler
 
-TRIALS = 1500
+TRIALS = 1000
 EVERY = 25
 SIZE = 64
 SPREAD = 0.3
-LEVELS = (400, 700, 1000)  # trials of one worker
+LEVELS = (200, 400, 600)  # trials of one worker
 
 
 def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
@@ -97,29 +97,23 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """Trials that the mean curve (of the logarithm) takes to the level of one worker's."""
+    """Trials to the loss that another run of one worker has after n trials, over n.
+
+    Each run is compared with those of the same target and another seed; runs of one worker too,
+    which shows what chance does.  Medians and quartiles.
+    """
     curves: dict[int, dict[tuple[int, int], Any]] = {}
     for line in lines:
         cell = line["target"], line["seed"]
-        curves.setdefault(line["workers"], {})[cell] = np.log(np.array(line["curve"]) + 1e-4)
-    shared = sorted(set.intersection(*(set(c) for c in curves.values())))
-    rows = [
-        "| workers | runs | "
-        + " | ".join(f"loss of {n} trials alone" for n in LEVELS)
-        + " | late |",
-        "|---|---|" + "---|" * (len(LEVELS) + 1),
-    ]
-    alone = mean(curves[1], shared)
-    for workers, cells in sorted(curves.items()):
-        needed = [trials_to(mean(cells, shared), alone[n // EVERY - 1]) for n in LEVELS]
-        ratios = [bootstrap(curves[1], cells, shared, n) for n in LEVELS]
-        cell = [
-            f"{t:.0f} ({t / n:.2f}; {low:.2f} to {high:.2f})"
-            for t, n, (low, high) in zip(needed, LEVELS, ratios, strict=True)
-        ]
+        curves.setdefault(line["workers"], {})[cell] = np.array(line["curve"])
+    head = " | ".join(f"to the loss of {n} trials alone" for n in LEVELS)
+    rows = [f"| workers | runs | {head} | late |", "|---|---|" + "---|" * (len(LEVELS) + 1)]
+    for workers, runs in sorted(curves.items()):
+        quartiles = [np.percentile(ratios(runs, curves[1], n), [50, 25, 75]) for n in LEVELS]
+        texts = [f"{q[0]:.2f} ({q[1]:.2f} to {q[2]:.2f})" for q in quartiles]
         counts = [line["counts"] for line in lines if line["workers"] == workers]
         late = np.mean([c.get("late", 0) / sum_of(c) for c in counts])
-        rows.append(f"| {workers} | {len(shared)} | {' | '.join(cell)} | {late:.0%} |")
+        rows.append(f"| {workers} | {len(runs)} | {' | '.join(texts)} | {late:.0%} |")
     return "\n".join(rows)
 
 
@@ -128,35 +122,22 @@ def sum_of(counts: dict[str, int]) -> int:
     return sum(counts.get(role, 0) for role in ("member", "foreign", "late", "guest"))
 
 
-def mean(cells: dict[tuple[int, int], Any], which: list[tuple[int, int]]) -> Any:
-    """Mean of the logarithms of the curves."""
-    return np.mean([cells[cell] for cell in which], axis=0)
+def ratios(
+    runs: dict[tuple[int, int], Any], alone: dict[tuple[int, int], Any], n: int
+) -> list[float]:
+    """Trials to the level of n trials alone, over n, for all runs of one target, two seeds."""
+    return [
+        trials_to(run, other[n // EVERY - 1]) / n
+        for (target, seed), run in runs.items()
+        for (same, another), other in alone.items()
+        if same == target and another != seed
+    ]
 
 
 def trials_to(curve: Any, level: float) -> float:
-    """Trials after which a falling curve is at the level, linear between its points."""
+    """Trials after which a falling curve is at the level; a large number if it never is."""
     after = int(np.argmax(curve <= level))
-    if curve[after] > level:
-        return float("nan")
-    if after == 0:
-        return float(EVERY)
-    before = (curve[after - 1] - level) / (curve[after - 1] - curve[after])
-    return float(EVERY * (after + before))
-
-
-def bootstrap(
-    one: dict[tuple[int, int], Any],
-    several: dict[tuple[int, int], Any],
-    cells: list[tuple[int, int]],
-    n: int,
-) -> tuple[float, float]:
-    """Middle 68 % of the ratio of trials when runs are drawn again, in pairs."""
-    rng, ratios = np.random.default_rng(0), []
-    for _ in range(400):
-        drawn = [cells[i] for i in rng.integers(len(cells), size=len(cells))]
-        ratios.append(trials_to(mean(several, drawn), mean(one, drawn)[n // EVERY - 1]) / n)
-    low, high = np.nanpercentile(ratios, [16, 84])
-    return float(low), float(high)
+    return float(EVERY * (after + 1)) if curve[after] <= level else 10.0 * TRIALS
 
 
 if __name__ == "__main__":

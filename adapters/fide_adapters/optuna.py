@@ -261,7 +261,8 @@ class FIDESampler(BaseSampler):
         """How many finished trials of the study counted as what, for its present search space.
 
         "member", "foreign", "late" and "guest" are explained in `fide_plugins.replica`; "image":
-        so many of them with their image; "left out": failed, pruned, or of another search space.
+        so many of them with their image; "left out": failed, pruned, or of another search space;
+        "waiting": completed, but not counted before an earlier one is, or is no longer waited for.
         """
         with self._lock:
             return self._memory_of(study).counts(study, self._search_space)

@@ -203,7 +203,9 @@ class Memory:
         model = self._model()
         model.catch_up(self._trials, partial(self._lesson, study))
         self._drop_tokens(model)
-        return dict(model.counts)
+        done = (t.number for t in self._trials if t.state is TrialState.COMPLETE)
+        waiting = sum(not model.is_over(number) for number in done)
+        return {**model.counts, **({"waiting": waiting} if waiting else {})}
 
     def __getstate__(self) -> Mapping[str, Any]:
         return {**self.__dict__, "_storage": None, "_trials": []}

@@ -195,7 +195,12 @@ def test_point_8_who_sees_things_later_comes_to_the_same(bench: Bench, seed: int
 def test_point_8_a_late_trial_counts_once(bench: Bench) -> None:
     crowd = Crowd(bench, 2, 0)
     crowd.ask(0)
-    for _ in range(40):
+    for _ in range(4):
+        crowd.ask(1)
+        crowd.finish(1)
+    study = crowd.studies[1]
+    assert bench.sampler_of(study).counts(study) == {"waiting": 4}
+    for _ in range(36):
         crowd.ask(1)
         crowd.finish(1)
     before = model_of(crowd.studies[1])
