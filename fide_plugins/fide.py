@@ -22,9 +22,8 @@ proposer without evolution (`proposers.inverse`).
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -36,7 +35,7 @@ from fide_plugins.devices import resolve_device
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.features import as_features
 from fide_plugins.images import Float32, as_batch, as_target, warn_clipped
-from fide_plugins.ledger import Candidate, Ledger
+from fide_plugins.ledger import Candidate, Ledger, Propose
 from fide_plugins.locks import Lock, one_at_a_time
 from fide_plugins.losses.base import as_losses
 from fide_plugins.points import (
@@ -57,6 +56,7 @@ from fide_plugins.search.progress import Progress, default_patience, patience_al
 from fide_plugins.search.relocate import Relocation, Stage
 from fide_plugins.solution import Solution
 from fide_plugins.state_form import IMPOSSIBLE
+from fide_plugins.timing import timed
 
 __all__ = ["FIDE"]
 
@@ -178,18 +178,30 @@ class FIDE:
         A generation has `popsize` candidates; after a search has stalled there may be one that
         probes (`dim` candidates, see `search.relocate`) and one that scouts.
         """
-        with self._timed("search"):
-            n = (
-                (self._ledger.left or self._generation_size)
-                if n is None
-                else whole_number("n", n, 1)
-            )
+        n = None if n is None else whole_number("n", n, 1)
+        with timed(self.times, "search"):
+            if not self._ledger.left:
+                self._draw_generation()
+            n = n or self._ledger.left
+            if n > self._ledger.at_hand:
+                self._ledger.make_proposals()  # which may fail, before anything is handed out
             X = np.empty((n, self.dim))
             for row in X:
                 if not self._ledger.left:
                     self._draw_generation()
                 row[:] = self._ledger.hand_out()
         return X
+
+    @one_at_a_time
+    def ask_ready(self) -> Float64:
+        """As `ask`, but for proposals that wait for training: those come with the next call.
+
+        While these are rendered the network trains, see `proposers.beside`.
+        """
+        with timed(self.times, "search"):
+            if not self._ledger.left:
+                self._draw_generation()
+        return self.ask(self._ledger.at_hand)
 
     @one_at_a_time
     def tell(
@@ -235,13 +247,13 @@ class FIDE:
         batch = None
         if images is not None:
             batch = as_batch(images, self.target.shape, n=len(points), on_clip=self._warn_clipped)
-        with self._timed("encode"):
+        with timed(self.times, "encode"):
             values = as_losses(losses, len(points)) if losses is not None else self._cost(batch)
             n = len(points)
             tokens = self._encode(batch) if features is None else self._take(features, n)  # line 7
         for i in range(len(points)):
             image = None if batch is None else batch[i]
-            with self._timed("search"):
+            with timed(self.times, "search"):
                 self._note(
                     points[i], float(values[i]), image, None if tokens is None else tokens[i]
                 )
@@ -272,35 +284,34 @@ class FIDE:
 
     # -- Algorithm 1 -------------------------------------------------------------------------------
 
-    @property
-    def _generation_size(self) -> int:
-        return {Stage.PROBE: self.dim, Stage.SCOUT: self._relocation.scouts}.get(
-            self._stage, self.popsize
-        )
-
     def _draw_generation(self) -> None:
         """Sample candidates (line 4) and put proposals in the place of some (line 5)."""
         self._ledger.draw(*self._draw(self._rng))
+        if self._proposer is None or not self._proposer.beside:
+            self._ledger.make_proposals()
 
-    def _draw(self, rng: np.random.Generator) -> tuple[Float64, Float64, npt.NDArray[np.bool_]]:
-        """Candidates x, z (n, d) of the present generation, and which are proposed (n,)."""
+    def _draw(self, rng: np.random.Generator) -> tuple[Float64, Float64, int, Propose]:
+        """Candidates x, z (n, d), how many proposals follow them, and what makes these."""
         if self._stage is not Stage.SEARCH:
-            x = self._relocation.draw(self._stage, rng)
-            return x, x, np.zeros(len(x), bool)
-        z = self._search.sample(self.popsize, rng)  # (k, d) ~ N(m, Sigma)
-        x = box.into(z)
-        proposed = np.zeros(self.popsize, bool)
-        ready = self._proposer is not None and self._proposer.ready
+            x = z = self._relocation.draw(self._stage, rng)
+        else:
+            z = self._search.sample(self.popsize, rng)  # (k, d) ~ N(m, Sigma)
+            x = box.into(z)
+        ready = self._stage is Stage.SEARCH and self._proposer is not None and self._proposer.ready
         m = self._trust.number(self.popsize, rng) if ready else 0
-        if m and self._proposer is not None:
-            with self._timed("train", instead_of="search"):
-                denoised = self._proposer.propose(
-                    z[-m:], self._target_tokens, self._search.mean, self._search.std, rng
-                )
-            x[-m:] = np.clip(denoised, 0.0, 1.0)
-            z[-m:] = box.near(x[-m:], self._search.mean)
-            proposed[-m:] = True
-        return x, z, proposed
+        n = len(z) - m
+        about = z[n:], self._search.mean, self._search.std, rng
+        return x[:n], z[:n], m, partial(self._propose, *about)
+
+    def _propose(
+        self, z: Float64, mean: Float64, std: Float64, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """Line 5: proposals x and their z, (m, d) each, from samples z of N(mean, Sigma)."""
+        assert self._proposer is not None
+        with timed(self.times, "train", instead_of="search"):
+            denoised = self._proposer.propose(z, self._target_tokens, mean, std, rng)
+        x = np.clip(denoised, 0.0, 1.0)
+        return x, box.near(x, mean)
 
     def _cost(self, batch: Float32 | None) -> Float64:
         """Line 9."""
@@ -370,9 +381,9 @@ class FIDE:
         elif self._stage is Stage.SCOUT:
             self._begin_search(*self._relocation.begin_at(members[int(np.argmin(losses))].x))
         else:
-            with self._timed("train"):
+            with timed(self.times, "train"):
                 self._teach(lessons)  # line 8
-            with self._timed("search"):
+            with timed(self.times, "search"):
                 self._evolve(members, losses)  # line 10
 
     def _teach(self, lessons: list[Rendered]) -> None:
@@ -478,17 +489,6 @@ class FIDE:
         except IMPOSSIBLE as error:
             why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
             raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
-
-    # -- small things ------------------------------------------------------------------------------
-
-    @contextmanager
-    def _timed(self, what: str, *, instead_of: str | None = None) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        elapsed = time.perf_counter() - start
-        self.times[what] += elapsed
-        if instead_of is not None:  # runs within a block that is timed as something else
-            self.times[instead_of] -= elapsed
 
     def _warn_clipped(self, message: str) -> None:
         if not self._clipped:

@@ -40,6 +40,7 @@ _PLAIN_STATE = (
 
 def pack(optimizer: FIDE) -> dict[str, Any]:
     """Return what `restore` needs, and what the optimizer was made with."""
+    optimizer._ledger.make_proposals()  # which may change the proposer
     return {
         "dim": optimizer.dim,
         "target": optimizer.target,

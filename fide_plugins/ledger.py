@@ -9,6 +9,8 @@ asked, so that the result does not depend on the order of telling.
   arrives, marked as late: it is not of that generation's distribution.
 - A candidate asked before a restart, told twice, or never asked at all is a *guest*: it tells
   about the renderer, not about the search distribution.
+- The proposals of a generation are its last candidates, and may be made only when the first of them
+  is due.
 - A candidate that is never told is waited for until so many others are out that memory would grow;
   after that it is a guest, too.
 """
@@ -16,16 +18,17 @@ asked, so that the result does not depend on the order of telling.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.points import Float64
 
-__all__ = ["Candidate", "Ledger"]
+__all__ = ["Candidate", "Ledger", "Propose"]
+
+Propose: TypeAlias = Callable[[], tuple[Float64, Float64]]
 
 _MOST_OUT = 20_000  # candidates that are waited for; the oldest are given up
 
@@ -56,6 +59,9 @@ class Ledger:
         self.drawn = 0  # candidates ever drawn
         self.generations = 0  # completed
         self._queue: deque[Candidate] = deque()  # drawn, not handed out
+        self._due = 0  # proposals that come after the queue and are not made yet
+        self._due_from = 0  # index of the first of them
+        self._propose: Propose | None = None  # makes them
         self._asked: dict[bytes, list[Candidate]] = {}  # handed out, not told
         self._out = 0  # how many these are
         self._told: list[tuple[Candidate, float]] = []  # of the generation that is under way
@@ -64,26 +70,50 @@ class Ledger:
     @property
     def left(self) -> int:
         """Candidates of this generation that were drawn and not yet handed out."""
-        return len(self._queue)
+        return len(self._queue) + self._due
+
+    @property
+    def at_hand(self) -> int:
+        """How many of these are made; all that are left if none is."""
+        return len(self._queue) or self._due
 
     @property
     def asked(self) -> int:
         """Candidates that were handed out and not yet told."""
         return self._out
 
-    def draw(self, x: Float64, z: Float64, proposed: npt.NDArray[np.bool_]) -> None:
-        """Queue candidates x (n, d) with their z (n, d); n of them make a generation."""
-        self.size = len(x)
-        for row in zip(x, z, proposed.tolist(), strict=True):
-            self._queue.append(Candidate(self.drawn, *row))
+    def draw(self, x: Float64, z: Float64, due: int = 0, propose: Propose | None = None) -> None:
+        """Queue candidates x (n, d) with their z (n, d); with those due they make a generation.
+
+        propose: makes x and z, (due, d) each, of the proposals that come after these.
+        """
+        self.size = len(x) + due
+        for row in zip(x, z, strict=True):
+            self._queue.append(Candidate(self.drawn, *row, proposed=False))
             self.drawn += 1
+        self._due, self._due_from, self._propose = due, self.drawn, propose
+        self.drawn += due
+
+    def make_proposals(self) -> None:
+        """Put into the queue what is due; if that raises, it is tried again the next time."""
+        if self._due and self._propose is not None:
+            made = zip(*self._propose(), strict=True)
+            for index, (x, z) in enumerate(made, self._due_from):
+                self._queue.append(Candidate(index, x, z, proposed=True))
+            self._drop_due()
+
+    def _drop_due(self) -> None:
+        self._due, self._propose = 0, None
 
     def hand_out(self) -> Float64:
-        """Next candidate of the queue, (d,)."""
+        """Next candidate of the generation, (d,)."""
+        if not self._queue:
+            self.make_proposals()
         return self._hand_out(self._queue.popleft()).x
 
     def hand_out_all(self) -> list[Candidate]:
-        """Hand out all that is left of the queue."""
+        """Hand out all that is left of the generation."""
+        self.make_proposals()
         handed_out = [self._hand_out(candidate) for candidate in self._queue]
         self._queue.clear()
         return handed_out
@@ -142,6 +172,7 @@ class Ledger:
         told = sorted(self._told, key=lambda pair: pair[0].index)
         self._told = []
         self._queue.clear()
+        self._drop_due()
         self._generation_from = self.drawn
         self.generations += 1
         return [candidate for candidate, _ in told], np.array([loss for _, loss in told])
@@ -152,7 +183,8 @@ class Ledger:
         self._out = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything, as arrays."""
+        """Everything, as arrays; what is due is made first."""
+        self.make_proposals()
         waiting = [c for several in self._asked.values() for c in several]
         return {
             "size": self.size,

@@ -37,6 +37,10 @@ class Options:
     elite, ridge, sources, shortest_step, longest_step, noise, evidence: see `proposers.linear`.
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
+    steps: of denoising, evenly, in place of the schedule; at most 1,000.
+    precision: "float32" or "bfloat16", see `denoiser.precision`.
+    parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
+    overlap: train the network in the background, see `proposers.beside`; the result is the same.
 
     guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
     guard_images: let images guide the search, by proposals, relocation and `patience`, only while
@@ -72,6 +76,10 @@ class Options:
     learning_rate: float = 1e-3
     batch_size: int = 50
     schedule: tuple[float, ...] = (0.3, 0.2, 0.1)
+    steps: int | None = None
+    precision: str = "float32"
+    parameter_tokens: int | None = None
+    overlap: bool = True
 
     guard_search: bool = True
     guard_images: bool = True
@@ -100,10 +108,12 @@ PRESETS: Mapping[str, Options] = {
 _CHOICES = {
     "proposer": ("linear", "diffusion", "none"),
     "restarts": ("parts", "anew", "none"),
+    "precision": ("float32", "bfloat16"),
 }
-_SWITCHES = ("guard_search", "guard_images", "select_tokens")
+_SWITCHES = ("guard_search", "guard_images", "select_tokens", "overlap")
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
-_WHOLE |= {"patience": 1}
+_WHOLE |= {"patience": 1, "steps": 1, "parameter_tokens": 1}
+_MOST_STEPS = 1000  # of denoising: there is nothing between two levels of noise any more
 _POSITIVE = (
     "elite",
     "ridge",
@@ -153,7 +163,10 @@ def _checked(name: str, value: Any) -> Any:
             raise OptionError(f"{name} must be one of {', '.join(_CHOICES[name])}, not {value!r}")
         return value
     if name in _WHOLE:
-        return whole_number(name, value, _WHOLE[name])
+        count = whole_number(name, value, _WHOLE[name])
+        if name == "steps" and count > _MOST_STEPS:
+            raise OptionError(f"steps must be at most {_MOST_STEPS}, not {count}; 3 are published")
+        return count
     if name in _SWITCHES:
         if not isinstance(value, bool):
             raise OptionError(f"{name} must be True or False, not {value!r}")

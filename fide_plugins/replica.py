@@ -40,7 +40,7 @@ from torch import Tensor
 
 from fide_plugins import fide_state
 from fide_plugins.fide import FIDE
-from fide_plugins.ledger import Candidate
+from fide_plugins.ledger import Candidate, Ledger
 from fide_plugins.points import Float64
 from fide_plugins.search import box
 from fide_plugins.search.relocate import Stage
@@ -88,10 +88,9 @@ class Replica:
         batch, row = divmod(slot, self.size)
         if batch not in self._batches:
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=(self.generation, batch))
-            drawn = self.optimizer._draw(np.random.default_rng(seed))
-            self._batches[batch] = [
-                Candidate(-1, x, z, bool(p)) for x, z, p in zip(*drawn, strict=True)
-            ]
+            more = Ledger()
+            more.draw(*self.optimizer._draw(np.random.default_rng(seed)))
+            self._batches[batch] = more.hand_out_all()
         return self._batches[batch][row]
 
     def is_candidate(self, slot: int, x: Float64) -> bool:

@@ -21,11 +21,10 @@ what it knows.
 from __future__ import annotations
 
 import os
-import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -36,6 +35,7 @@ from fide_plugins.images import Float32, as_batch, as_target
 from fide_plugins.losses.base import ImageLoss, as_losses
 from fide_plugins.points import Float64, as_points, new_seed, whole_number
 from fide_plugins.solution import Solution
+from fide_plugins.timing import timed
 
 __all__ = ["FOREIGN", "Baseline", "not_stored", "positive"]
 
@@ -171,17 +171,8 @@ class Baseline(ABC):
         self._valid_from = self._asked
         self._told.clear()
 
-    @contextmanager
-    def _timed(self, part: str, instead_of: str | None = None) -> Iterator[None]:
-        """Count the time as that of `part`, and take it from the part that counts it too."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            spent = time.perf_counter() - start
-            self.times[part] += spent
-            if instead_of is not None:
-                self.times[instead_of] -= spent
+    def _timed(self, part: str, instead_of: str | None = None) -> AbstractContextManager[None]:
+        return timed(self.times, part, instead_of=instead_of)
 
     # -- bookkeeping -------------------------------------------------------------------------------
 

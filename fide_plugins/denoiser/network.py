@@ -12,6 +12,8 @@ Choices where the paper is silent
 - Width 64, 4 heads: small enough for 500 examples and a CPU.
 - Number of parameter tokens: d ("quadratic self-attention over the parameters").  The linear
   layer is full, so token i may look at all of z, and is told the noise of parameter i.
+  With n < d tokens (`parameter_tokens`) a token stands for d / n neighbors, and is told their mean
+  noise: the cost of a block then grows with n, no longer with d.
 - "Four self-attention blocks followed by cross-attention": each block has both.
 - Perceptron: S1 names none, but the transformer blocks it builds on have one, and without it
   nothing between the tokens' mixing is non-linear; hidden width = 2 * width, `mlp_ratio=0`
@@ -95,6 +97,7 @@ class ParameterTransformer(nn.Module):
     ----------
     dim : d, the number of parameters.
     image_tokens : T, the number of tokens of an image.
+    parameter_tokens : n, tokens of the parameters; None: d, one each, as published.
     channels : C, the channels of a token.
     generator : draws the initial weights, on the CPU, whatever the device the network moves to.
     width, heads, blocks, mlp_ratio : see the module's text.
@@ -115,28 +118,31 @@ class ParameterTransformer(nn.Module):
         width: int = 64,
         heads: int = 4,
         blocks: int = 4,
+        parameter_tokens: int | None = None,
         mlp_ratio: int = 2,
         noise_width: int = 32,
     ) -> None:
         sizes = {"dim": dim, "image_tokens": image_tokens, "channels": channels, "width": width}
         sizes |= {"heads": heads, "blocks": blocks, "noise_width": noise_width}
+        n = dim if parameter_tokens is None else min(parameter_tokens, dim)
+        sizes |= {"parameter_tokens": n}
         for name, size in sizes.items():
             if size < 1:
                 raise OptionError(f"{name} of a denoiser is at least 1, got {size}")
         if width % heads:
             raise OptionError(f"width is a multiple of heads, got {width=} and {heads=}")
         super().__init__()
-        self.dim, self.width = dim, width
+        self.dim, self.width, self.parameter_tokens = dim, width, n
         self.image_tokens, self.channels = image_tokens, channels
         with torch.device("meta"):  # no weights yet, so the global generator is not touched
             self.image_in = nn.Linear(channels, width)
             self.position = nn.Parameter(torch.empty(image_tokens, width))
             self.noise_in = nn.Linear(2, noise_width)
-            self.parameter_in = nn.Linear(dim, dim * width)
+            self.parameter_in = nn.Linear(dim, n * width)
             self.blocks = nn.ModuleList(
                 Block(width, heads, mlp_ratio * width, noise_width) for _ in range(blocks)
             )
-            self.parameter_out = nn.Linear(dim * width, dim)
+            self.parameter_out = nn.Linear(n * width, dim)
         self.to_empty(device="cpu")
         self._initialize(generator)
 
@@ -161,12 +167,15 @@ class ParameterTransformer(nn.Module):
     def forward(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
         """Noisy parameters z (B, d), their noise s (B, d), an image's context -> (B, d)."""
         level = torch.stack([s.clamp_min(SMALLEST_NOISE).log() / 4, s], dim=-1)  # (B, d, 2)
-        noise = F.silu(self.noise_in(level))  # (B, d, noise_width)
-        h = self.parameter_in(z).view(-1, self.dim, self.width)  # (B, d, width)
+        if self.parameter_tokens < self.dim:  # each is told the mean noise of its parameters
+            means = F.adaptive_avg_pool1d(level.transpose(1, 2), self.parameter_tokens)
+            level = means.transpose(1, 2)  # (B, n, 2)
+        noise = F.silu(self.noise_in(level))  # (B, n, noise_width)
+        h = self.parameter_in(z).view(-1, self.parameter_tokens, self.width)  # (B, n, width)
         for block, key_value in zip(self._blocks(), context, strict=True):
             h = block(h, noise, key_value)
         out: Tensor = self.parameter_out(h.flatten(1))
-        return out
+        return out.to(z.dtype)  # from here on in single precision, whatever the products were in
 
     def _blocks(self) -> list[Block]:
         return [block for block in self.blocks if isinstance(block, Block)]

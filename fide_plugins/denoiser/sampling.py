@@ -19,7 +19,7 @@ from torch import Tensor
 from fide_plugins.denoiser import Denoise
 from fide_plugins.errors import OptionError
 
-__all__ = ["PAPER_SCHEDULE", "check_schedule", "euler"]
+__all__ = ["PAPER_SCHEDULE", "check_schedule", "euler", "evenly"]
 
 PAPER_SCHEDULE = (0.3, 0.2, 0.1)
 """Supplement S1.  The last step goes to time 0, where z = x_hat."""
@@ -38,6 +38,15 @@ def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
             f"got {schedule!r}"
         )
     return times
+
+
+def evenly(steps: int) -> tuple[float, ...]:
+    """The published schedule in another number of steps: from 0.3 on, evenly; 3 are its own.
+
+    >>> evenly(2), evenly(3) == PAPER_SCHEDULE
+    ((0.3, 0.15), True)
+    """
+    return tuple(round(0.3 * (steps - i) / steps, 12) for i in range(steps))
 
 
 @torch.no_grad()

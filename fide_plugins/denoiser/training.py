@@ -17,6 +17,7 @@ paper says that the diagonal was enough.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any, Protocol
 
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import Context
+from fide_plugins.memory import Room
 
 __all__ = [
     "Conditional",
@@ -107,25 +109,34 @@ def fit(
     std: Tensor,
     *,
     epochs: int,
-    batch_size: int,
+    room: Room,
     generator: torch.Generator,
+    computing: Callable[[], AbstractContextManager[object]] = nullcontext,
 ) -> Tensor:
     """Pass `epochs` times over the pairs (x [n, d], tokens [n, T, C]), in random order.
 
-    The last minibatch of an epoch holds what is left.  Returns the mean loss of each epoch,
-    [epochs], on the device: reading it is up to the caller, who may not want to wait.
+    room: the size of a minibatch; the last one of an epoch holds what is left.
+    computing: context of the forward pass; no more, since `torch.autocast` keeps copies of weights.
+
+    Returns the mean loss of each epoch, [epochs], on the device: reading it is up to the caller,
+    who may not want to wait.
     """
     losses = torch.zeros(epochs, device=x.device)
     for epoch in range(epochs):
         order = torch.randperm(len(x), generator=generator, device=x.device)
-        for batch in torch.split(order, batch_size):
-            context = network.encode_context(tokens[batch])
-            denoise = precondition(partial(network, context=context))
-            loss = objective(denoise, x[batch], std, generator)
+
+        def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
+            batch = order[piece]
+            with computing():
+                context = network.encode_context(tokens[batch])
+                denoise = precondition(partial(network, context=context))
+                loss = objective(denoise, x[batch], std, generator)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
-            losses[epoch] += loss.detach() * (len(batch) / len(x))
+            total += loss.detach() * (len(batch) / len(x))
+
+        room.each(step, len(order))
     return losses
 
 

@@ -91,7 +91,8 @@ def sampled(image: Float32, rows: int, columns: int) -> Float32:
         area = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)
         return np.asarray(area, np.float32)
     down, across = box_weights(height, rows), box_weights(width, columns)
-    return np.einsum("rh,hwc,vw->rvc", down, image, across, optimize=True)
+    means: Float32 = np.einsum("rh,hwc,vw->rvc", down, image, across, optimize=True)
+    return means
 
 
 class DenseEncoder(PatchEncoder):

@@ -3,7 +3,8 @@
 A generation is asked at once and rendered in pieces of a fixed size, so that results arrive, and
 can be saved, long before a slow generation is complete.  The size is fixed because the same seed
 must give the same run: a size that followed the renderer's speed would change the last bits of
-features that are computed in batches.
+features that are computed in batches.  An optimizer that trains in the background is asked for what
+does not wait for that first (`FIDE.ask_ready`).
 
 Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
 pieces, when nothing is half done, together with the candidates that were asked and not yet told;
@@ -135,7 +136,8 @@ class Run:
         """Render, judge and tell one piece; ask for a generation if none is left."""
         record = self.record
         if record.pending is None or len(record.pending) == 0:
-            X = self._checked(self._of_optimizer(self.optimizer.ask))
+            ask = getattr(self.optimizer, "ask_ready", self.optimizer.ask)
+            X = self._checked(self._of_optimizer(ask))
             record.pending = X[: self._budget - record.evaluations]
             record.generations.append(len(record.pending))
             self._whole = True

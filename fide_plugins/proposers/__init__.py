@@ -22,6 +22,10 @@ class Proposer(Protocol):
     """Learns parameters from images, and is asked for those of the target (lines 5 and 8)."""
 
     @property
+    def beside(self) -> bool:
+        """Whether it learns while the user renders, and should be asked late; see `Beside`."""
+
+    @property
     def ready(self) -> bool:
         """Whether it can be asked."""
 
@@ -78,15 +82,20 @@ def make_proposer(
             select=options.select_tokens,
         )
     if options.proposer == "diffusion":
+        from fide_plugins.denoiser.sampling import evenly
+        from fide_plugins.proposers.beside import Beside
         from fide_plugins.proposers.diffusion import DiffusionProposer
 
-        return DiffusionProposer(
+        network = DiffusionProposer(
             dim,
             seed=seed,
             device=encoder.device,
             epochs=options.epochs,
             learning_rate=options.learning_rate,
             batch_size=options.batch_size,
-            schedule=options.schedule,
+            schedule=options.schedule if options.steps is None else evenly(options.steps),
+            precision=options.precision,
+            parameter_tokens=options.parameter_tokens,
         )
+        return Beside(network) if options.overlap else network
     return None

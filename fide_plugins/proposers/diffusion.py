@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fide_plugins.denoiser.network import ParameterTransformer
+from fide_plugins.denoiser.precision import autocast, check_precision
 from fide_plugins.denoiser.preconditioning import x_prediction
 from fide_plugins.denoiser.sampling import PAPER_SCHEDULE, check_schedule, euler
 from fide_plugins.denoiser.training import (
@@ -30,10 +31,13 @@ from fide_plugins.denoiser.training import (
     load_adam_state,
 )
 from fide_plugins.errors import OptionError
+from fide_plugins.memory import Room
 
 __all__ = ["DiffusionProposer"]
 
 Floats = NDArray[np.float64]
+
+MOST_PROPOSALS = 4096  # that are denoised together
 
 
 class DiffusionProposer:
@@ -45,6 +49,8 @@ class DiffusionProposer:
     seed : of the weights, the order of the examples and the noise.
     device : of the network; results are reproducible per device, initial weights on all.
     epochs, learning_rate, schedule : supplement S1.
+    precision : "float32", or "bfloat16" for products where the device has them; see
+        `denoiser.precision`.
     batch_size : the paper names none; 50 makes 200 steps of Adam a generation of k = 500.
     objective, precondition : the parts of `denoiser.training` and `denoiser.preconditioning`.
     **network : sizes of the `ParameterTransformer`.
@@ -72,18 +78,22 @@ class DiffusionProposer:
         schedule: Sequence[float] = PAPER_SCHEDULE,
         objective: Objective | None = None,
         precondition: Preconditioner = x_prediction,
-        **network: int,
+        precision: str = "float32",
+        **network: Any,
     ) -> None:
         if dim < 1 or epochs < 1 or batch_size < 1:
             raise OptionError(f"at least 1 each: got {dim=}, {epochs=}, {batch_size=}")
         if not 0 < learning_rate < float("inf"):
             raise OptionError(f"a learning rate is positive and finite, got {learning_rate=}")
         self.dim, self.device = dim, torch.device(device)
-        self.epochs, self.learning_rate, self.batch_size = epochs, learning_rate, batch_size
+        self.epochs, self.learning_rate = epochs, learning_rate
         self.schedule = check_schedule(schedule)
         self.objective: Objective = objective or XLoss()
         self.precondition = precondition
+        self.precision = check_precision(precision, self.device)
         self.updates = 0
+        self._batch = Room(batch_size, "examples of the denoiser's")
+        self._proposals = Room(MOST_PROPOSALS, "proposals")
         self._warned = False  # that training diverged
         self._sizes = network
         self._network: ParameterTransformer | None = None
@@ -124,8 +134,9 @@ class DiffusionProposer:
             tokens.to(self.device, torch.float32),
             self._tensor(std),
             epochs=self.epochs,
-            batch_size=self.batch_size,
+            room=self._batch,
             generator=self._generator,
+            computing=partial(autocast, self.precision, self.device),
         )
         if not all(bool(weight.isfinite().all()) for weight in network.parameters()):
             network.load_state_dict(before[0])
@@ -162,9 +173,16 @@ class DiffusionProposer:
         """
         network, _ = self._parts(*target.shape)
         network.eval()
-        context = network.encode_context(target.to(self.device, torch.float32)[None])
-        denoise = self.precondition(partial(network, context=context))
-        proposed = euler(denoise, self._tensor(z), self._tensor(std), self.schedule)
+        noisy, spread = self._tensor(z), self._tensor(std)
+        proposed = torch.empty_like(noisy)
+        with autocast(self.precision, self.device):
+            context = network.encode_context(target.to(self.device, torch.float32)[None])
+            denoise = self.precondition(partial(network, context=context))
+
+            def sample(piece: slice) -> None:
+                proposed[piece] = euler(denoise, noisy[piece], spread, self.schedule)
+
+            self._proposals.each(sample, len(noisy))
         x = proposed.cpu().numpy().astype(np.float64)
         return np.where(np.isfinite(x), x, z)
 

@@ -118,6 +118,8 @@ class LinearProposer:
         self.evidence = evidence
         self.forget()
 
+    beside = False
+
     def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""
         self._x: Float64 = np.empty((0, self.dim))

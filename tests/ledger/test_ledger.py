@@ -9,11 +9,14 @@ from fide_plugins import ledger as ledger_module
 from fide_plugins.ledger import Ledger
 from fide_plugins.points import Float64
 
+PROPOSED = 2  # of each generation, the last ones
+
 
 def drawn(popsize: int, seed: int = 0, ledger: Ledger | None = None) -> Ledger:
     ledger = ledger or Ledger()
     x = np.random.default_rng(seed).random((popsize, 2))
-    ledger.draw(x, x + 2.0, np.arange(popsize) % 3 == 0)
+    n = popsize - PROPOSED
+    ledger.draw(x[:n], x[:n] + 2.0, PROPOSED, lambda: (x[n:], x[n:] + 2.0))
     return ledger
 
 
@@ -35,7 +38,7 @@ def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
     for members, losses in closed:
         assert [c.index for c in members] == [0, 1, 2, 3, 4]
         np.testing.assert_array_equal(losses, [10, 11, 12, 13, 14])
-        assert [c.proposed for c in members] == [True, False, False, True, False]
+        assert [c.proposed for c in members] == [False, False, False, True, True]
         assert not any(c.late for c in members)
         for c in members:
             np.testing.assert_array_equal(c.z, c.x + 2.0)
@@ -48,6 +51,42 @@ def test_left_and_asked_count() -> None:
     assert (ledger.left, ledger.asked) == (2, 3)
     ledger.take_back(xs[1], 0.0)
     assert (ledger.left, ledger.asked) == (2, 2)
+
+
+def test_proposals_are_made_when_the_first_of_them_is_due_and_only_then() -> None:
+    ledger, made = Ledger(), []
+    x = np.linspace(0, 1, 5)[:, None]
+
+    def propose() -> tuple[Float64, Float64]:
+        made.append(ledger.left)
+        return x[3:], x[3:]
+
+    ledger.draw(x[:3], x[:3], 2, propose)
+    assert (ledger.size, ledger.left, ledger.at_hand, ledger.drawn) == (5, 5, 3, 5)
+    hand_out(ledger, 3)
+    assert (ledger.left, ledger.at_hand, made) == (2, 2, [])
+    assert hand_out(ledger, 2) == [x[3], x[4]] and made == [2]
+    assert [ledger.take_back(row, 0.0) for row in x] == [0, 1, 2, 3, 4]
+    ledger.draw(x[:3], x[:3], 2, propose)
+    ledger.close_generation()
+    assert (ledger.left, made) == (0, [2])  # thrown away, and so never made
+
+
+def test_proposals_that_fail_are_tried_again() -> None:
+    ledger, answers = Ledger(), iter([ArithmeticError, None])
+
+    def propose() -> tuple[Float64, Float64]:
+        error = next(answers)
+        if error is not None:
+            raise error
+        return np.ones((1, 2)), np.ones((1, 2))
+
+    ledger.draw(np.zeros((1, 2)), np.zeros((1, 2)), 1, propose)
+    hand_out(ledger, 1)
+    with pytest.raises(ArithmeticError):
+        ledger.hand_out()
+    assert (ledger.left, ledger.asked) == (1, 1)
+    np.testing.assert_array_equal(ledger.hand_out(), [1.0, 1.0])
 
 
 def test_what_was_never_asked_or_told_twice_is_a_guest() -> None:
@@ -63,7 +102,7 @@ def test_what_was_never_asked_or_told_twice_is_a_guest() -> None:
 def test_equal_candidates_are_told_apart_by_count() -> None:
     ledger = Ledger()
     same = np.array([0.25, 0.75])
-    ledger.draw(np.array([same, same]), np.zeros((2, 2)), np.zeros(2, bool))
+    ledger.draw(np.array([same, same]), np.zeros((2, 2)))
     hand_out(ledger, 2)
     assert [ledger.take_back(same, 1.0) for _ in range(3)] == [0, 1, None]
 
@@ -152,7 +191,7 @@ def test_what_never_comes_back_is_given_up_the_oldest_first(
     ledger = Ledger()
     x = np.linspace(0, 1, 25)[:, None]
     for rows in np.split(x, 5):
-        ledger.draw(rows, rows, np.zeros(5, bool))
+        ledger.draw(rows, rows)
         for _ in rows:
             ledger.hand_out()
     assert ledger.asked == len(ledger.state_dict()["asked"]["index"]) == 10
@@ -164,6 +203,6 @@ def test_what_never_comes_back_is_given_up_the_oldest_first(
 def test_zero_may_come_back_with_a_sign() -> None:
     ledger = Ledger()
     x = np.array([[0.0, 0.5]])
-    ledger.draw(x, x, np.zeros(1, bool))
+    ledger.draw(x, x)
     ledger.hand_out()
     assert ledger.take_back(np.array([-0.0, 0.5]), 1.0) == 0

@@ -9,8 +9,11 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
 
+from fide_plugins.denoiser import precision
 from fide_plugins.errors import OptionError
+from fide_plugins.memory import Room
 from fide_plugins.proposers.diffusion import DiffusionProposer
 
 Floats = NDArray[np.float64]
@@ -190,3 +193,83 @@ def test_on_cuda() -> None:
     proposer = make(device="cuda")
     proposer.update(x, tokens, None, STD)
     assert np.isfinite(proposer.propose(x, tokens[0], MEAN, STD)).all()
+
+
+def test_out_of_memory_gives_smaller_batches_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device with room for three: nobody is left out, of training or of proposals."""
+    proposer, (x, tokens) = make(batch_size=16), scene(40)
+    network, _ = proposer._parts(3, 1)
+    trained: list[int] = []
+    forward = type(network).forward
+
+    def tight(self: Any, z: Tensor, s: Tensor, context: Any) -> Tensor:
+        if len(z) > 3:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        trained.append(len(z))
+        return forward(self, z, s, context)
+
+    monkeypatch.setattr(type(network), "forward", tight)
+    with pytest.warns(RuntimeWarning, match="too small.*from now on 8") as warned:
+        history = proposer.update(x, tokens, None, STD)
+    assert len(warned) == 1 and sum(trained) == 2 * 40 and bool(history.isfinite().all())
+    trained.clear()
+    proposer.update(x, tokens, None, STD)
+    assert sum(trained) == 2 * 40 and set(trained) == {2}
+    with pytest.warns(RuntimeWarning, match="proposals") as warned:
+        proposed = proposer.propose(x, tokens[0], MEAN, STD)
+    assert len(warned) == 1
+    monkeypatch.undo()
+    np.testing.assert_allclose(proposed, proposer.propose(x, tokens[0], MEAN, STD), atol=1e-5)
+
+
+def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:
+    def refuse(piece: slice) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    with pytest.warns(RuntimeWarning), pytest.raises(torch.OutOfMemoryError) as caught:
+        Room(4, "things").each(refuse, 4)
+    assert "device='cpu'" in caught.value.__notes__[0]
+
+
+def test_bfloat16_learns_the_same_with_weights_in_float32(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    x, tokens = scene(100)
+    proposals = []
+    for kind in ("float32", "bfloat16"):
+        proposer = make(precision=kind, epochs=10, batch_size=20)
+        proposer.update(x, tokens, None, STD)
+        proposals.append(proposer.propose(x, tokens[0], MEAN, STD))
+        weights = proposer.state_dict()["weights"].values()
+        assert {weight.dtype for weight in weights} == {torch.float32}
+    off = np.abs(proposals[0] - proposals[1]).max()
+    assert 0 < off < 0.3 * STD.max()
+
+
+def test_bfloat16_where_there_is_none_is_float32_with_a_warning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+    with pytest.warns(RuntimeWarning, match="float32 is used instead"):
+        proposer = make(precision="bfloat16")
+    assert proposer.precision == "float32"
+    with pytest.raises(OptionError, match="float32, bfloat16"):
+        make(precision="float8")
+
+
+def test_fewer_tokens_than_parameters() -> None:
+    """They learn, and the cost of a block no longer grows with the parameters."""
+    rng = np.random.default_rng(0)
+    x = 0.5 + 0.1 * rng.standard_normal((60, 12))
+    tokens = torch.as_tensor(x[:, :, None], dtype=torch.float32)  # (n, 12, 1)
+    work = {}
+    for n in (None, 12, 4):
+        proposer = DiffusionProposer(
+            12, epochs=8, batch_size=20, width=16, blocks=2, parameter_tokens=n
+        )
+        with FlopCounterMode(display=False) as counter:
+            losses = proposer.update(x, tokens, None, np.full(12, 0.1))
+        work[n] = counter.get_total_flops()
+        assert float(losses[-1]) < 0.5 * float(losses[0])
+    assert work[None] == work[12] > 1.8 * work[4]

@@ -1,0 +1,90 @@
+"""Train while the user renders.
+
+Of a generation, the candidates that the search distribution drew need no denoiser.  `FIDE` hands
+them out first, and so a proposer may learn from the last generation while they are rendered; only
+the proposals wait for it.  Training is then free wherever rendering that part of a generation takes
+longer.
+
+`Beside` makes this of any proposer that is always ready and whose proposals draw nothing from the
+search's generator: it learns in a thread, and whatever else it is asked waits for that.  What comes
+out is the same, bit for bit, as if each had waited for the other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fide_plugins.background import Background
+from fide_plugins.points import Float64
+from fide_plugins.proposers import Proposer
+
+__all__ = ["Beside"]
+
+
+class Beside:
+    """A proposer that learns in the background.
+
+    What training raises is raised by whatever waits for it next: `propose`, the next `update`, or
+    saving.
+    """
+
+    beside = True
+
+    def __init__(self, proposer: Proposer) -> None:
+        self._proposer = proposer
+        self._training = Background()
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be asked."""
+        return self._proposer.ready
+
+    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
+        """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
+        threads = torch.get_num_threads()
+
+        def train() -> None:
+            torch.set_num_threads(threads)  # sums are the same in as many threads
+            with torch.enable_grad():
+                self._proposer.update(x, tokens, losses, std)
+
+        self._training.start(train, "training of the denoiser")
+
+    def propose(
+        self,
+        z: Float64,
+        target: Tensor,
+        mean: Float64,
+        std: Float64,
+        rng: np.random.Generator,
+    ) -> Float64:
+        """Candidates, when all is learned; see `Proposer`."""
+        self._training.wait()
+        return self._proposer.propose(z, target, mean, std, rng)
+
+    def forget(self) -> None:
+        """Another search begins."""
+        self._training.wait()
+        self._proposer.forget()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes, when it has."""
+        self._training.wait()
+        return self._proposer.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Put back what `state_dict` gave."""
+        self._training.wait()
+        self._proposer.load_state_dict(state)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies, which have no thread."""
+        self._training.wait()
+        return {"_proposer": self._proposer}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._proposer, self._training = state["_proposer"], Background()

@@ -1,0 +1,128 @@
+"""Training in the background changes nothing but the time; what it raises is not lost."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_plugins.points import Float64
+from fide_plugins.proposers.beside import Beside
+
+Z = np.zeros((2, 3))
+RNG = np.random.default_rng(0)
+
+
+class Slow:
+    """Learns as soon as it is let, and says in which thread."""
+
+    beside, ready = False, True
+
+    def __init__(self) -> None:
+        self.learned: list[float] = []
+        self.threads: list[str] = []
+
+    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
+        assert GATE.wait(20)
+        if not np.isfinite(losses).all():
+            raise ArithmeticError("it diverged")
+        assert torch.is_grad_enabled()
+        self.learned.append(float(losses.sum()))
+        self.threads.append(threading.current_thread().name)
+
+    def propose(self, z: Float64, *others: Any) -> Float64:
+        return z + sum(self.learned)
+
+    def forget(self) -> None:
+        self.learned = []
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"learned": list(self.learned)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self.learned = list(state["learned"])
+
+
+GATE = threading.Event()
+
+
+@pytest.fixture(autouse=True)
+def gate() -> Any:
+    GATE.clear()
+    yield
+    GATE.set()
+
+
+def taught(loss: float = 1.0) -> tuple[Beside, Slow]:
+    """Proposer in the middle of training."""
+    inner = Slow()
+    proposer = Beside(inner)
+    with torch.no_grad():  # of the caller's thread; not of the other
+        proposer.update(Z, torch.zeros(2, 1, 1), np.full(2, loss), np.ones(3))
+    return proposer, inner
+
+
+def propose(proposer: Beside) -> Float64:
+    return proposer.propose(Z, torch.zeros(1, 1), Z[0], np.ones(3), RNG)
+
+
+def test_update_returns_before_training_is_over_and_proposals_wait_for_it() -> None:
+    proposer, inner = taught()
+    assert proposer.ready and inner.learned == []
+    threading.Timer(0.05, GATE.set).start()
+    np.testing.assert_array_equal(propose(proposer), Z + 2)
+    assert inner.threads != [threading.current_thread().name]
+
+
+@pytest.mark.parametrize("what", ["state_dict", "forget", "copy", "pickle"])
+def test_whatever_looks_at_it_waits(what: str) -> None:
+    proposer, inner = taught()
+    threading.Timer(0.05, GATE.set).start()
+    if what == "state_dict":
+        assert proposer.state_dict() == {"learned": [2.0]}
+    elif what == "forget":
+        proposer.forget()
+        assert inner.threads and inner.learned == []
+    else:
+        how: Any = copy.deepcopy if what == "copy" else (lambda p: pickle.loads(pickle.dumps(p)))
+        twin = how(proposer)
+        assert twin.state_dict() == {"learned": [2.0]}
+        twin.update(Z, torch.zeros(2, 1, 1), np.ones(2), np.ones(3))
+        assert twin.state_dict() == {"learned": [2.0, 2.0]}
+        assert proposer.state_dict() == {"learned": [2.0]}
+
+
+@pytest.mark.parametrize("by", ["propose", "update", "state_dict"])
+def test_what_training_raises_is_raised_once_by_whoever_waits(by: str) -> None:
+    GATE.set()
+    proposer, _ = taught(loss=np.nan)
+    with pytest.raises(ArithmeticError, match="diverged") as caught:
+        if by == "propose":
+            propose(proposer)
+        elif by == "update":
+            proposer.update(Z, torch.zeros(2, 1, 1), np.ones(2), np.ones(3))
+        else:
+            proposer.state_dict()
+    assert caught.value.__notes__ == ["raised in the background, by training of the denoiser"]
+    np.testing.assert_array_equal(propose(proposer), Z)  # nothing was learned, and it goes on
+    proposer.update(Z, torch.zeros(2, 1, 1), np.ones(2), np.ones(3))
+    np.testing.assert_array_equal(propose(proposer), Z + 2)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_a_forked_child_has_learned_all_of_it() -> None:
+    proposer, _ = taught()
+    threading.Timer(0.05, GATE.set).start()
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if proposer.state_dict() == {"learned": [2.0]} else 1)
+    assert os.waitpid(child, 0)[1] == 0
+    assert proposer.state_dict() == {"learned": [2.0]}
