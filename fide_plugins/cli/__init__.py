@@ -22,6 +22,7 @@ COMMANDS = {
     "fit": "fit a picture of your own",
     "compare": "compare optimizers on built-in tasks",
     "report": "the page, tables and figures of a comparison",
+    "tradeoff": "speed against accuracy, and which setting to use",
     "list": "names of tasks, optimizers, encoders, losses",
     "doctor": "what can be used on this machine",
 }

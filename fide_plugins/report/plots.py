@@ -20,7 +20,17 @@ from fide_plugins.report.panel import Panel, Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["AXIS_NAMES", "INK", "MUTED", "PART_COLORS", "Style", "convergence", "style", "times"]
+__all__ = [
+    "AXIS_NAMES",
+    "INK",
+    "MUTED",
+    "PART_COLORS",
+    "Style",
+    "convergence",
+    "style",
+    "times",
+    "tradeoff",
+]
 
 INK, MUTED, RULE = "#1a1a1b", "#6b7078", "#e2e4e8"
 PALETTE = (
@@ -96,6 +106,34 @@ def times(panel: Panel) -> Figure:
     axes.set_xlabel("milliseconds an evaluation, median", fontsize=10, color=INK)
     axes.grid(axis="y", visible=False)
     _legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.99), ncols=5, columnspacing=1.2)
+    return figure
+
+
+def tradeoff(
+    curves: dict[str, list[tuple[float, float]]],
+    front: list[tuple[float, float]],
+    axis: str,
+    loss: str,
+) -> Figure:
+    """Loss against cost for every setting, with the front that nothing beats behind them.
+
+    curves: by label, (cost, loss), the last of them where the setting ends.
+    """
+    figure, axes = _canvas(5.2, 3.5, left=0.62)
+    if front:
+        x, y = zip(*front, strict=True)
+        axes.step(x, y, where="post", color=INK, linewidth=5, alpha=0.15, label="front")
+    for index, (label, points) in enumerate(curves.items()):
+        x, y = zip(*points, strict=True) if points else ((), ())
+        look = style(index)
+        axes.plot(x, y, color=look.color, linestyle=look.dash, linewidth=1.2, label=plain(label))
+        axes.plot(x[-1:], y[-1:], "o", color=look.color, markersize=4)
+    every = np.array([point for points in curves.values() for point in points]).reshape(-1, 2)
+    _scale(axes, "x", every[:, 0])
+    _scale(axes, "y", every[:, 1])
+    axes.set_xlabel(AXIS_NAMES[axis], fontsize=10, color=INK)
+    axes.set_ylabel(f"best {plain(loss)} so far", fontsize=10, color=INK)
+    _legend(axes, loc="lower left")
     return figure
 
 

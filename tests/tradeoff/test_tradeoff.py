@@ -1,0 +1,146 @@
+"""`fide tradeoff`: the grid, the front, and the command as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.cli import main
+from fide_plugins.compare import Cell, CellResult
+from fide_plugins.compare.results import Curve
+from fide_plugins.errors import OptionError
+from fide_plugins.tradeoff import Grid, Setting, best_within, front, read
+
+SMALL = ["--budget", "60", "--task-set", "cells=2", "--popsize", "6"]
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def made(name: str, seconds: list[float], losses: list[float], **more: Any) -> Setting:
+    """Setting of one run that reached those losses after so many seconds, 10 renders each."""
+    at = {"seconds": np.array(seconds), "renders": np.arange(1, len(seconds) + 1) * 10.0}
+    ends = {axis: float(values[-1]) for axis, values in at.items()}
+    curve = Curve(at, ends, np.array(losses), {})
+    run = CellResult(Cell("t", "mse", name, 0), Path(), "finished", "", {}, curve)
+    return Setting("t", name, 16, None, (run,), (losses[-1],), **({"anytime": True} | more))
+
+
+QUICK = made("fide:quick", [1, 2, 3], [0.9, 0.5, 0.4])
+SLOW = made("fide:slow", [10, 20, 30], [0.8, 0.3, 0.1])
+
+
+def test_the_front_by_seconds_and_by_renders() -> None:
+    """By seconds the quick one leads until the slow one passes it; by renders the slow one does."""
+    by_time = front([QUICK, SLOW], "seconds")
+    assert {p.setting for p in by_time if p.cost < 19} == {QUICK}
+    assert {p.setting for p in by_time if p.cost > 20} == {SLOW}
+    assert by_time[0].loss == 0.9 and by_time[-1].loss == 0.1
+    losses = [p.loss for p in by_time]
+    assert losses == sorted(losses, reverse=True) and len(set(losses)) == len(losses)
+    assert {p.setting for p in front([QUICK, SLOW], "renders")} == {SLOW}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "best", "loss"),
+    [(0.5, None, None), (1, QUICK, 0.9), (15, QUICK, 0.4), (20, SLOW, 0.3), (3600, SLOW, 0.1)],
+)
+def test_what_is_best_within_a_time(
+    seconds: float, best: Setting | None, loss: float | None
+) -> None:
+    point = best_within([QUICK, SLOW], "seconds", seconds)
+    assert (best, loss) == (None, None) if point is None else (point.setting, point.loss) == (
+        best, loss
+    )  # fmt: skip
+
+
+def test_of_equals_the_cheapest() -> None:
+    twin = made("fide:twin", [1, 2, 2.5], [0.9, 0.5, 0.4])
+    point = best_within([QUICK, twin], "seconds", 60)
+    assert point is not None and point.setting is twin
+
+
+def test_where_images_differ_a_run_counts_from_its_end_on() -> None:
+    late = made("fide:late", [10, 20, 30], [0.8, 0.3, 0.1], anytime=False)
+    assert best_within([late], "seconds", 29.9) is None
+    assert [(p.cost, p.loss) for p in front([late], "seconds")] == [(30, 0.1)]
+
+
+def test_the_grid_is_every_combination_and_leaves_the_network_to_those_that_have_one() -> None:
+    knobs: dict[str, Any] = {
+        "preset": ["balanced", "paper"],
+        "popsize": [20, 40],
+        "epochs": [1, 2],
+        "size": [8, 9],
+    }
+    grid = Grid(("voronoi",), {**knobs, "spp": [4]})
+    assert [arm.label for arm in grid.arms()] == [
+        "fide:popsize=20:preset=balanced",
+        "fide:popsize=40:preset=balanced",
+        *(f"fide:epochs={e}:popsize={k}:preset=paper" for k in (20, 40) for e in (1, 2)),
+    ]
+    plans = dict(grid.plans())
+    assert list(plans) == ["size-8-spp-4", "size-9-spp-4"]
+    assert plans["size-9-spp-4"].size == 9
+    assert plans["size-9-spp-4"].task_options == {"spp": 4}
+
+
+@pytest.mark.parametrize(
+    "knobs", [{"colour": [1]}, {"preset": []}, {"size": [8, 8]}, {"preset": ["best"]}]
+)
+def test_a_grid_that_makes_no_sense(knobs: dict[str, Any]) -> None:
+    with pytest.raises(OptionError):
+        Grid(("voronoi",), knobs)
+
+
+def test_the_command_runs_resumes_and_extends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "front"
+    words = ["tradeoff", "voronoi", *SMALL, "--seeds", 1, "--size", 16, "--out", out]
+    assert fide(*words, "--preset", "fast,balanced", "--json") == 0
+    captured = capsys.readouterr()
+    said = json.loads(captured.out.splitlines()[-1])["voronoi"]
+    assert set(said) == {"1 minute", "10 minutes", "an hour"}
+    settings = read(out)
+    best = min(settings, key=lambda s: s.final)
+    assert said["an hour"]["loss"] == best.final
+    assert "measured up to" in captured.err and "popsize=6 preset=fast size=16" in captured.err
+    names = {"tradeoff.md", "tradeoff.csv", "size-16"}
+    names |= {
+        f"tradeoff-voronoi-{a}.{kind}" for a in ("seconds", "renders") for kind in ("svg", "png")
+    }
+    assert {path.name for path in out.iterdir()} == names
+
+    assert fide(*words, "--preset", "fast") == 2
+    assert "already holds a comparison" in capsys.readouterr().err
+    before = (
+        out / "size-16/cells/voronoi/mse/fide+popsize=6+preset=fast/seed-0/run.json"
+    ).read_bytes()
+    more = [8 if word == 16 else word for word in words]
+    assert fide(*more, "--preset", "fast", "--resume") == 0
+    captured = capsys.readouterr()
+    assert captured.err.count("[1/1]") == 1
+    assert {(s.size, s.anytime) for s in read(out)} == {(16, False), (8, False)}
+    after = (
+        out / "size-16/cells/voronoi/mse/fide+popsize=6+preset=fast/seed-0/run.json"
+    ).read_bytes()
+    assert after == before
+
+
+@pytest.mark.parametrize(
+    "wrong", [["--popsize", "3"], ["--preset", "best"], ["--epochs", "x"], ["--spp", "4"],
+              ["--precision", "float8", "--preset", "paper"], ["--budget", "2"]]
+)  # fmt: skip
+def test_bad_words_are_one_line_and_run_nothing(
+    wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["tradeoff", "voronoi", "--size", 16, "--preset", "fast", "--out", tmp_path / "o"]
+    assert fide(*words, *wrong) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not (tmp_path / "o").exists()
