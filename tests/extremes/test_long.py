@@ -1,0 +1,76 @@
+"""Long runs: nothing drifts, nothing grows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fide_plugins.fide import FIDE
+from fide_plugins.points import Float64
+from fide_plugins.search.cma_es import CMAES
+
+SLOW = pytest.mark.slow
+GENERATIONS = [1_000, pytest.param(100_000, marks=SLOW)]
+TELLS = [10_000, pytest.param(1_000_000, marks=[SLOW, pytest.mark.timeout(3000)])]
+
+
+def constant(z: Float64) -> Float64:
+    return np.zeros(len(z))
+
+
+def sphere(z: Float64) -> Float64:
+    losses: Float64 = np.square(z - 0.3).sum(axis=1)
+    return losses
+
+
+def noise(z: Float64) -> Float64:
+    return np.random.default_rng(z.view(np.uint64).ravel()[0]).random(len(z))
+
+
+@pytest.mark.parametrize("generations", GENERATIONS)
+@pytest.mark.parametrize("loss", [constant, sphere, noise])
+def test_generations_without_drift(loss: Callable[[Float64], Float64], generations: int) -> None:
+    """The distribution stays one, and a mean that has arrived stays where it is."""
+    d, k = 3, 6
+    search, rng = CMAES(np.full(d, 0.5), 1 / 6, k), np.random.default_rng(0)
+    own = np.zeros(k, bool)
+    for generation in range(generations):
+        z = search.sample(k, rng)
+        search.tell(z, loss(z), own)
+        if generation % 1000 == 999:
+            np.testing.assert_array_equal(search.C, search.C.T)
+            assert np.isfinite(search.mean).all() and np.isfinite(search.C).all()
+            assert search._D.min() > 0 and search._D.max() / search._D.min() <= 1.001e7
+            assert search.std.max() > 1e-15 and search.std.mean() <= 1 / 6 * (1 + 1e-9)
+            if loss is sphere:
+                np.testing.assert_allclose(search.mean, 0.3, atol=1e-9)
+
+
+def resident() -> int:
+    """Bytes of memory that this process has now."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc here")
+@pytest.mark.parametrize("tells", TELLS)
+def test_tells_in_flat_memory(tells: int, tmp_path: Path) -> None:
+    """With features, restarts and lost candidates; the checkpoint does not grow either."""
+    rng = np.random.default_rng(0)
+    opt = FIDE(2, np.zeros((1, 1, 3)), popsize=20, seed=0)
+    sizes, memory = [], []
+    while opt.evaluations < tells:
+        X = opt.ask(20)
+        X = X[rng.random(20) < 0.9]
+        tokens = np.repeat(X.mean(axis=1), 16).reshape(len(X), 1, 16)
+        opt.tell(X, losses=X.mean(axis=1), features=tokens)
+        if opt._ledger.generations % max(1, tells // 2000) == 0:
+            opt.save(tmp_path / "checkpoint")
+            sizes.append((tmp_path / "checkpoint").stat().st_size)
+            memory.append(resident())
+    third = len(sizes) // 3
+    assert max(sizes[third:]) <= 1.2 * max(sizes[:third]) + 4e6  # of at most 20,000 that are out
+    assert max(memory[third:]) <= max(memory[:third]) + 3e7
