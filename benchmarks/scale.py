@@ -1,0 +1,158 @@
+"""What a generation costs with many parameters, candidates, pixels: exponents, and memory.
+
+    python benchmarks/scale.py dim popsize size         # what is missing of these three rows
+    python benchmarks/scale.py network                  # the network, by parameters and tokens
+    python benchmarks/scale.py table
+
+Each cell is a process of its own, for its largest resident set, and a line of the results; a second
+call does what is missing.  The renderer is a linear map to 8 x 8 colors, nearly free.  Times are
+the processor's, one thread, of the last of the generations, without rendering.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from profile_generation import PARTS, Stopwatch, overhead
+from quality import machine
+
+RESULTS = Path(__file__).parent / "results" / "scale.jsonl"
+BASE = {"dim": 40, "popsize": 50, "size": 112}
+ROWS: dict[str, list[dict[str, Any]]] = {
+    "dim": [{"dim": d} for d in (10, 25, 50, 100, 200, 400, 1000)],
+    "popsize": [{"popsize": k} for k in (50, 150, 500, 1500, 5000)],
+    "size": [{"size": s} for s in (64, 128, 256, 512, 1024)],
+    "network": [
+        {"dim": d, "preset": "paper", "epochs": 1, "parameter_tokens": n}
+        for n in (None, 16)
+        for d in (10, 50, 100, 200, 400)
+    ],
+}
+GENERATIONS = {"balanced": 6, "paper": 2}
+
+
+class Patchwork:
+    """Colors of 8 x 8 squares, a random linear function of the parameters."""
+
+    def __init__(self, dim: int, size: int) -> None:
+        self.map = np.random.default_rng(0).standard_normal((dim, 192)) / np.sqrt(dim)
+        self.size = size
+        self.target = self.render(np.random.default_rng(1).random((1, dim)))[0]
+
+    def render(self, X: Any) -> Any:
+        colors = np.clip(0.5 + (X - 0.5) @ self.map, 0, 1).astype(np.float32)
+        side = -(-self.size // 8)
+        squares = colors.reshape(len(X), 8, 8, 3).repeat(side, axis=1).repeat(side, axis=2)
+        return squares[:, : self.size, : self.size]
+
+
+def measure(cell: dict[str, Any]) -> dict[str, Any]:
+    """Milliseconds of a generation by part, and the largest resident set, MB."""
+    import torch
+
+    from fide_plugins import FIDE, fide as fide_module
+    from fide_plugins.search.cma_es import CMAES
+
+    torch.set_num_threads(1)
+    settings = {**BASE, **cell}
+    dim, size = settings.pop("dim"), settings.pop("size")
+    preset = settings.setdefault("preset", "balanced")
+    task = Patchwork(dim, size)
+    if preset == "paper":
+        settings["overlap"] = False
+    opt = FIDE(dim, task.target, seed=0, device="cpu", guard_images=False, **settings)
+    for _ in range(GENERATIONS[preset]):
+        watch = Stopwatch()
+        undo = [
+            watch.wrap(CMAES, "sample", "search"),
+            watch.wrap(CMAES, "tell", "search"),
+            watch.wrap(fide_module, "as_batch", "copy"),
+            watch.wrap(opt, "_note", "copy"),
+            watch.wrap(opt._encoder, "compute", "encode"),
+            watch.wrap(opt._loss, "compute", "loss"),
+            watch.wrap(opt._proposer, "update", "train"),
+            watch.wrap(opt._proposer, "propose", "sample"),
+        ]
+        with watch.part("rest"):
+            X = opt.ask()
+        for some in np.array_split(X, -(-len(X) // 100)):  # images of at most 100 at a time
+            with watch.part("render"):
+                images = task.render(some)
+            with watch.part("rest"):
+                opt.tell(some, images)
+        for step in undo:
+            step()
+    ms = {part: 1e3 * s for part, s in watch.seconds.items()}
+    return {"ms": ms, "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+
+
+def run_missing(rows: list[str]) -> None:
+    done = [row["cell"] for row in read()]
+    for name in rows:
+        for cell in ROWS[name]:
+            named = {"row": name, **cell}
+            if named in done:
+                continue
+            words = [sys.executable, __file__, "cell", json.dumps(cell)]
+            answer = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+            found = json.loads(answer.splitlines()[-1])
+            print(named, f"{overhead(found['ms']):.1f} ms, {found['MB']:.0f} MB", flush=True)
+            with open(RESULTS, "a", encoding="utf-8") as file:
+                file.write(json.dumps({"cell": named, **found, "machine": machine()}) + "\n")
+
+
+def read() -> list[dict[str, Any]]:
+    if not RESULTS.exists():
+        return []
+    return [json.loads(line) for line in RESULTS.read_text("utf-8").splitlines()]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """A line a cell, and the exponent from the cell before."""
+    parts = [part for part in PARTS if part != "render"]
+    lines = [f"| | {' | '.join(parts)} | ms a generation | exponent | MB |"]
+    lines.append("|---|" + "---|" * (len(parts) + 3))
+    before: tuple[Any, float, float] | None = None
+    for row in rows:
+        cell, ms = dict(row["cell"]), row["ms"]
+        name = cell.pop("row")
+        key = "dim" if name == "network" else name
+        kind = (name, cell.get("parameter_tokens"))
+        x, total = cell[key], overhead(ms)
+        slope = ""
+        if before is not None and before[0] == kind and x > before[1]:
+            slope = f"{np.log(total / before[2]) / np.log(x / before[1]):.2f}"
+        before = (kind, x, total)
+        label = ", ".join(f"{k} {v}" for k, v in cell.items() if k not in ("preset", "epochs"))
+        shown = " | ".join(f"{ms[part]:.1f}" for part in parts)
+        lines.append(f"| {name}: {label} | {shown} | {total:.1f} | {slope} | {row['MB']:.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("what", nargs="+", metavar="ROW")
+    what = parser.parse_args().what
+    if what[0] == "cell":
+        print(json.dumps(measure(json.loads(what[1]))))
+    elif what == ["table"]:
+        print(table(read()))
+    elif set(what) <= set(ROWS):
+        run_missing(what)
+    else:
+        parser.error(f"rows are {', '.join(ROWS)}; or table")
+
+
+if __name__ == "__main__":
+    main()
