@@ -1,0 +1,39 @@
+"""Which setting for how much time? A small sweep, read back from its folder.
+
+    python examples/which_setting.py
+
+The same from the command line: fide tradeoff voronoi --preset fast,balanced --size 32 ...
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from fide_plugins import compare
+from fide_plugins.tradeoff import Grid, best_within, front, read
+from fide_plugins.tradeoff.show import write
+
+
+def main() -> None:
+    grid = Grid(
+        ("voronoi",),
+        {"preset": ["fast", "balanced"], "popsize": [10, 30], "size": [32]},
+        seeds=2,
+        budget=400,
+        task_options={"cells": 3},
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        for name, plan in grid.plans():
+            compare.run(plan, Path(folder, name))
+        settings = read(Path(folder))
+        print(write(Path(folder), settings))
+    for point in front(settings, "renders"):
+        print(f"{point.cost:5.0f} renders: {point.loss:.5f} with {point.setting.label}")
+    point = best_within(settings, "seconds", 1.0)
+    assert point is not None
+    print(f"for one second: {point.setting.label}")
+
+
+if __name__ == "__main__":
+    main()
