@@ -21,7 +21,8 @@ the length a sample may have (Hansen 2011, "Injecting External Solutions Into CM
 arXiv:1110.4181, eq. 3), and the mean standard deviation never exceeds the one the search began
 with, because good foreign candidates make the step-size path long for a reason that is no reason
 to widen the search.  With nothing foreign and no cap the numbers are those of `cmaes` (tested), up
-to dimensions of 4 k.  Beyond, the step size follows `step_size.TwoPoint`.
+to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), and the
+step size follows `step_size.TwoPoint`.
 """
 
 from __future__ import annotations
@@ -104,6 +105,8 @@ class CMAES:
         self._d_sigma = 1 + 2 * crowd + self._c_sigma  # eq. 55
         self._c_c = (4 + mu_eff / d) / (d + 4 + 2 * mu_eff / d)  # eq. 56
         self._chi = np.sqrt(d) * (1 - 1 / (4 * d) + 1 / (21 * d * d))  # E |N(0, I)|
+        slow = 1 / (10 * d * (self._c_1 + self._c_mu))  # generations in which C hardly changes
+        self._decompose_every = max(1, int(slow)) if are_many(d, k) else 1
         self._longest_step = np.sqrt(d) + 2 * d / (d + 2)  # Hansen 2011, eq. 3
 
     @property
@@ -143,7 +146,8 @@ class CMAES:
         self._update_covariance(y, lengths, long_path)
         self._scale_sigma(self._sigma_factor(y_w, losses, foreign))
         self._rescale()
-        self._decompose()
+        if self.generation % self._decompose_every == 0:
+            self._decompose()
         std = self.std
         if std.mean() > self.largest_std:
             self._scale_sigma(self.largest_std / std.mean())
@@ -204,6 +208,7 @@ class CMAES:
         self.sigma *= power
         self.p_c = self.p_c / power
         self.C = self.C / power**2
+        self._D = self._D / power
 
     def _scale_sigma(self, factor: float) -> None:
         self.sigma = float(np.clip(self.sigma * factor, _SMALLEST_SIGMA, _LARGEST_SIGMA))

@@ -274,3 +274,31 @@ def test_many_parameters_and_few_candidates_take_the_step_size_sooner() -> None:
         z = ours.sample(k, rng)
         ours.tell(z, np.square(z - 0.3).sum(axis=1), own(k))
     assert np.square(ours.mean - 0.3).sum() < 0.7 * np.square(theirs.mean - 0.3).sum()
+
+
+def test_of_many_parameters_the_covariance_is_decomposed_as_often_as_it_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every generation up to 4 k parameters, every eighth of 1,000; and it hardly matters."""
+    every = {d: CMAES(np.zeros(d), 1.0, default_popsize(d))._decompose_every for d in (64, 1000)}
+    assert every == {64: 1, 1000: 8}
+    search = CMAES(np.full(400, 0.5), 0.2, 21, limit_std=False)
+    n = search._decompose_every
+    assert n > 1
+    decomposed: list[int] = []
+    eigh = np.linalg.eigh
+
+    def noted(matrix: Float64) -> tuple[Float64, Float64]:
+        decomposed.append(search.generation)
+        values, vectors = eigh(matrix)
+        return values, vectors
+
+    monkeypatch.setattr(np.linalg, "eigh", noted)
+    rng = np.random.default_rng(0)
+    for _ in range(3 * n):
+        z = search.sample(21, rng)
+        search.tell(z, (z**2).sum(axis=1), np.zeros(21, bool))
+        C = (search._B * search._D**2) @ search._B.T
+        assert np.linalg.norm(C - search.C) < 0.1 * np.linalg.norm(search.C)
+    assert decomposed == [n, 2 * n, 3 * n]
+    np.testing.assert_allclose(C, search.C, atol=1e-12)
