@@ -16,7 +16,7 @@ import fide_tasks
 from fide_adapters.nevergrad import DaskExecutor, ImageLoss, ParametrizedFIDE
 from fide_plugins import encoders
 
-BUDGET, WORKERS = 400, 2
+BUDGET, WORKERS = 200, 2
 
 
 def objective(**parameters: float) -> ImageLoss:

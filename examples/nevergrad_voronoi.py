@@ -14,7 +14,7 @@ from PIL import Image
 import fide_tasks
 from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
 
-BUDGET = 1500
+BUDGET = 1000
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from optuna.storages.journal import JournalFileBackend
 import fide_tasks
 from fide_adapters.optuna import FIDESampler, image_objective
 
-WORKERS, TRIALS = 4, 40
+WORKERS, TRIALS = 4, 24
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 task = fide_tasks.make("voronoi", cells=4, size=64, seed=0)  # 20 parameters
 
