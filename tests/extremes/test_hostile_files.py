@@ -175,7 +175,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=120 * CASES, deadline=None)
+@settings(max_examples=300 * CASES, deadline=None)
 @given(st.one_of(st.binary(max_size=60), json_values.map(lambda v: json.dumps(v).encode())))
 def test_a_record_of_a_run_that_is_none(content: bytes) -> None:
     (FOLDER / "run.json").write_bytes(content)
@@ -250,7 +250,7 @@ for _kind in ("PNG", "JPEG", "GIF", "TIFF", "BMP", "WEBP", "PPM", "ICO", "TGA"):
 
 
 @pytest.mark.filterwarnings("ignore")  # Pillow's remarks on damaged files
-@settings(max_examples=200 * CASES, deadline=None)
+@settings(max_examples=500 * CASES, deadline=None)
 @given(st.sampled_from(sorted(PICTURES)), damages)
 def test_a_damaged_picture_is_a_picture_or_refused(
     kind: str, kinds: list[tuple[int, int, int]]
@@ -292,7 +292,7 @@ SCENE = b"""<scene version="3.0.0">
 (FOLDER / "more.xml").write_text('<scene version="3.0.0"></scene>')
 
 
-@settings(max_examples=150 * CASES, deadline=None)
+@settings(max_examples=500 * CASES, deadline=None)
 @given(damages)
 def test_a_damaged_scene_is_a_scene_or_refused(kinds: list[tuple[int, int, int]]) -> None:
     (FOLDER / "scene.xml").write_bytes(damage(SCENE, kinds))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from fide_plugins.errors import FideError
 from fide_plugins.fide import FIDE
 from fide_plugins.images import Float32
 from fide_plugins.points import Float64
@@ -167,3 +168,39 @@ def test_candidates_lie_in_the_box_and_the_best_never_gets_worse(
         check(opt)
 
     drive(opt, losses, images, 8 * opt.popsize, seed % 2**32, tell)
+
+
+ANYTHING: list[Any] = [
+    None, True, 0, 1.5, "x", b"x", {}, [], [[]], [None], object(), np.nan, 1j, {1}, slice(3),
+    np.zeros(0), np.zeros(2), np.zeros(3), np.zeros((2, 2)), np.zeros((3, 2)), np.ones((3, 2)),
+    np.full((3, 2), np.nan), np.full((3, 2), 2.0), np.full((3, 2), -0.0), np.zeros((3, 2), "S1"),
+    np.zeros((3, 2), object), np.zeros((3, 2), np.int8), np.zeros((3, 2, 1)), [0.5, 0.5, 0.5],
+    [np.inf, np.nan, -np.inf], np.zeros((3, 4, 4, 3)), np.zeros((3, 4, 4)), np.ones((3, 4, 4, 4)),
+    np.zeros((3, 4, 4, 3), np.uint8), np.zeros((3, 4, 4, 3), np.int64), np.zeros((3, 4, 5, 3)),
+    np.full((3, 4, 4, 3), np.inf), np.full((3, 4, 4, 3), 1e300), [np.zeros((4, 4, 3))] * 3,
+    [np.zeros((4, 4, 3)), "x", None], [np.zeros((4, 4))] * 2, np.zeros((3, 16, 16)),
+    np.full((3, 16, 16), 1e300), np.zeros((3, 16, 16), complex), 10**400, [10**400] * 3,
+]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")  # of NumPy, about what is no array
+@settings(max_examples=180 * CASES, deadline=None)
+@given(*[st.sampled_from(range(len(ANYTHING)))] * 4)
+def test_whatever_is_told_counts_or_is_refused_and_changes_nothing(
+    points: int, images: int, losses: int, features: int
+) -> None:
+    opt = FIDE(2, np.zeros((4, 4, 3)), popsize=4, seed=0)
+    asked = opt.ask()
+    X = asked[:3] if points % 3 == 0 else ANYTHING[points]
+    told = ANYTHING[images], ANYTHING[losses]
+    before = opt._ledger.asked
+    try:
+        opt.tell(X, *told, features=ANYTHING[features] if features % 2 else None)
+    except FideError as error:
+        assert isinstance(error, ValueError)
+        assert (opt.evaluations, opt._ledger.asked, opt.best) == (0, before, None)
+    else:
+        assert opt.evaluations == len(X)
+    opt.tell(asked, np.zeros((4, 4, 4, 3)))
+    assert opt.best is not None and np.isfinite(opt.best.loss)
+    check(opt)
