@@ -300,5 +300,5 @@ def test_a_damaged_scene_is_a_scene_or_refused(kinds: list[tuple[int, int, int]]
         scene = scene_xml.read(FOLDER / "scene.xml")
     except (ValueError, OSError):
         return
-    named = [e.get("value", "") for e in scene.iter() if e.get("name") == "filename"]
+    named = [e.get("value", "") for e in scene.iter("string") if e.get("name") == "filename"]
     assert all(Path(name).resolve().is_relative_to(FOLDER.resolve()) for name in named if name)
