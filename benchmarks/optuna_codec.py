@@ -43,7 +43,8 @@ def run(arm: str, task_seed: int, seed: int) -> dict[str, Any]:
         told = [eye.loss(image[None]) for image in images]
         features = torch.stack([eye.tokens(image[None]) for image in images])
         if arm == "stored":
-            features = torch.stack([eye.codec.unpack(eye.codec.pack(f)) for f in features])
+            stored = [eye.codec.unpack(eye.codec.pack(f)) for f in features]
+            features = torch.stack([f for f in stored if f is not None])
         optimizer.tell(X, losses=told, features=features)
         losses += told
     best = np.minimum.accumulate(losses)

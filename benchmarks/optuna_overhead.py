@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import optuna
-from optuna.distributions import FloatDistribution
+from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import CmaEsSampler, RandomSampler
 
 from fide_adapters.optuna import FIDESampler
@@ -84,7 +84,7 @@ def at_random() -> Step:
 
 def cma(trials: int) -> Step:
     """A trial of CmaEsSampler where a study has so many trials."""
-    space = {name: FloatDistribution(0, 1) for name in NAMES}
+    space: dict[str, BaseDistribution] = {name: FloatDistribution(0, 1) for name in NAMES}
     study = optuna.create_study(sampler=CmaEsSampler(seed=0))
     study.add_trials(
         [

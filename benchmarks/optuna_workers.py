@@ -7,6 +7,9 @@ Eight Voronoi cells, 40 parameters.  Workers are samplers of their own on one st
 take turns in the order of a clock that is not real: a trial takes a time drawn from a log-normal
 distribution (standard deviation 0.3 of the logarithm), asking and telling take none.  So the
 figures do not depend on how many cores there are.  The same targets and seeds for all.
+
+With ``--direct`` there is one replica of the optimizer in place of the samplers, which is told what
+they would read from the storage: the same losses to the last digit, in a quarter of the time.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import heapq
 import json
 import os
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +27,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import optuna
+from torch import Tensor
 
 import fide_tasks
 from fide_adapters.optuna import FIDESampler
+from fide_adapters.optuna_parts.eye import Eye
+from fide_plugins import FIDE
+from fide_plugins.replica import Replica
 
 TRIALS = 1000
 EVERY = 25
@@ -68,11 +76,56 @@ def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
     return {"curve": curve.tolist(), "counts": samplers[0].counts(studies[0])}
 
 
+def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
+    """As `run`, by what every sampler does with what it reads."""
+    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
+    eye = Eye(task.target, None, "dense", "cpu")
+    replica = Replica(FIDE(task.dim, task.target, seed=seed))
+    clock = np.random.default_rng([seed, workers])
+    busy: list[tuple[float, int]] = []
+    asked: list[tuple[int, int, bool, Any]] = []  # generation, slot, proposed, x; by number
+    done: dict[int, tuple[float, Any]] = {}
+    losses: list[float] = []
+    first = told = 0
+    counts: Counter[str] = Counter()
+
+    def begin(now: float) -> None:
+        slot = len(asked) - first
+        candidate = replica.candidate(slot)
+        heapq.heappush(busy, (now + clock.lognormal(0.0, SPREAD), len(asked)))
+        asked.append((replica.generation, slot, candidate.proposed, candidate.x.copy()))
+
+    for _ in range(workers):
+        begin(0.0)
+    while len(losses) < TRIALS:
+        now, number = heapq.heappop(busy)
+        image = eye.image(task.render(asked[number][3][None])[0])
+        tokens: Tensor | None = eye.tokens(image)
+        if tokens is not None and workers > 1:  # who is alone learns from features as they are
+            tokens = eye.codec.unpack(eye.codec.pack(tokens))
+        done[number] = eye.loss(image), tokens
+        losses.append(done[number][0])
+        while told in done:
+            generation, slot, proposed, x = asked[told]
+            now_at = replica.generation
+            loss, learned = done.pop(told)
+            role = replica.tell(
+                x, loss, learned, generation=generation, slot=slot, proposed=proposed
+            )
+            counts[role.value] += 1
+            told += 1
+            first = told if replica.generation != now_at else first
+        begin(now)
+    curve = np.minimum.accumulate(losses)[EVERY - 1 :: EVERY]
+    return {"curve": curve.tolist(), "counts": {**counts, "image": counts.total()}}
+
+
 def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--direct", action="store_true")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 4])
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=5)
@@ -86,7 +139,8 @@ def main() -> None:
             for workers in arguments.workers:
                 if (workers, target, seed) not in done:
                     line = {"workers": workers, "target": target, "seed": seed}
-                    line |= run(workers, target, seed) | {"date": time.strftime("%Y-%m-%d")}
+                    line |= (run_direct if arguments.direct else run)(workers, target, seed)
+                    line |= {"date": time.strftime("%Y-%m-%d")}
                     with arguments.out.open("a") as file:
                         file.write(json.dumps(line) + "\n")
 
