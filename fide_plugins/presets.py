@@ -43,8 +43,8 @@ class Options:
     overlap: train the network in the background, see `proposers.beside`; the result is the same.
 
     guard_search: cut foreign steps and limit the standard deviation, see `search.cma_es`.
-    guard_images: let images guide the search, by proposals, relocation and `patience`, only while
-        they agree with the losses, see `proposers.agreement`; otherwise it is CMA-ES.
+    guard_images: let images guide the search, by proposals, relocation and `patience`, only as
+        far as they agree with the losses, see `proposers.agreement`; otherwise it is CMA-ES.
     patience, improvement: when a search is over that images guide, see `search.progress`; patience
         None: 10 generations, or 2 d / k (where d > 4 k: 4 d / k) if that is more.
     restarts: where the next one begins: "parts" (one part of the best candidate put elsewhere, see
