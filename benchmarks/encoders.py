@@ -19,6 +19,7 @@ random weights; its files are made in runs/, by transformers.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import statistics
 import sys
@@ -332,10 +333,20 @@ def print_times(arguments: argparse.Namespace) -> None:
                 made = encoders.make(name) if kind == "encoder" else losses.make(name, images[0])
                 row.append(f"{1e3 * fastest(made, images) / n:.2f}")
             print(f"| {kind} `{name}` | {' | '.join(row)} |", flush=True)
+    row = [
+        f"{1e3 * fastest(checksums, np.zeros((100, n, n, 3), np.float32)) / 100:.2f}"
+        for n in (112, 224)
+    ]
+    print(f"| SHA-256, by which images are kept | {' | '.join(row)} |", flush=True)
     for encoder in ("dense", "patch"):
         row = [f"{optimizing(encoder, side):.2f}" for side in (112, 224)]
         print(f"| FIDE with `{encoder}`, all but rendering | {' | '.join(row)} |", flush=True)
     print(f"\nencoder `dinov3` over the bare network: {ratio_to_bare_network():.2f}")
+
+
+def checksums(images: NDArray[np.float32]) -> None:
+    for image in images:
+        hashlib.sha256(image.data).digest()
 
 
 def fastest(made: Any, images: NDArray[np.float32]) -> float:
