@@ -76,6 +76,7 @@ class CMAES:
         self.sigma = float(np.sqrt(np.mean(scales**2)))
         self.C = np.diag((scales / self.sigma) ** 2)
         self.p_sigma, self.p_c = np.zeros(d), np.zeros(d)
+        self._B, self._D = np.eye(d), np.ones(d)
         self.generation = 0
         self.popsize = k
         self.largest_std = float(scales.mean()) if limit_std else np.inf
