@@ -16,7 +16,7 @@ generations j, older ones counting less by c_j,
     sum_j c_j n_j rho_j / sqrt(sum_j c_j^2 n_j^2 / (n_j - 1))
 
 would then be a number of about standard normal law.  Images that agree lift it beyond 3 in the
-first two generations and beyond 10 by the tenth (`docs/extremes.md`).
+first two generations, and beyond 10 by the tenth.
 
 That is to be sure of *some* agreement, and a lie can have some: a target of something else has a
 side that is nearer, too.  So it is also asked how *much* images agree of late, by the mean of rho_j

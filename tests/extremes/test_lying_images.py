@@ -62,6 +62,18 @@ def test_what_is_asked_is_what_would_be_asked_without(
     np.testing.assert_array_equal(np.concatenate(run(lie, loss, 300, seed=0)), without)
 
 
+def test_the_picture_of_something_else_ends_no_search() -> None:
+    """One of its sides is nearer, too: images agree some, and a search that stalls goes on."""
+    weights = 2 * np.random.default_rng(3).standard_normal((10, 32 * 32 * 3))
+    other = np.random.default_rng(5).random((32, 32, 3), np.float32)
+    opt = FIDE(10, other, seed=2)
+    while opt.evaluations < 800:
+        X = opt.ask()
+        images = (1 / (1 + np.exp((0.5 - X) @ weights))).reshape(-1, 32, 32, 3)
+        opt.tell(X, images, rosenbrock(X))
+    assert opt._searches == 1
+
+
 def test_without_images_a_search_converges_to_the_last_digits() -> None:
     """A patience of ten generations, and an end at a thousandth of the box, are for images."""
     X = np.concatenate(run("none", sphere, 1200, seed=0))
