@@ -302,3 +302,9 @@ def test_of_many_parameters_the_covariance_is_decomposed_as_often_as_it_changes(
         assert np.linalg.norm(C - search.C) < 0.1 * np.linalg.norm(search.C)
     assert decomposed == [n, 2 * n, 3 * n]
     np.testing.assert_allclose(C, search.C, atol=1e-12)
+    z = search.sample(21, rng)
+    search.tell(z, (z**2).sum(axis=1), np.zeros(21, bool))  # B and D are of an earlier C now
+    twin = CMAES.from_state(search.state_dict())
+    np.testing.assert_array_equal(
+        *(each.sample(3, np.random.default_rng(1)) for each in (search, twin))
+    )
