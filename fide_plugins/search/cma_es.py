@@ -243,12 +243,24 @@ class CMAES:
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> CMAES:
-        """Distribution that goes on, bit for bit, where `state_dict` was taken."""
+        """Distribution that goes on, bit for bit, where `state_dict` was taken.
+
+        Raises ValueError if B and D are not those of C.
+        """
         search = cls(state["mean"], 1.0, int(state["popsize"]))
         search.sigma, search.generation = float(state["sigma"]), int(state["generation"])
         search.C, search._B, search._D = state["C"], state["B"], state["D"]
+        if search.generation % search._decompose_every == 0:  # else they are of an earlier C
+            _check_decomposition(search.C, search._B, search._D)
         search.p_sigma, search.p_c = state["p_sigma"], state["p_c"]
         search.largest_std = float(state["largest_std"])
         if search._two_point is not None:
             search._two_point.load_state_dict(state["two_point"])
         return search
+
+
+def _check_decomposition(C: Float64, B: Float64, D: Float64) -> None:
+    """Raise ValueError unless B is a rotation and C = B diag(D^2) B^T, but for rounding."""
+    rotation = np.allclose(B.T @ B, np.eye(len(D)), rtol=0, atol=1e-6)
+    if not rotation or not np.allclose((B * D**2) @ B.T, C, rtol=0, atol=1e-6 * np.abs(C).max()):
+        raise ValueError("the eigenvectors and eigenvalues are not those of the covariance")

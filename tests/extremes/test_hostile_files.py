@@ -109,6 +109,16 @@ def test_a_checkpoint_of_anything_is_refused_or_goes_on(
     assert np.isfinite(opt.recommend()).all()
 
 
+@pytest.mark.parametrize("name", ["B", "D", "C"])
+def test_a_covariance_that_is_not_that_of_its_eigenvectors_is_refused(name: str) -> None:
+    value = STATES["linear"]["search"][name]
+    checkpoint.write(
+        FOLDER / "odd", "fide", changed(STATES["linear"], ("search", name), 0.5 * value)
+    )
+    with pytest.raises(CheckpointError, match="not those of the covariance"):
+        FIDE.load(FOLDER / "odd")
+
+
 def damage(data: bytes, kinds: list[tuple[int, int, int]]) -> bytes:
     """Change, insert, remove, double or cut bytes: (kind, where, what)."""
     for kind, where, what in kinds:
