@@ -1,6 +1,7 @@
 """Which descriptors: what the encoder `dense` was chosen from.
 
     python benchmarks/descriptors.py tell                     # what features tell of parameters
+    python benchmarks/descriptors.py noise                    # how much of a distance is noise
     python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each of them
     python benchmarks/descriptors.py table                    # of what was fitted
 
@@ -10,7 +11,6 @@
 how much of the variance of the parameters of 80 other renders it explains, the mean over the
 parameters.  The parameters have a standard deviation of 0.1 around a random point (wide), or 0.03
 (narrow).  Noisy: scenes with few paths a pixel, and others with normal noise of 0.1 a pixel.
-Noise: that of the table of this name in docs/encoders.md.
 
 All descriptors share a grid of 14 x 14 tokens, but where they say otherwise, and begin with the
 mean colors, so the proposer looks at the colors alone every second time, as it does with `dense`.
@@ -204,18 +204,24 @@ def tell(arguments: argparse.Namespace) -> None:
         for noisy in (True,) if task in TRACED else (False, True):
             columns += [(task, width, noisy) for width in WIDTHS]
     head = " | ".join(f"{t}, {w}{', noisy' if n else ''}" for t, w, n in columns)
-    print(f"| descriptor | channels | ms | noise | {head} |\n|---|{'---:|' * (3 + len(columns))}")
-    pairs = noisy_pairs(arguments.size)
+    print(f"| descriptor | {head} |\n|---|{'---:|' * len(columns)}")
     populations = [population(*column, arguments.size) for column in columns]
     for name, make in VARIANTS.items():
         encoder = make()
-        start = time.process_time()
         shares = [explained(encoder, x, images) for x, images in populations]
-        cost = 1e3 * (time.process_time() - start) / sum(len(x) for x, _ in populations)
-        noise = f"{noise_share(squares(encoder, *pairs)):.3f}"
-        shown = [f"{share:.2f}" for share in shares]
-        cells = [name, encoder._channels, f"{cost:.2f}", noise, *shown]
-        print(f"| {' | '.join(map(str, cells))} |", flush=True)
+        print(f"| {name} | {' | '.join(f'{share:.2f}' for share in shares)} |", flush=True)
+
+
+def noise(arguments: argparse.Namespace) -> None:
+    """Share of noise in squared distances of Beads, and the milliseconds of an image."""
+    one, two = noisy_pairs(arguments.size)
+    print("| descriptor | channels | ms | noise / difference |\n|---|---:|---:|---:|")
+    for name, make in VARIANTS.items():
+        encoder = make()
+        start = time.process_time()
+        share = noise_share(squares(encoder, one, two))
+        cost = 1e3 * (time.process_time() - start) / (2 * len(one))
+        print(f"| {name} | {encoder._channels} | {cost:.2f} | {share:.3f} |", flush=True)
 
 
 def population(
@@ -309,7 +315,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("what", choices=("tell", "fit", "table"))
+    add("what", choices=("noise", "tell", "fit", "table"))
     add("tasks", nargs="*", metavar="TASK")
     add("--arms", nargs="+", default=list(VARIANTS), choices=list(VARIANTS), metavar="NAME")
     add("--seeds", type=int, default=10)
@@ -318,7 +324,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    {"tell": tell, "fit": fit, "table": print_table}[arguments.what](arguments)
+    {"noise": noise, "tell": tell, "fit": fit, "table": print_table}[arguments.what](arguments)
 
 
 if __name__ == "__main__":
