@@ -87,6 +87,7 @@ ODD: list[Any] = [
 ]  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
 @settings(max_examples=120 * CASES, deadline=None)
 @given(st.sampled_from(sorted(STATES)), st.data(), st.integers(1, 3))
 def test_a_checkpoint_of_anything_is_refused_or_goes_on(
