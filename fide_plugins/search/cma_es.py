@@ -198,7 +198,8 @@ class CMAES:
         pause = self._c_c * (2 - self._c_c) if long_path else 0.0
         keep = 1 + self._c_1 * pause - self._c_1 - self._c_mu * self._weights.sum()
         rank_one = np.outer(self.p_c, self.p_c)
-        self.C = keep * self.C + self._c_1 * rank_one + self._c_mu * (y.T * w) @ y
+        C = keep * self.C + self._c_1 * rank_one + self._c_mu * (y.T * w) @ y
+        self.C = (C + C.T) / 2  # the last product is symmetric but for rounding
 
     def _rescale(self) -> None:
         """Give a scale of C that has drifted to sigma; the distribution is the same to the bit."""
@@ -215,8 +216,7 @@ class CMAES:
         self.sigma = float(np.clip(self.sigma * factor, _SMALLEST_SIGMA, _LARGEST_SIGMA))
 
     def _decompose(self) -> None:
-        """B and D of C, which is made symmetric and kept positive definite."""
-        self.C = (self.C + self.C.T) / 2
+        """B and D of C, which is symmetric and kept positive definite."""
         eigenvalues, self._B = np.linalg.eigh(self.C)
         floor = max(eigenvalues[-1], _TINY) / _LARGEST_CONDITION
         if eigenvalues[0] < floor:
