@@ -305,6 +305,5 @@ def test_of_many_parameters_the_covariance_is_decomposed_as_often_as_it_changes(
     z = search.sample(21, rng)
     search.tell(z, (z**2).sum(axis=1), np.zeros(21, bool))  # B and D are of an earlier C now
     twin = CMAES.from_state(search.state_dict())
-    np.testing.assert_array_equal(
-        *(each.sample(3, np.random.default_rng(1)) for each in (search, twin))
-    )
+    first, second = (each.sample(3, np.random.default_rng(1)) for each in (search, twin))
+    np.testing.assert_array_equal(first, second)
