@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
-# of the tests: one process a core, and not more than the slowest test has use for
+# of the tests: one process a core, with one thread each, up to eight
 PARALLEL := -n auto --maxprocesses 8
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
@@ -27,7 +27,7 @@ demo: setup
 	@echo "Look at runs/demo/summary.png"
 
 test: setup
-	$(BIN)/python -m pytest -q $(PARALLEL)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -46,7 +46,7 @@ wheel: setup
 	@build/wheel-test/bin/python -m pip --disable-pip-version-check install -qq \
 	  -c constraints.txt "$$(echo dist/*.whl)[dev]"
 	cp -r tests examples README.md pyproject.toml build/wheel-test/
-	cd build/wheel-test && bin/python -P -m pytest -q $(PARALLEL) -o pythonpath= tests
+	cd build/wheel-test && OMP_NUM_THREADS=1 bin/python -P -m pytest -q $(PARALLEL) -o pythonpath= tests
 
 clean:
 	rm -rf build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
