@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
-
 from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
 
@@ -17,4 +15,6 @@ class MeanSquaredError(LossOfTarget):
     version = "mse-2"  # 1 differs in the last digits
 
     def _distance(self, image: Float32) -> float:
+        import cv2  # takes a tenth of a second
+
         return float(cv2.norm(image, self.target, cv2.NORM_L2SQR)) / image.size
