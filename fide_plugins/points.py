@@ -68,19 +68,24 @@ def new_seed(seed: object) -> int:
     return whole_number("seed", seed, 0)
 
 
+_SMALLEST_STD = 1e-16  # below, doubles around the middle of the cube are all the same
+
+
 def standard_deviation(value: Any) -> float:
-    """`value` as a float; OptionError (a ValueError) unless it lies in (0, 1]."""
+    """`value` as a float; OptionError (a ValueError) unless it lies in [1e-16, 1]."""
     try:
         number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
     except (TypeError, ValueError):
         number = 0.0
-    if not 0 < number <= 1:
-        raise OptionError(f"sigma0 must lie in (0, 1], not {value!r}")
+    if not _SMALLEST_STD <= number <= 1:
+        raise OptionError(
+            f"sigma0 must lie in (0, 1] and be at least {_SMALLEST_STD}, not {value!r}"
+        )
     return number
 
 
 def standard_deviations(value: Any, dim: int) -> float | Float64:
-    """`value` as a float or as (dim,) of them; OptionError unless all lie in (0, 1]."""
+    """`value` as a float or as (dim,) of them; OptionError unless all lie in [1e-16, 1]."""
     if np.ndim(value) == 0:
         return standard_deviation(value)
     if np.shape(value) != (dim,):

@@ -36,7 +36,7 @@ class Options:
         `proposers.views`.
     elite, ridge, sources, shortest_step, longest_step, noise, evidence: see `proposers.linear`.
 
-    epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`.
+    epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
     steps: of denoising, evenly, in place of the schedule; at most 1,000.
     precision: "float32" or "bfloat16", see `denoiser.precision`.
     parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
@@ -113,7 +113,9 @@ _CHOICES = {
 _SWITCHES = ("guard_search", "guard_images", "select_tokens", "overlap")
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
 _WHOLE |= {"patience": 1, "steps": 1, "parameter_tokens": 1}
-_MOST_STEPS = 1000  # of denoising: there is nothing between two levels of noise any more
+# Of steps: beyond, there is nothing between two levels of noise.  Of epochs: a generation of them
+# takes minutes even of the smallest network, and their losses are kept until it is over.
+_MOST = {"steps": (1000, "3 are published"), "epochs": (10_000, "4 to 20 are published")}
 _POSITIVE = (
     "elite",
     "ridge",
@@ -163,10 +165,7 @@ def _checked(name: str, value: Any) -> Any:
             raise OptionError(f"{name} must be one of {', '.join(_CHOICES[name])}, not {value!r}")
         return value
     if name in _WHOLE:
-        count = whole_number(name, value, _WHOLE[name])
-        if name == "steps" and count > _MOST_STEPS:
-            raise OptionError(f"steps must be at most {_MOST_STEPS}, not {count}; 3 are published")
-        return count
+        return _counted(name, whole_number(name, value, _WHOLE[name]))
     if name in _SWITCHES:
         if not isinstance(value, bool):
             raise OptionError(f"{name} must be True or False, not {value!r}")
@@ -190,6 +189,13 @@ def _checked(name: str, value: Any) -> Any:
     if name == "noise" and number < 0:
         raise OptionError(f"noise must not be negative, got {value!r}")
     return number
+
+
+def _counted(name: str, count: int) -> int:
+    most, published = _MOST.get(name, (count, ""))
+    if count > most:
+        raise OptionError(f"{name} must be at most {most:,}, not {count:,}; {published}")
+    return count
 
 
 def _number(name: str, value: Any) -> float:

@@ -1,14 +1,22 @@
-"""Files of random weights in the layout in which the real ones are published."""
+"""What tests share: how cases are generated, and random weights as the real ones are published."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import hypothesis
 import pytest
 import torch
 from torch import Tensor
+
+# The same cases every time, so that a change is judged by what it changes; a longer run, see
+# docs/extremes.md, looks for new ones.
+hypothesis.settings.register_profile("same", derandomize=True)
+if "FIDE_CASES" not in os.environ:
+    hypothesis.settings.load_profile("same")
 
 State: TypeAlias = dict[str, Tensor]
 

@@ -61,6 +61,7 @@ __all__ = ["LinearProposer"]
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
 _SMALLEST_GAP = 1e-3  # of a leverage to 1
+_SMALLEST_SCALE = 1e-9  # of ranks: the best alone counts long before
 _MOST_BYTES = 2**28  # of features in one view
 
 
@@ -202,7 +203,7 @@ class LinearProposer:
         """How much of each parameter is proposed, (d,) in [0, 1]."""
         if self.evidence == 0:
             return np.ones(self.dim)
-        return np.clip(fit.explained / self.evidence, 0.0, 1.0)
+        return np.clip(fit.explained, 0.0, self.evidence) / self.evidence
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
@@ -245,6 +246,6 @@ def _of_every_rank(losses: Float64, n: int) -> npt.NDArray[np.intp]:
 
 
 def _rank_weights(ranks: npt.NDArray[np.intp], scale: float) -> Float64:
-    w = np.exp(-ranks / scale)
+    w = np.exp(-ranks / max(scale, _SMALLEST_SCALE))
     weights: Float64 = w / w.sum()
     return weights

@@ -98,6 +98,41 @@ def test_a_checkpoint_of_anything_is_refused_or_goes_on(
     for _ in range(changes):
         place = data.draw(st.sampled_from(list(places(state))))
         state = changed(state, place, data.draw(st.sampled_from(ODD)))
+    refused_or_goes_on(state)
+
+
+OF_THE_NETWORK = {
+    "epochs", "learning_rate", "batch_size", "schedule", "steps", "precision", "parameter_tokens",
+}  # fmt: skip
+SETTINGS = [("linear", ("sigma0",))] + [
+    ("diffusion" if place[1] in OF_THE_NETWORK else "linear", place)
+    for place in places(STATES["linear"])
+    if place[0] == "options" and len(place) == 2
+]
+
+
+@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
+@pytest.mark.parametrize(("proposer", "place"), SETTINGS, ids=str)
+def test_settings_of_a_checkpoint_are_refused_or_go_on(
+    proposer: str, place: tuple[Any, ...]
+) -> None:
+    """Every odd value in every setting: those are what others may write by hand."""
+    for value in ODD:
+        refused_or_goes_on(changed(STATES[proposer], place, value))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
+@pytest.mark.parametrize("proposer", STATES)
+def test_every_place_of_a_checkpoint_is_refused_or_goes_on(proposer: str) -> None:
+    """Every odd value in every place, one at a time."""
+    for place in places(STATES[proposer]):
+        for value in ODD:
+            refused_or_goes_on(changed(STATES[proposer], place, value))
+
+
+def refused_or_goes_on(state: Any) -> None:
     checkpoint.write(FOLDER / "odd", "fide", state)
     try:
         opt = FIDE.load(FOLDER / "odd")

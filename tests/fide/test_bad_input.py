@@ -80,6 +80,7 @@ SETTINGS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "dim bool": ({"dim": True}, OptionError, "dim.*True"),
     "dim none": ({"dim": None}, OptionError, "dim.*None"),
     "sigma0 zero": ({"sigma0": 0}, OptionError, r"sigma0.*\(0, 1\].*0"),
+    "sigma0 tiny": ({"sigma0": 5e-324}, OptionError, "sigma0.*1e-16.*5e-324"),
     "sigma0 NaN": ({"sigma0": float("nan")}, OptionError, "sigma0.*nan"),
     "sigma0 large": ({"sigma0": 1.5}, OptionError, r"sigma0.*1\.5"),
     "sigma0 text": ({"sigma0": "wide"}, OptionError, "sigma0.*wide"),
@@ -93,6 +94,8 @@ SETTINGS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "loss number": ({"loss": 3}, LossError, "loss.*3"),
     "device": ({"device": "abacus"}, DeviceError, "abacus"),
     "option": ({"popsise": 8}, OptionError, "popsise.*popsize"),
+    "epochs": ({"epochs": 2**40}, OptionError, "epochs.*10,000.*1,099,511,627,776"),
+    "steps": ({"steps": 2**70}, OptionError, "steps.*1,000"),
     "schedule": ({"schedule": (0.1, 0.2)}, OptionError, r"0\.1, 0\.2"),
 }
 
