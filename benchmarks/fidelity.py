@@ -1,0 +1,164 @@
+"""Samples of a pixel for so much time: few, many, few and then many, or as noise requires.
+
+    python benchmarks/fidelity.py beads san_miguel --seeds 3
+    python benchmarks/fidelity.py --table
+
+FIDE (`balanced`, mean squared error) on the tasks of Mitsuba, one thread.  A run ends after so many
+seconds of the processor, rendering and all else.  At each mark the best candidate so far (of those
+rendered with the largest number so far) is judged by the task's reference, which takes no time of
+the run's.  A seed chooses the target, the optimizer's random numbers and the noise.  Every run is a
+line of benchmarks/results/fidelity.jsonl, appended when it is done; a second call does what is
+missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from quality import machine
+
+import fide_tasks
+from fide_plugins import FIDE, losses
+from fide_plugins.samples import Samples
+
+RESULTS = Path(__file__).parent / "results" / "fidelity.jsonl"
+ARMS = ("16", "4", "1", "4, from half of the time on 16", "as noise requires, 1 to 16")
+MOST = 16
+REST = 2**30  # begins the seeds of second renders
+
+
+class Run:
+    """One optimizer at work, until its time is over."""
+
+    def __init__(self, cell: dict[str, Any]) -> None:
+        self.cell = cell
+        self.task = fide_tasks.make(
+            cell["task"], size=cell["size"], seed=cell["seed"], threads=1, spp=MOST
+        )
+        self.loss = losses.make("mse", self.task.target)
+        self.optimizer = FIDE(self.task.dim, self.task.target, seed=cell["seed"], device="cpu")
+        self.rule = Samples(1, MOST) if cell["arm"].startswith("as") else None
+        self.seconds, self.renders, self.samples = 0.0, 0, 0
+        self.level, self.best = 0, (np.inf, np.full(self.task.dim, 0.5))
+        self.marks: list[dict[str, Any]] = []
+
+    def go(self) -> dict[str, Any]:
+        self.task.render(self.optimizer.x0[None], seed=[0])  # loads and compiles
+        total = self.cell["seconds"]
+        for mark in (total / 4, total / 2, total):
+            while self.seconds < mark:
+                before = time.process_time()
+                self.generation()
+                self.seconds += time.process_time() - before
+            self.marks.append({
+                "seconds": mark,
+                "renders": self.renders,
+                "samples": self.samples,
+                "level": self.level,
+                "judged": self.judged(self.best[1]),
+            })  # fmt: skip
+        return {**self.cell, "marks": self.marks, "machine": machine()}
+
+    def number(self) -> int:
+        if self.rule is not None:
+            return self.rule.number
+        first, _, then = self.cell["arm"].partition(", from half of the time on ")
+        return int(then if then and self.seconds > self.cell["seconds"] / 2 else first)
+
+    def generation(self) -> None:
+        X, level = self.optimizer.ask(), self.number()
+        if level > self.level > 0:  # what was best is compared with the next at their level
+            x = self.best[1]
+            self.best = float(self.loss.compute(self.render(x[None], level))[0]), x
+        self.level = level
+        images = self.render(X, level)
+        values = self.loss.compute(images)
+        self.optimizer.tell(X, images, values)
+        if self.rule is not None:
+            again = None
+            if self.rule.pair_due:
+                again = float(self.loss.compute(self.render(X[:1], level))[0])
+            self.rule.note(values, again)
+        winner = int(np.argmin(values))
+        if values[winner] < self.best[0]:
+            self.best = float(values[winner]), X[winner]
+
+    def render(self, X: Any, level: int) -> Any:
+        first = self.cell["seed"] * REST + self.renders
+        self.renders, self.samples = self.renders + len(X), self.samples + level * len(X)
+        self.task.spp = level
+        return self.task.render(X, seed=[first + i for i in range(len(X))])
+
+    def judged(self, x: Any) -> float:
+        return float(self.loss.compute(self.task.reference(x)[None])[0])
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Medians of the judged losses, in thousandths, and the range of the runs."""
+    lines: list[str] = []
+    for kind in dict.fromkeys((r["task"], r["size"], r["seconds"]) for r in rows):
+        mine = [r for r in rows if (r["task"], r["size"], r["seconds"]) == kind]
+        marks = [mark["seconds"] for mark in mine[0]["marks"]]
+        titles = [*(f"{mark:g} s" for mark in marks), "renders", "samples", "at the end with"]
+        lines += [f"| {kind[0]}, {kind[1]} px | runs | {' | '.join(titles)} |"]
+        lines += ["|---" * (len(titles) + 2) + "|"]
+        for arm in (arm for arm in ARMS if any(r["arm"] == arm for r in mine)):
+            runs = [r["marks"] for r in mine if r["arm"] == arm]
+            cells = [middle([run[i]["judged"] for run in runs]) for i in range(len(marks))]
+            ends = [run[-1] for run in runs]
+            cells += [
+                f"{statistics.median(e[k] for e in ends):.0f}" for k in ("renders", "samples")
+            ]
+            cells += [", ".join(str(e["level"]) for e in ends)]
+            lines.append(f"| {arm} | {len(runs)} | {' | '.join(cells)} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def middle(values: list[float]) -> str:
+    low, median, high = (1e3 * f(values) for f in (min, statistics.median, max))
+    return f"{median:.3g} ({low:.3g} to {high:.3g})"
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("tasks", nargs="*", metavar="TASK", help="beads, san_miguel")
+    parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, metavar="ARM")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--size", type=int, default=56)
+    parser.add_argument("--seconds", type=float, default=20.0, help="of the processor, a run (20)")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--table", action="store_true")
+    a = parser.parse_args()
+    if a.table:
+        print(table(read(a.out)))
+        return
+    for seed in range(a.seeds):
+        for task in a.tasks:
+            for arm in a.arms:
+                cell = {"task": task, "arm": arm, "seed": seed, "size": a.size}
+                cell["seconds"] = a.seconds
+                if any(all(row[k] == v for k, v in cell.items()) for row in read(a.out)):
+                    continue
+                row = Run(cell).go()
+                with open(a.out, "a", encoding="utf-8") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(cell, [round(m["judged"], 5) for m in row["marks"]], flush=True)
+
+
+if __name__ == "__main__":
+    main()

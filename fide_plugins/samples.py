@@ -1,0 +1,139 @@
+"""How many samples of a pixel candidates are worth: as few as leave their order to what they are.
+
+A search needs of a generation only which candidates are better than which.  That is decided by
+noise as soon as
+
+    sigma > tolerance * spread,
+
+sigma the standard deviation of one candidate's loss between two renders, spread that of the losses
+of a generation.  While the population is wide its losses are, too, and few samples are enough; as
+it narrows noise takes over, and then samples are multiplied.  Hansen et al. 2009, "A method for
+handling uncertainty in evolutionary optimization", renders again and adapts by ranks; here a few
+candidates are rendered twice to know sigma.
+
+The number never falls.  Noise adds to most losses of images, the mean squared error among them, so
+a loss at few samples is too high rather than too low, and going up spoils no comparison with what
+was found before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import OptionError
+from fide_plugins.losses.base import as_losses
+from fide_plugins.points import Float64, whole_number
+
+__all__ = ["Samples"]
+
+_PAIRS = 8  # renders of one candidate twice from which sigma is estimated
+_SPREADS = 8  # generations, of which the median spread counts
+_FACTOR = 4
+_SMALLEST = 4  # candidates that have a spread
+_NORMAL = 1.349  # quartiles of the normal law are so many standard deviations apart
+
+
+class Samples:
+    """The number of samples of a pixel, from `least` to `most`.
+
+    tolerance: share of the spread that noise may have.
+    every: of so many candidates one is to be rendered twice.
+
+        samples = Samples(1, 64)
+        while opt.evaluations < 5000:
+            X = opt.ask()
+            losses = mse(render(X, samples.number))
+            again = mse(render(X[:1], samples.number))[0] if samples.pair_due else None
+            samples.note(losses, again)
+
+    The two renders of a candidate must have noise of their own.  Raises OptionError (a ValueError).
+    """
+
+    def __init__(
+        self, least: int = 1, most: int = 64, *, tolerance: float = 0.5, every: int = 36
+    ) -> None:
+        self.least, self.most = whole_number("least", least, 1), whole_number("most", most, 1)
+        if self.least > self.most:
+            raise OptionError(f"least must not be above most, got {least} and {most}")
+        if not 0 < tolerance < float("inf"):
+            raise OptionError(f"tolerance must be positive and finite, not {tolerance!r}")
+        self.tolerance, self.every = float(tolerance), whole_number("every", every, 1)
+        self.number = self.least
+        """Samples of a pixel for the next candidates."""
+        self._since = 0  # candidates since the last pair
+        self._halves: deque[float] = deque(maxlen=_PAIRS)  # half the squared difference of a pair
+        self._spreads: deque[float] = deque(maxlen=_SPREADS)
+
+    @property
+    def pair_due(self) -> bool:
+        """Whether one of the next candidates is to be rendered twice."""
+        return self.number < self.most and self._since >= self.every
+
+    @property
+    def noise(self) -> float | None:
+        """Estimated sigma at the present number; None while there are too few pairs."""
+        return float(np.sqrt(np.mean(self._halves))) if len(self._halves) == _PAIRS else None
+
+    @property
+    def spread(self) -> float | None:
+        """Of the last generations at the present number; None before the first."""
+        return float(np.median(self._spreads)) if self._spreads else None
+
+    def note(self, losses: npt.ArrayLike, again: float | None = None) -> bool:
+        """Note the losses (n,) of candidates of one generation, rendered with `number` samples.
+
+        again: loss of a second render of the first of them, if there was one.
+
+        Returns whether `number` has risen; then what was best so far is best rendered once more.
+        Raises LossError (a ValueError).
+        """
+        values = as_losses(losses, np.size(losses))  # (n,)
+        second = None if again is None else as_losses([again], 1)
+        if second is not None and len(values):
+            self._note_pair(values[0], second[0])
+        self._since += len(values)
+        finite = values[np.isfinite(values)]
+        if len(finite) >= _SMALLEST:
+            self._spreads.append(_spread(finite))
+        if not self._noise_decides():
+            return False
+        self.number = min(self.most, _FACTOR * self.number)
+        self._halves.clear()
+        self._spreads.clear()
+        return True
+
+    def _note_pair(self, first: float, second: float) -> None:
+        self._since = 0
+        if np.isfinite(first) and np.isfinite(second):
+            self._halves.append((first - second) ** 2 / 2)
+
+    def _noise_decides(self) -> bool:
+        if self.number == self.most or self.noise is None or self.spread is None:
+            return False
+        return self.noise > self.tolerance * self.spread
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "number": self.number,
+            "since": self._since,
+            "halves": np.array(self._halves, np.float64),
+            "spreads": np.array(self._spreads, np.float64),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave."""
+        self.number, self._since = int(state["number"]), int(state["since"])
+        self._halves = deque(np.asarray(state["halves"]).tolist(), _PAIRS)
+        self._spreads = deque(np.asarray(state["spreads"]).tolist(), _SPREADS)
+
+
+def _spread(losses: Float64) -> float:
+    """Standard deviation by the quartiles: a few hopeless candidates do not count."""
+    low, high = np.quantile(losses, [0.25, 0.75])
+    return float(high - low) / _NORMAL
