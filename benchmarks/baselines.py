@@ -52,7 +52,6 @@ ARMS: dict[str, tuple[str, dict[str, Any]]] = {
     "ZeroGrads, naive": ("naive zerograds", {"learning_rate": 5e-4, "proxy_rate": 1e-3}),
     "DiBO": ("dibo", SMALL_DIBO),
     "DiBO, naive": ("dibo", {**SMALL_DIBO, "proposals": 1, "search_epochs": 0}),
-    "Nevergrad NGOpt": ("nevergrad:NGOpt", {"budget": 5000}),
     "Optuna TPE": ("optuna:TPESampler", {}),
 }
 RATES = [(rate, 1e-3) for rate in (5e-4, 2e-3, 5e-3, 1e-2, 2e-2)]

@@ -19,6 +19,7 @@ __all__ = [
     "ImageError",
     "ImageNotFoundError",
     "LossError",
+    "OptimizerError",
     "OptionError",
     "PointsError",
     "ProtocolError",
@@ -72,6 +73,10 @@ class UnknownNameError(OptionError):
 
 class ProtocolError(FideError, RuntimeError):
     """Methods were called in an order that has no meaning, such as `recommend` before `tell`."""
+
+
+class OptimizerError(FideError, RuntimeError):
+    """An optimizer of another library failed by itself."""
 
 
 class RenderError(FideError, RuntimeError):

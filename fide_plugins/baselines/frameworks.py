@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.replayed import Replayed
 from fide_plugins.baselines.sequential import Penalty, quietly
-from fide_plugins.errors import DependencyError, UnknownNameError
+from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
 from fide_plugins.images import Float32
 from fide_plugins.points import Float64, whole_number
 
@@ -77,8 +78,18 @@ class Framework(Replayed):
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
+        """While the framework is at work; what it raises is said to be its own."""
         with self._global_random.lent(), quietly():
-            yield
+            try:
+                yield
+            except Exception as error:
+                package, _, method = self.name.partition(":")
+                raise OptimizerError(
+                    f"{self.name} failed after {self.evaluations} evaluations, {self.dim} "
+                    f"parameters and a budget of {self.budget}, by an error in {package} "
+                    f"{version(package)}: {type(error).__name__}: {error}; use another "
+                    f"optimizer than {method}, or another version of {package}"
+                ) from error
 
     def _default_popsize(self) -> int:
         return 1

@@ -275,8 +275,8 @@ class Run:
     def _judge(self) -> Verdict:
         """Judge the best candidate and the recommended one; no time of the run's."""
         r = self.record
+        recommended = None if r.x_best is None else self._recommended()
         try:
-            recommended = None if r.x_best is None else self.optimizer.recommend()
             return judge(
                 self.task, self.target, self.loss, r.x_best, r.image, recommended, self._metrics
             )
@@ -288,6 +288,16 @@ class Run:
             ) from error
         finally:
             self._clock = time.perf_counter()
+
+    def _recommended(self) -> Float64:
+        """What the optimizer recommends, (dim,); PointsError if that is no point of the box."""
+        point = self.optimizer.recommend()
+        try:
+            return as_points(np.asarray(point)[None], self.settings["dim"])[0]
+        except PointsError as error:
+            raise PointsError(
+                f"{self.settings['optimizer']} recommended an impossible point: {error}"
+            ) from error
 
     def _result(self, verdict: Verdict) -> RunResult:
         r, s = self.record, self.settings

@@ -11,7 +11,7 @@ import optuna
 import pytest
 
 from fide_plugins import harness, optimizers
-from fide_plugins.errors import DependencyError, UnknownNameError
+from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
 from fide_plugins.points import Float64
 
 
@@ -89,3 +89,24 @@ def test_a_run_tells_its_budget_to_those_that_plan() -> None:
     assert run.optimizer._library.budget == 123  # type: ignore[attr-defined]
     run = harness.prepare("voronoi", "nevergrad:NGOpt", budget=123, size=16, options={"budget": 9})
     assert run.optimizer._library.budget == 9  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("step", ["ask", "tell", "provide_recommendation"])
+def test_an_error_of_the_framework_is_said_to_be_its_own(
+    step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opt: Any = optimizers.make("nevergrad:OnePlusOne", 3, seed=5, budget=77)
+    opt.tell(opt.ask(), losses=[1.0])
+
+    def fails(*_: Any) -> Any:
+        raise TypeError("only 0-dimensional arrays can be converted")
+
+    monkeypatch.setattr(opt._library, step, fails)
+    with pytest.raises(OptimizerError) as caught:
+        opt.tell(opt.ask(), losses=[1.0])
+        opt.recommend()
+    said = str(caught.value)
+    assert said.startswith("nevergrad:OnePlusOne failed after ") and "budget of 77" in said
+    assert f"nevergrad {nevergrad.__version__}: TypeError: only 0-dimensional" in said
+    assert said.endswith("use another optimizer than OnePlusOne, or another version of nevergrad")
+    assert isinstance(caught.value.__cause__, TypeError)
