@@ -95,7 +95,7 @@ class Run:
     def render(self, X: Any, level: int) -> Any:
         first = self.cell["seed"] * REST + self.renders
         self.renders, self.samples = self.renders + len(X), self.samples + level * len(X)
-        self.task.spp = level
+        self.task.spp = level  # type: ignore[attr-defined]
         return self.task.render(X, seed=[first + i for i in range(len(X))])
 
     def judged(self, x: Any) -> float:

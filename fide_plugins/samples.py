@@ -31,7 +31,7 @@ from fide_plugins.points import Float64, whole_number
 
 __all__ = ["Samples"]
 
-_PAIRS = 8  # renders of one candidate twice from which sigma is estimated
+_PAIRS = 16  # renders of one candidate twice from which sigma is estimated
 _SPREADS = 8  # generations, of which the median spread counts
 _FACTOR = 4
 _SMALLEST = 4  # candidates that have a spread
@@ -55,7 +55,7 @@ class Samples:
     """
 
     def __init__(
-        self, least: int = 1, most: int = 64, *, tolerance: float = 0.5, every: int = 36
+        self, least: int = 1, most: int = 64, *, tolerance: float = 0.5, every: int = 18
     ) -> None:
         self.least, self.most = whole_number("least", least, 1), whole_number("most", most, 1)
         if self.least > self.most:
