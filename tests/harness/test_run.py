@@ -23,6 +23,7 @@ from fide_plugins.errors import (
     CheckpointError,
     ImageError,
     OptionError,
+    PointsError,
     RenderError,
     UnknownNameError,
 )
@@ -210,6 +211,27 @@ def test_a_renderer_that_fails_at_the_target_is_named() -> None:
         harness.prepare(cast(Any, Dark()), "cma")
 
 
+@pytest.mark.parametrize(
+    ("point", "said"),
+    [([0.5, 0.5, np.nan], "must lie in"), ([0.5] * 4, "the shape"), (2.0 * np.ones(3), "= 2.0")],
+)
+def test_an_optimizer_that_recommends_no_point_is_named(point: Any, said: str) -> None:
+    class Lost(Random):
+        name = "lost"
+
+        def recommend(self) -> Any:
+            return np.asarray(point)
+
+    class Raises(Random):
+        def recommend(self) -> Any:
+            raise ZeroDivisionError("nothing was told")
+
+    with pytest.raises(PointsError, match=f"lost recommended an impossible point: .*{said}"):
+        harness.run(Tint(), Lost, budget=5)
+    with pytest.raises(ZeroDivisionError, match="nothing was told"):  # not the renderer's fault
+        harness.run(Tint(), Raises, budget=5)
+
+
 def test_options_that_leave_every_image_as_it_is_may_change_on_resuming(tmp_path: Path) -> None:
     class Parallel(Tint):
         incidental_options = ("workers",)
@@ -363,11 +385,14 @@ import fide_tasks
 
 task = fide_tasks.make("voronoi", size=32, cells=2)
 draw = task.render
+left = int(sys.argv[2])
 def render(X, seed=None):
-    time.sleep(0.004 * len(X))
+    global left
+    left -= len(X)
+    time.sleep(0.004 * len(X) if left > 0 else 3600)
     return draw(X, seed)
 task.render = render
-harness.run(task, "cma", budget=700, seed=9, out=sys.argv[1], resume=True, checkpoint_every=0.02)
+harness.run(task, "cma", budget=700, seed=9, out=sys.argv[1], resume=True, checkpoint_every=0)
 """
 
 
@@ -378,7 +403,7 @@ def test_resuming_after_sigkill_gives_the_uninterrupted_result(tmp_path: Path) -
     out = tmp_path / "run"
     evaluations: list[int] = []
     for _ in range(2):
-        child = subprocess.Popen([sys.executable, "-c", KILLED, str(out)])
+        child = subprocess.Popen([sys.executable, "-c", KILLED, str(out), "300"])
         seen = evaluations[-1] if evaluations else 0
         while (count := _saved(out)) < seen + 40:
             assert child.poll() is None, "the run ended before it was killed"
