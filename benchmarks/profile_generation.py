@@ -2,6 +2,8 @@
 
     python benchmarks/profile_generation.py parts voronoi spline --presets balanced fast paper
     python benchmarks/profile_generation.py training
+    python benchmarks/profile_generation.py kernels     # what a training step consists of
+    python benchmarks/profile_generation.py ways        # threads, batches, compiled or not
     python benchmarks/profile_generation.py table           # of what was run
 
 Times are the processor's, one thread, so that other programs disturb them little; every part counts
@@ -40,6 +42,17 @@ TRAINING: dict[str, dict[str, Any]] = {
     "as published, 112, batch 250": {"T": 49, "C": 768, "batch_size": 250},
 }
 DIM, EXAMPLES = 40, 500
+KINDS = {
+    "products": ("aten::mm", "aten::addmm", "aten::bmm", "aten::linear"),
+    "attention": ("attention",),
+    "normalization": ("layer_norm",),
+    "Adam": ("adam", "Optimizer"),
+    "sums over examples": ("aten::sum", "aten::mean"),
+    "gelu, silu": ("gelu", "silu"),
+    "elementwise": ("aten::mul", "aten::add_", "aten::add", "aten::div", "aten::sub", "aten::neg"),
+    "copies": ("copy_", "aten::cat", "aten::index", "fill_", "zero_", "clone", "slice_backward"),
+}
+"""Kinds of operators, and what their names contain; the first kind that fits."""
 
 
 class Stopwatch:
@@ -125,10 +138,7 @@ def fastest(work: Callable[[], object], repeats: int) -> float:
 
 def training(T: int, C: int, **options: Any) -> dict[str, float]:
     """An epoch of training on `EXAMPLES` candidates, and proposing half as many."""
-    rng = np.random.default_rng(0)
-    x, std = rng.random((EXAMPLES, DIM)), np.full(DIM, 1 / 6)
-    tokens = torch.rand(EXAMPLES, T, C, generator=torch.Generator().manual_seed(0))
-    proposer = DiffusionProposer(DIM, epochs=1, **options)
+    x, std, tokens, proposer = a_proposer(T, C, **options)
 
     def epoch() -> object:
         return proposer.update(x, tokens, None, std)
@@ -145,6 +155,63 @@ def training(T: int, C: int, **options: Any) -> dict[str, float]:
         "GFLOP/s": 1e-9 * counter.get_total_flops() / seconds,
         "ms a proposal": 1e3 * proposing / half,
     }
+
+
+def a_proposer(T: int, C: int, **options: Any) -> tuple[Any, Any, torch.Tensor, DiffusionProposer]:
+    """`EXAMPLES` candidates x, their std, tokens (n, T, C) of images, and what learns from them."""
+    rng = np.random.default_rng(0)
+    x, std = rng.random((EXAMPLES, DIM)), np.full(DIM, 1 / 6)
+    tokens = torch.rand(EXAMPLES, T, C, generator=torch.Generator().manual_seed(0))
+    return x, std, tokens, DiffusionProposer(DIM, epochs=1, **options)
+
+
+def kernels(T: int, C: int, **options: Any) -> dict[str, float]:
+    """Share of each kind of operator in the processor's time of an epoch; of attention, in FLOP."""
+    epoch = epoch_of(T, C, **options)
+    epoch()
+    with FlopCounterMode(display=False) as counter:
+        epoch()
+    flop = {str(name): n for name, n in counter.get_flop_counts()["Global"].items()}
+    attention = sum(n for name, n in flop.items() if "attention" in name) / sum(flop.values())
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
+        epoch()
+    shares: dict[str, float] = dict.fromkeys([*KINDS, "others"], 0.0)
+    for event in profiler.key_averages():
+        kind = next((k for k, names in KINDS.items() if any(n in event.key for n in names)), None)
+        shares[kind or "others"] += event.self_cpu_time_total
+    found = {kind: value / sum(shares.values()) for kind, value in shares.items()}
+    return {**found, "FLOP of attention": attention}
+
+
+def epoch_of(T: int, C: int, compiled: bool = False, **options: Any) -> Callable[[], object]:
+    """Training, by the published objective."""
+    x, std, tokens, proposer = a_proposer(T, C, **options)
+    if compiled:
+        network, _ = proposer._parts(T, C)
+        network.compile(dynamic=False)
+    return lambda: proposer.update(x, tokens, None, std)
+
+
+def ways() -> Iterator[tuple[str, dict[str, float]]]:
+    """Wall time of the published training on images of 112 pixels, done in different ways."""
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        for batch in (50, 250, 500):
+            epoch = epoch_of(49, 768, batch_size=batch)
+            yield f"{threads} threads, batches of {batch}", walls(epoch)
+        torch._dynamo.reset()
+        epoch = epoch_of(49, 768, compiled=True)
+        yield f"{threads} threads, batches of 50, compiled", walls(epoch)
+
+
+def walls(epoch: Callable[[], object]) -> dict[str, float]:
+    """Seconds of the first epoch, with all that is made then, and of the fastest of later ones."""
+    seconds = []
+    for _ in range(4):
+        start = time.perf_counter()
+        epoch()
+        seconds.append(time.perf_counter() - start)
+    return {"first, s": seconds[0], "later, s": min(seconds[1:])}
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -206,14 +273,23 @@ def main() -> None:
         print(table([json.loads(line) for line in arguments.out.read_text().splitlines()]))
     elif arguments.what == "parts":
         run_parts(arguments)
-    else:
+    elif arguments.what == "training":
         run_training(arguments)
+    elif arguments.what == "kernels":
+        for name, settings in TRAINING.items():
+            shares = kernels(**settings)
+            print(name, {kind: round(share, 3) for kind, share in shares.items()}, flush=True)
+            append(arguments.out, {"kind": "kernels", "cell": name, "found": shares})
+    else:
+        for name, found in ways():
+            print(name, found, flush=True)
+            append(arguments.out, {"kind": "ways", "cell": name, "found": found})
 
 
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("what", choices=("parts", "training", "table"))
+    parser.add_argument("what", choices=("parts", "training", "kernels", "ways", "table"))
     parser.add_argument("tasks", nargs="*", default=["voronoi"])
     parser.add_argument("--presets", nargs="+", default=["fast", "balanced", "accurate", "paper"])
     parser.add_argument("--sizes", nargs="+", type=int, default=[112, 224])
