@@ -34,6 +34,7 @@ BUDGET = {"voronoi": 25_000, "spline": 15_000}
 Cell: TypeAlias = dict[str, Any]
 Arms: TypeAlias = dict[str, tuple[str, dict[str, Any]]]
 
+NETWORK = {"preset": "paper", "popsize": 100, "epochs": 4}
 ARMS: Arms = {
     "FIDE": ("fide", {}),
     "CMA-ES, default k, restarts": ("cma", {}),
@@ -43,6 +44,9 @@ ARMS: Arms = {
     "FIDE paper, 4 epochs": ("fide", {"preset": "paper", "epochs": 4}),
     "FIDE paper, 10 epochs": ("fide", {"preset": "paper", "epochs": 10}),
     "FIDE paper, 20 epochs": ("fide", {"preset": "paper"}),
+    "network": ("fide", NETWORK),
+    "network of 8 tokens": ("fide", {**NETWORK, "parameter_tokens": 8}),
+    "network, bfloat16": ("fide", {**NETWORK, "precision": "bfloat16"}),
 }
 
 
