@@ -100,9 +100,10 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(path: str | os.PathLike[str]) -> Iterator[bool]:
+def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
     """Hold the file `path`, made if need be, as a lock; gives False if another process holds it.
 
+    wait: until the other lets go of it; then it gives True.
     The system lets go of it when a process ends, however it ends.  Where the system has no such
     locks (Windows) it gives True always.
     """
@@ -114,7 +115,7 @@ def locked(path: str | os.PathLike[str]) -> Iterator[bool]:
     descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             yield False
         else:

@@ -49,24 +49,22 @@ class Study:
     ) -> None:
         self.path, self._targets = Path(path), checked.targets
         settings = checked.settings
-        mine = _comparable(plan, settings)
+        self._settings = _comparable(plan, settings)
+        self._cells = {cell: digest(run) for cell, run in settings.items()}
+        self._call: dict[str, Any] | None = None
         before = read_study(self.path)
         if before is None:
             _check_empty(self.path)
-            before = {"format": FORMAT, "settings": mine, "cells": [], "calls": []}
         else:
-            self._check(before["settings"], mine, resume)
-        targets = {**before["settings"]["targets"], **mine["targets"]}
-        self._study = {**before, "settings": {**mine, "targets": targets}}
-        known = dict(cells_of(before)) | {cell: digest(run) for cell, run in settings.items()}
-        self._study["cells"] = [[*cell, identity] for cell, identity in known.items()]
+            self._check(before["settings"], resume)
         self.states: dict[Cell, State] = {
             cell: examine(self.path / cell.folder, settings[cell]) for cell in settings
         }
         files.check_writable(self.path)
         files.remove_leftovers(self.path)
 
-    def _check(self, theirs: dict[str, Any], mine: dict[str, Any], resume: bool) -> None:
+    def _check(self, theirs: dict[str, Any], resume: bool) -> None:
+        mine = self._settings
         shared = set(theirs["targets"]) & set(mine["targets"])
         there, here = (
             {**{k: v for k, v in settings.items() if k != "targets"},
@@ -81,23 +79,46 @@ class Study:
             )
 
     def begin(self, command: list[str], beside: dict[str, Any]) -> None:
-        """Record a call of the command; beside: what runs at the same time."""
-        self._study["calls"].append(
-            {"command": command, "started": _now(), "finished": None, **beside}
-        )
-        self._write()
+        """Record a call of the command; beside: what runs at the same time.
+
+        Raises RunDirectoryError (a FileExistsError) if somebody has begun another comparison here
+        since it was checked.
+        """
+        self._write({"command": command, "started": _now(), "finished": None, **beside})
         (self.path / "targets").mkdir(exist_ok=True)
         for task, target in self._targets.items():
             files.write_bytes(target_file(self.path, task), as_png(target))
 
     def end(self) -> None:
         """Record that the last call has come to its end, or was stopped."""
-        self._study["calls"][-1]["finished"] = _now()
-        self._write()
+        if self._call is not None:
+            self._write({**self._call, "finished": _now()})
 
-    def _write(self) -> None:
-        self._study |= {"versions": machine.versions(), "machine": machine.machine()}
-        files.write_text(self.path / "study.json", json.dumps(self._study, indent=1) + "\n")
+    def _write(self, call: dict[str, Any]) -> None:
+        """Write `study.json` with this call, and with what others have written there meanwhile."""
+        with files.locked(self.path / ".lock", wait=True):
+            there = read_study(self.path)
+            if there is not None:
+                self._check(there["settings"], resume=True)
+            study = self._joined(there, call)
+            files.write_text(self.path / "study.json", json.dumps(study, indent=1) + "\n")
+        self._call = call
+
+    def _joined(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
+        """The study `there`, with the cells of this one, and `call` in the place of its last."""
+        there = there or {"settings": {"targets": {}}, "cells": [], "calls": []}
+        calls = [one for one in there["calls"] if one != self._call]
+        cells = dict(cells_of(there)) | self._cells
+        targets = {**there["settings"]["targets"], **self._settings["targets"]}
+        return {
+            **there,
+            "format": FORMAT,
+            "settings": {**self._settings, "targets": targets},
+            "cells": [[*cell, identity] for cell, identity in cells.items()],
+            "calls": [*calls, call],
+            "versions": machine.versions(),
+            "machine": machine.machine(),
+        }
 
 
 def target_file(path: Path, task: str) -> Path:

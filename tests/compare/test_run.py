@@ -210,6 +210,28 @@ def test_a_cell_at_which_somebody_is_at_work_is_left_alone(tmp_path: Path) -> No
     assert kinds(compare.run(small(), tmp_path, resume=True))["cma", 0] == "done"
 
 
+def test_what_others_write_meanwhile_is_kept(tmp_path: Path) -> None:
+    first = prepare(small("cma", seeds=1), tmp_path)
+
+    def extend(_: Outcome) -> None:
+        compare.run(small("random", seeds=1), tmp_path, resume=True, command=["second"])
+
+    first.execute(extend)
+    found = compare.read(tmp_path)
+    assert {r.cell.arm: r.status for r in found.cells} == {"cma": "finished", "random": "finished"}
+    assert sorted(call["command"] for call in found.calls) == [[], ["second"]]
+    assert all(call["finished"] for call in found.calls)
+
+
+def test_another_comparison_that_was_begun_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    late = prepare(small(seeds=1, budget=50), tmp_path)
+    compare.run(small(seeds=1), tmp_path)
+    before = contents(tmp_path)
+    with pytest.raises(RunDirectoryError, match="budget is 40 there and 50 here"):
+        late.execute()
+    assert contents(tmp_path) == before
+
+
 def test_folders_of_other_things_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("0")
     with pytest.raises(RunDirectoryError, match="something that is no comparison"):
