@@ -293,11 +293,12 @@ class Run:
         """What the optimizer recommends, (dim,); PointsError if that is no point of the box."""
         point = self.optimizer.recommend()
         try:
-            return as_points(np.asarray(point)[None], self.settings["dim"])[0]
+            (checked,) = as_points(np.asarray(point)[None], self.settings["dim"])
         except PointsError as error:
             raise PointsError(
                 f"{self.settings['optimizer']} recommended an impossible point: {error}"
             ) from error
+        return np.asarray(checked)
 
     def _result(self, verdict: Verdict) -> RunResult:
         r, s = self.record, self.settings
