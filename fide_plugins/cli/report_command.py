@@ -4,7 +4,8 @@
     fide report runs/first -o comparison.html --threshold mse=0.001 --threshold spline/mse=0.05
 
 It writes one self-contained page, which needs no network, and beside it report.md, results.csv,
-curves.csv and the folder figures/ with PNG and SVG.
+curves.csv and the folder figures/ with PNG and SVG; comparison.md, comparison-results.csv and so on
+beside a page that is called comparison.html.
 """
 
 from __future__ import annotations

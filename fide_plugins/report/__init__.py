@@ -13,6 +13,8 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from fide_plugins import files
 from fide_plugins.compare.arms import as_file_name
@@ -21,6 +23,9 @@ from fide_plugins.compare.study import target_file
 from fide_plugins.errors import OptionError
 from fide_plugins.report import export, pictures, plots, svg, tables, words
 from fide_plugins.report.panel import Panel, panels
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Written", "write"]
 
@@ -40,6 +45,7 @@ def write(
 ) -> Written:
     """Write the page, and beside it report.md, results.csv, curves.csv and figures/.
 
+    page: report.html; beside one of another name, their names begin with it: a.md, a-results.csv.
     thresholds: by "task/loss" or "loss", the loss that counts as success; the second best median
         of a panel by default.
 
@@ -57,13 +63,19 @@ def write(
     if not found:
         raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
     page_module.environment()  # before anything is written
-    (path.parent / "figures").mkdir(parents=True, exist_ok=True)
-    charts = [_write_figures(results, panel, path.parent / "figures") for panel in found]
-    files.write_text(path.parent / "results.csv", export.results_csv(results))
-    files.write_text(path.parent / "curves.csv", export.curves_csv(results))
-    files.write_text(path.with_suffix(".md"), _markdown(results, found))
+    figures = _beside(path, "figures")
+    figures.mkdir(parents=True, exist_ok=True)
+    charts = [_write_figures(results, panel, figures) for panel in found]
+    files.write_text(_beside(path, "results.csv"), export.results_csv(results))
+    files.write_text(_beside(path, "curves.csv"), export.curves_csv(results))
+    files.write_text(path.with_suffix(".md"), _markdown(results, found, figures.name))
     files.write_text(path, page_module.render(results, found, charts))
     return Written(path, "\n\n".join(_section(panel) for panel in found) + "\n")
+
+
+def _beside(page: Path, name: str) -> Path:
+    """Where a file beside the page lies, so that reports in one folder do not mix."""
+    return page.with_name(name if page.stem == "report" else f"{page.stem}-{name}")
 
 
 def _check(results: Results, thresholds: dict[str, float]) -> None:
@@ -78,30 +90,39 @@ def _check(results: Results, thresholds: dict[str, float]) -> None:
 
 
 def _write_figures(results: Results, panel: Panel, folder: Path) -> dict[str, bytes]:
-    """Write the figures of a panel; returns the SVG of its charts, by axis and "times"."""
+    """Write the figures of a panel; returns SVG of its charts for the page, as `_charts`."""
     name = _file_name(panel)
-    charts = {axis: plots.convergence(panel, axis) for axis in AXES}
-    charts["times"] = plots.times(panel)
-    drawn = {}
-    for kind, figure in charts.items():
+    for kind, figure in _charts(panel, legend=True).items():
         stem = f"times-{name}" if kind == "times" else f"convergence-{name}-{kind}"
-        drawn[kind] = svg.as_file(figure)
-        files.write_bytes(folder / f"{stem}.svg", drawn[kind])
+        files.write_bytes(folder / f"{stem}.svg", svg.as_file(figure))
         files.write_bytes(folder / f"{stem}.png", svg.png(figure))
     images = pictures.grid(panel, target_file(results.path, panel.task))
     files.write_bytes(folder / f"images-{name}.png", svg.png(images))
-    return drawn
+    return {kind: svg.as_file(figure) for kind, figure in _charts(panel, legend=False).items()}
 
 
-def _markdown(results: Results, found: list[Panel]) -> str:
-    parts = ["# Comparison", *(f"    {words.command(call)}" for call in results.calls)]
+def _charts(panel: Panel, legend: bool) -> dict[str, Figure]:
+    """Charts of a panel, by axis and "times"."""
+    charts = {axis: plots.convergence(panel, axis, legend) for axis in AXES}
+    return {**charts, "times": plots.times(panel, legend)}
+
+
+def _markdown(results: Results, found: list[Panel], figures: str) -> str:
+    """The report in Markdown; figures: the folder of its pictures."""
+    calls = (words.command(call).replace("\n", "\n    ") for call in results.calls)
+    parts = ["# Comparison", *(f"    {call}" for call in calls)]
     for panel in found:
         name = _file_name(panel)
+        curves, images = (
+            quote(f"{figures}/{stem}.png", safe="/=+")
+            for stem in (f"convergence-{name}-renders", f"images-{name}")
+        )
         parts += [
-            f"## {panel.name}",
-            _section(panel),
-            f"![{plots.describe(panel)}](figures/convergence-{name}-renders.png)",
-            f"![Target, best, median and worst run of each](figures/images-{name}.png)",
+            f"## {tables.escaped(panel.name)}",
+            tables.escaped(_said(panel)),
+            tables.markdown(tables.ranking(panel)),
+            f"![{tables.escaped(plots.describe(panel))}]({curves})",
+            f"![Target, best, median and worst run of each]({images})",
             tables.markdown(tables.times(panel)),
             tables.markdown(tables.losses(panel)),
         ]
@@ -110,8 +131,13 @@ def _markdown(results: Results, found: list[Panel]) -> str:
 
 
 def _section(panel: Panel) -> str:
-    said = f"{panel.name}: {words.verdict(panel)} {words.threshold(panel)}"
-    return f"{said}\n\n{tables.markdown(tables.ranking(panel))}"
+    """A panel for a terminal."""
+    return f"{panel.name}: {_said(panel)}\n\n{tables.markdown(tables.ranking(panel))}"
+
+
+def _said(panel: Panel) -> str:
+    sentences = words.verdict(panel), words.threshold(panel), words.abbreviations(panel)
+    return " ".join(filter(None, sentences))
 
 
 def _file_name(panel: Panel) -> str:

@@ -100,6 +100,8 @@ def _section(
         "anchor": f"panel-{number}",
         "verdict": words.verdict(panel),
         "threshold": words.threshold(panel),
+        "abbreviations": words.abbreviations(panel),
+        "shorter": len({row.budget for row in panel.rows}) > 1,
         "charts": [_chart(panel, axis, charts[axis], f"p{number}-{axis}") for axis in AXES],
         "times": _markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
         "ranking": tables.ranking(panel),

@@ -10,6 +10,7 @@ import numpy as np
 from fide_plugins.compare.results import CellResult, Results
 from fide_plugins.harness.record import PARTS
 from fide_plugins.report import statistics
+from fide_plugins.report.labels import short_names
 from fide_plugins.report.statistics import Paired, Success
 
 __all__ = ["SIGNIFICANT", "Panel", "Row", "panels"]
@@ -20,9 +21,13 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One optimizer; runs: finished ones, at least one, by seed; planned: all there should be."""
+    """One optimizer; runs: finished ones, at least one, by seed; planned: all there should be.
+
+    arm: its label; name: the same without options that tell it from nobody.
+    """
 
     arm: str
+    name: str
     index: int
     runs: tuple[CellResult, ...]
     planned: int
@@ -129,17 +134,27 @@ class Panel:
         return statistics.paired(a, b)
 
     def success(self, row: Row) -> Success:
-        """How many runs reached the threshold."""
-        reached = sum(np.isfinite(self.renders_to_target(run)) for run in row.runs)
-        return Success.of(int(reached), len(row.runs))
+        """How many runs found something at or below the threshold."""
+        return Success.of(sum(map(self.succeeded, row.runs)), len(row.runs))
+
+    def succeeded(self, run: CellResult) -> bool:
+        """Whether a run found something at or below the threshold."""
+        return bool(np.isfinite(run.final)) and run.final <= self.threshold
 
     def to_target(self, row: Row) -> float:
         """Median number of renders to the threshold; infinity if half of the runs never did."""
         return float(statistics.quantiles([self.renders_to_target(run) for run in row.runs])[2])
 
     def renders_to_target(self, run: CellResult) -> float:
-        """Renders after which a run was at the threshold; infinity if it never was."""
-        return np.inf if run.curve is None else run.curve.reaches("renders", self.threshold)
+        """Renders after which a run was at the threshold; infinity if it is no success.
+
+        What it was told may be noisy: a run that was told so only by luck is none, and one that was
+        never told so, and yet is one, was there when it rendered what it found.
+        """
+        if run.curve is None or not self.succeeded(run):
+            return np.inf
+        found = float(run.totals["best_evaluation"]) + 1.0
+        return min(run.curve.reaches("renders", self.threshold), found)
 
     def significant(self, row: Row) -> bool:
         """Whether the winner is better than this one by more than chance."""
@@ -150,6 +165,7 @@ class Panel:
 def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
     """All panels that have a finished run; thresholds by "task/loss" or "loss"."""
     order = list(dict.fromkeys(result.cell.arm for result in results.cells))
+    names = short_names(order)
     made = []
     for task, loss in dict.fromkeys((r.cell.task, r.cell.loss) for r in results.cells):
         mine = [r for r in results.cells if (r.cell.task, r.cell.loss) == (task, loss)]
@@ -158,7 +174,7 @@ def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
             cells = [r for r in mine if r.cell.arm == arm]
             runs = sorted((r for r in cells if r.curve is not None), key=lambda r: r.cell.seed)
             if runs:
-                rows.append(Row(arm, index, tuple(runs), len(cells)))
+                rows.append(Row(arm, names[arm], index, tuple(runs), len(cells)))
         if rows:
             stated = thresholds.get(f"{task}/{loss}", thresholds.get(loss))
             threshold = _second_best(rows) if stated is None else stated

@@ -15,6 +15,7 @@ import numpy as np
 from fide_plugins.compare.results import CellResult
 from fide_plugins.harness.figures import THUMBNAIL, thumbnail
 from fide_plugins.images import Float32, load
+from fide_plugins.report.labels import fitted
 from fide_plugins.report.panel import Panel, Row
 from fide_plugins.report.plots import INK, MUTED, plain
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Picture", "Strip", "film", "grid", "picture", "rows_of"]
 
 _FRAME = 100  # pixels of the longer side of a picture of a film, as large as a page shows it
+_TITLE = 21  # characters above a picture of a figure
 
 
 @dataclass(frozen=True)
@@ -49,22 +51,35 @@ def rows_of(panel: Panel) -> list[Strip]:
     strips = []
     for row in panel.rows:
         chosen = [
-            _with_loss(_found(run), f"{what} of {len(row.runs)} runs of {row.arm}", run.final, what)
+            _with_loss(
+                _found(run), f"{what} of {len(row.runs)} runs of {row.name}", run.final, what
+            )
             for what, run in _chosen(row)
         ]
-        strips.append(Strip(row.arm, row.index, tuple(chosen)))
+        strips.append(Strip(row.name, row.index, tuple(chosen)))
     return strips
 
 
 def film(panel: Panel) -> tuple[list[int], list[Strip]]:
-    """Marks, and for each optimizer the best image so far of its median run at each of them."""
-    runs = {row.arm: (row, _frames(row.typical)) for row in panel.rows}
-    marks = sorted({mark for _, frames in runs.values() for mark in frames})
+    """Marks, and for each optimizer the best image so far of its median run at each of them.
+
+    The marks are those of the longest runs; the end of a shorter one is shown under the next mark,
+    with its own number of renders.
+    """
+    found = {row.arm: _frames(row.typical) for row in panel.rows}
+    longest = max(panel.rows, key=lambda row: row.budget)
+    marks = sorted(found[longest.arm])
     strips = []
-    for arm, (row, frames) in runs.items():
-        shown = tuple(_frame(row, frames.get(mark), mark) for mark in marks)
-        strips.append(Strip(arm, row.index, shown))
+    for row in panel.rows:
+        places = {_place(mark, marks): mark for mark in sorted(found[row.arm])}
+        shown = (_frame(row, found[row.arm], places.get(mark), mark) for mark in marks)
+        strips.append(Strip(row.name, row.index, tuple(shown)))
     return marks, strips
+
+
+def _place(mark: int, marks: Sequence[int]) -> int:
+    """The mark itself, or the next one there is."""
+    return next((place for place in marks if place >= mark), mark)
 
 
 def grid(panel: Panel, target: Path) -> Figure:
@@ -73,16 +88,19 @@ def grid(panel: Panel, target: Path) -> Figure:
     from matplotlib.figure import Figure
 
     columns = len(panel.rows) + 1
-    figure = Figure(figsize=(1.15 * columns, 3.9), facecolor="white")
+    lines = max(len(_chosen(row)) for row in panel.rows)
+    height = 0.3 + 1.2 * lines
+    figure = Figure(figsize=(1.15 * columns, height), facecolor="white")
     FigureCanvasAgg(figure)
-    room = {"left": 0.02, "right": 0.98, "top": 0.94, "bottom": 0.04, "wspace": 0.06}
-    axes = np.asarray(figure.subplots(3, columns, squeeze=False, gridspec_kw=room))
+    room = {"left": 0.02, "right": 0.98, "top": 1 - 0.2 / height, "bottom": 0.2 / height,
+            "wspace": 0.06, "hspace": 0.14}  # fmt: skip
+    axes = np.asarray(figure.subplots(lines, columns, squeeze=False, gridspec_kw=room))
     for cell in axes.flat:
         cell.set_axis_off()
     _show(axes[0, 0], _load(target), "", "target")
     for column, row in enumerate(panel.rows, start=1):
         for line, (what, run) in enumerate(_chosen(row)):
-            title = plain(row.arm) if line == 0 else ""
+            title = plain(fitted(row.name, _TITLE)) if line == 0 else ""
             _show(axes[line, column], _load(_found(run)), f"{what} {run.final:.3g}", title)
     return figure
 
@@ -99,12 +117,13 @@ def _with_loss(
     return picture(path, f"{alt}, loss {loss:.3g}", f"{what} {loss:.3g}".strip(), side)
 
 
-def _frame(row: Row, path: Path | None, mark: int) -> Picture | None:
-    """The best image of the median run after so many renders."""
-    if path is None or row.typical.curve is None:
+def _frame(row: Row, frames: dict[int, Path], mark: int | None, place: int) -> Picture | None:
+    """The best image of the median run after `mark` renders, under the mark `place`."""
+    if mark is None or row.typical.curve is None:
         return None
     loss = float(row.typical.curve.value("renders", [mark])[0])
-    return _with_loss(path, f"{row.arm} after {mark} renders", loss, side=_FRAME)
+    note = "" if mark == place else f"{mark}:"
+    return _with_loss(frames[mark], f"{row.name} after {mark} renders", loss, note, _FRAME)
 
 
 def _chosen(row: Row) -> Sequence[tuple[str, CellResult]]:

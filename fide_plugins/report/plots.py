@@ -15,6 +15,7 @@ import numpy as np
 from fide_plugins.harness.record import PARTS
 from fide_plugins.points import Float64
 from fide_plugins.report import statistics
+from fide_plugins.report.labels import fitted
 from fide_plugins.report.panel import Panel, Row
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ PART_COLORS = {
 }  # fmt: skip
 """Each a little off the palette, so that every color has a name of its own."""
 
+_MANY = 4  # more series than that have their legend beside the plot
+_LONGEST = 28  # characters of a name in a figure
+
 AXIS_NAMES = {
     "renders": "renders",
     "seconds": "seconds",
@@ -66,9 +70,14 @@ def style(index: int) -> Style:
     return Style(PALETTE[index % len(PALETTE)], dash, dashes)
 
 
-def convergence(panel: Panel, axis: str) -> Figure:
-    """Median and bands of the best loss so far, for every optimizer, along one of the axes."""
-    figure, axes = _canvas(5.2, 3.5, left=0.62)
+def convergence(panel: Panel, axis: str, legend: bool = True) -> Figure:
+    """Median and bands of the best loss so far, for every optimizer, along one of the axes.
+
+    legend: for a paper; a page has one of its own.  With many optimizers it stands beside the plot.
+    """
+    beside = legend and len(panel.rows) > _MANY
+    room = 0.5 + 0.062 * max(len(_label(row)) for row in panel.rows) if beside else 0.1
+    figure, axes = _canvas(5.1 + room, 3.6, left=0.62, top=0.26, right=room)
     drawn = []
     for row in panel.rows:
         found = statistics.bands([run.curve for run in row.runs if run.curve], axis)
@@ -79,33 +88,47 @@ def convergence(panel: Panel, axis: str) -> Figure:
         _scale(axes, "x", np.concatenate([found.x for found in drawn]))
         _scale(axes, "y", np.concatenate([found.values.ravel() for found in drawn]))
     axes.set_xlabel(AXIS_NAMES[axis], fontsize=10, color=INK)
-    axes.set_ylabel(f"best {plain(panel.loss)} so far", fontsize=10, color=INK)
-    if drawn:
+    _title(axes, panel.loss)
+    if drawn and beside:
+        _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.02))
+    elif drawn and legend:
         _legend(axes, loc="lower left")
-    else:
+    if not drawn:
         axes.text(0.5, 0.5, "no run had a finite loss", color=MUTED, ha="center",
                   transform=axes.transAxes)  # fmt: skip
     return figure
 
 
-def times(panel: Panel) -> Figure:
-    """Where the time of one evaluation goes, for every optimizer: a bar each."""
+def times(panel: Panel, legend: bool = True) -> Figure:
+    """Where the time of one evaluation goes, for every optimizer: a bar each, and its length.
+
+    The bars are shares, since one optimizer may take a thousand times as long as another.
+    """
     rows = panel.rows
-    longest = max(len(row.arm) for row in rows)
-    room = min(2.4, 0.2 + 0.075 * longest)
-    figure, axes = _canvas(5.2, 0.9 + 0.26 * len(rows), room, top=0.24)
+    room = 0.2 + 0.075 * max(len(_label(row)) for row in rows)
+    top = 0.24 if legend else 0.05
+    figure, axes = _canvas(5.2, 0.66 + top + 0.26 * len(rows), room, top=top, right=0.85)
     left = np.zeros(len(rows))
     split = [row.milliseconds() for row in rows]
+    totals = [sum(parts.values()) for parts in split]
     for part in (*PARTS, "other"):
-        width = np.array([parts[part] for parts in split])
+        width = np.array(
+            [100.0 * parts[part] / max(total, 1e-9)
+             for parts, total in zip(split, totals, strict=True)]
+        )  # fmt: skip
         axes.barh(range(len(rows)), width, left=left, height=0.62, color=PART_COLORS[part],
                   label=part)  # fmt: skip
         left += width
-    axes.set_yticks(range(len(rows)), [plain(row.arm) for row in rows], fontsize=9, color=INK)
+    for line, total in enumerate(totals):
+        axes.text(102, line, f"{total:.3g} ms", fontsize=9, color=INK, va="center")
+    axes.set_yticks(range(len(rows)), [plain(_label(row)) for row in rows], fontsize=9, color=INK)
+    axes.set_xlim(0, 100)
     axes.invert_yaxis()
-    axes.set_xlabel("milliseconds an evaluation, median", fontsize=10, color=INK)
+    axes.set_xlabel("share of an evaluation's time, %", fontsize=10, color=INK)
     axes.grid(axis="y", visible=False)
-    _legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.99), ncols=5, columnspacing=1.2)
+    if legend:
+        above = {"bbox_to_anchor": (0.0, 1.0), "bbox_transform": figure.transFigure}
+        _legend(axes, loc="upper left", **above, ncols=5, columnspacing=1.2)
     return figure
 
 
@@ -119,7 +142,7 @@ def tradeoff(
 
     curves: by label, (cost, loss), the last of them where the setting ends.
     """
-    figure, axes = _canvas(5.2, 3.5, left=0.62)
+    figure, axes = _canvas(5.2, 3.6, left=0.62, top=0.26)
     if front:
         x, y = zip(*front, strict=True)
         axes.step(x, y, where="post", color=INK, linewidth=5, alpha=0.15, label="front")
@@ -132,20 +155,20 @@ def tradeoff(
     _scale(axes, "x", every[:, 0])
     _scale(axes, "y", every[:, 1])
     axes.set_xlabel(AXIS_NAMES[axis], fontsize=10, color=INK)
-    axes.set_ylabel(f"best {plain(loss)} so far", fontsize=10, color=INK)
+    _title(axes, loss)
     _legend(axes, loc="lower left")
     return figure
 
 
 def describe(panel: Panel) -> str:
     """A convergence plot in words."""
-    ends = ", ".join(f"{row.arm} {row.median:.3g}" for row in _from_best(panel.rows))
+    ends = ", ".join(f"{row.name} {row.median:.3g}" for row in _from_best(panel.rows))
     return f"Best {panel.loss} so far on {panel.task}; medians at the end: {ends}."
 
 
 def describe_times(panel: Panel) -> str:
     """A plot of times in words."""
-    totals = ", ".join(f"{row.arm} {sum(row.milliseconds().values()):.3g}" for row in panel.rows)
+    totals = ", ".join(f"{row.name} {sum(row.milliseconds().values()):.3g}" for row in panel.rows)
     return f"Milliseconds an evaluation on {panel.task} with {panel.loss}, in all: {totals}."
 
 
@@ -161,18 +184,30 @@ def _series(axes: Any, row: Row, found: statistics.Bands) -> None:
     axes.fill_between(found.x, q[0], q[4], color=look.color, **wide).set_gid(f"s{row.index} wide")
     axes.fill_between(found.x, q[1], q[3], color=look.color, **mid).set_gid(f"s{row.index} mid")
     (line,) = axes.plot(found.x, q[2], color=look.color, linestyle=look.dash, linewidth=1.8,
-                        label=plain(row.arm))  # fmt: skip
+                        label=plain(_label(row)))  # fmt: skip
     line.set_gid(f"s{row.index} line")
 
 
-def _canvas(width: float, height: float, left: float, top: float = 0.08) -> tuple[Figure, Any]:
-    """Figure and axes; all in inches, left and top: room beside the axes."""
+def _label(row: Row) -> str:
+    """What a figure calls an optimizer."""
+    return fitted(row.name, _LONGEST)
+
+
+def _title(axes: Any, loss: str) -> None:
+    """Name of the vertical axis, above it, where long numbers cannot push it away."""
+    axes.set_title(f"best {plain(loss)} so far", fontsize=10, color=INK, loc="left", pad=5)
+
+
+def _canvas(
+    width: float, height: float, left: float, top: float = 0.08, right: float = 0.1
+) -> tuple[Figure, Any]:
+    """Figure and axes; all in inches, left, top and right: room beside the axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), facecolor="none")
     FigureCanvasAgg(figure)
-    bottom, right = 0.48, 0.1
+    bottom = 0.48
     axes = figure.add_axes(
         (left / width, bottom / height,
          (width - left - right) / width, (height - bottom - top) / height)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from fide_plugins.harness.parallel import WORKERS
 from fide_plugins.harness.record import PARTS
-from fide_plugins.report.panel import Panel, Row
+from fide_plugins.report.panel import SIGNIFICANT, Panel, Row
 
-__all__ = ["Entry", "Table", "losses", "markdown", "number", "ranking", "times"]
+__all__ = ["Entry", "Table", "escaped", "losses", "markdown", "number", "ranking", "times"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class Table:
 def ranking(panel: Panel) -> Table:
     """What each optimizer reached, how surely, and how fast."""
     budgets = len({row.budget for row in panel.rows}) > 1
+    at_the_end = "; where budgets differ, at the end of the smaller one" if budgets else ""
     others = [m for m in _metrics(panel) if m != panel.loss]
     columns = [
         ("optimizer", "with its own options"),
@@ -44,16 +45,20 @@ def ranking(panel: Panel) -> Table:
         (f"median {panel.loss}", "of what the runs found, judged without noise"),
         ("25 to 75 %", "quantiles over runs"),
         *((f"median {name}", "of the same images") for name in others),
-        ("success", f"runs that reached {number(panel.threshold)}"),
+        ("success", f"runs that found {number(panel.threshold)} or less"),
         ("renders to it", "median; none unless more than half of the runs got there"),
-        ("times winner", "median quotient of the losses of pairs"),
-        ("p", "Wilcoxon signed-rank test against the winner, adjusted for all rivals"),
+        ("times winner", f"median quotient of the losses of pairs{at_the_end}"),
+        (
+            "p",
+            f"Wilcoxon signed-rank test against the winner, adjusted for all rivals; † if below "
+            f"{SIGNIFICANT}{at_the_end}",
+        ),
         ("effect", "rank-biserial correlation: 1 if worse than the winner in every pair"),
         ("seconds", "median wall time of a run"),
     ]
     rows = tuple(
         (
-            Entry(row.arm, row.arm, row is panel.winner, series=row.index),
+            _name(row, row is panel.winner),
             _runs(row),
             *([_number(row.budget)] if budgets else []),
             _number(row.median, strong=row is panel.winner),
@@ -80,7 +85,7 @@ def times(panel: Panel) -> Table:
     ]
     rows = tuple(
         (
-            Entry(row.arm, row.arm, series=row.index),
+            _name(row),
             *(_number(ms) for ms in row.milliseconds().values()),
             _number(row.seconds),
             _number(row.rounds),
@@ -95,7 +100,7 @@ def losses(panel: Panel) -> Table:
     """What every run found, a row for each seed."""
     seeds = sorted({run.cell.seed for row in panel.rows for run in row.runs})
     columns = [("seed", "of the optimizer; runs of one seed are a pair")]
-    columns += [(row.arm, f"{panel.loss} of what the run found") for row in panel.rows]
+    columns += [(row.name, f"{panel.loss} of what the run found") for row in panel.rows]
     rows = []
     for seed in seeds:
         found = [{run.cell.seed: run.final for run in row.runs} for row in panel.rows]
@@ -107,12 +112,19 @@ def losses(panel: Panel) -> Table:
 
 def markdown(table: Table) -> str:
     """The table in Markdown, columns aligned so that it can be read as it is."""
-    cells = [[_escaped(title) for title, _ in table.columns]]
-    cells += [[_escaped(e.text, e.strong) for e in row] for row in table.rows]
+    cells = [[escaped(title) for title, _ in table.columns]]
+    cells += [[escaped(e.text, e.strong) for e in row] for row in table.rows]
     widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(table.columns))]
     lines = [_line(row, widths) for row in cells]
     rule = [f"{'-' * widths[0]}", *(f"{'-' * (width - 1)}:" for width in widths[1:])]
     return "\n".join([lines[0], _line(rule, widths), *lines[1:]])
+
+
+def escaped(text: str, strong: bool = False) -> str:
+    """Text that Markdown shows as it is."""
+    for sign in "\\`*_[]<>|":
+        text = text.replace(sign, f"\\{sign}" if sign != "|" else "\\|")
+    return f"**{text}**" if strong and text else text
 
 
 def number(value: float) -> str:
@@ -127,6 +139,10 @@ def number(value: float) -> str:
 
 
 _NONE = Entry("", math.inf)
+
+
+def _name(row: Row, strong: bool = False) -> Entry:
+    return Entry(row.name, row.name, strong, "" if row.name == row.arm else row.arm, row.index)
 
 
 def _number(value: float, strong: bool = False) -> Entry:
@@ -173,12 +189,6 @@ def _metrics(panel: Panel) -> list[str]:
     """Other losses, by which the runs of all rows were judged."""
     named = (run.totals["judged"] for row in panel.rows for run in row.runs)
     return list(dict.fromkeys(name for judged in named for name in judged))
-
-
-def _escaped(text: str, strong: bool = False) -> str:
-    for sign in "\\`*_[]<>|":
-        text = text.replace(sign, f"\\{sign}" if sign != "|" else "\\|")
-    return f"**{text}**" if strong and text else text
 
 
 def _line(cells: Iterable[str], widths: list[int]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from fide_plugins.report.panel import SIGNIFICANT, Panel
 from fide_plugins.report.tables import number
 
-__all__ = ["METHOD", "command", "threshold", "verdict"]
+__all__ = ["METHOD", "abbreviations", "command", "threshold", "verdict"]
 
 METHOD = (
     "Everyone has the same target, the same number of renders, and starts from the center of the "
@@ -18,7 +18,8 @@ METHOD = (
     "the lowest loss so far as the optimizer was told it.",
     "Middle and bands are medians and quantiles (25 to 75 %, 5 to 95 %) over seeds. A run whose "
     "losses never were finite counts as infinite.",
-    "Success has Wilson's 95 % interval. Renders to the threshold are a median in which a run that "
+    "Success is a run that found something at or below the threshold, judged without noise; its "
+    "rate has Wilson's 95 % interval. Renders to the threshold are a median in which a run that "
     "never got there counts as infinite.",
     "The winner has the lowest median. Each rival is compared with it by a two-sided Wilcoxon "
     "signed-rank test of the logarithms of the losses, pair by pair; where budgets differ, at the "
@@ -42,19 +43,19 @@ def command(call: dict[str, Any]) -> str:
 def verdict(panel: Panel) -> str:
     """Who won, over whom, and how surely."""
     winner, tests = panel.winner, panel.against_winner
-    said = f"{winner.arm} has the lowest median, {number(winner.median)}."
+    said = f"{winner.name} has the lowest median, {number(winner.median)}."
     if not tests:
         return said
     pairs = max(test.n for test in tests.values())
     smallest = max(test.smallest_p for test in tests.values() if test.n == pairs)
     if smallest >= SIGNIFICANT:
         return (
-            f"{said} With {pairs} pairs no difference can be called significant: p cannot be below "
-            f"{smallest:.2g}; at least 6 seeds are needed."
+            f"{said} With {pairs} pair{'s' * (pairs > 1)} no difference can be called significant: "
+            f"p cannot be below {smallest:.2g}; at least 6 seeds are needed."
         )
     rivals = [row for row in panel.rows if row.arm in tests]
-    beaten = [row.arm for row in rivals if panel.significant(row)]
-    level = [row.arm for row in rivals if not panel.significant(row)]
+    beaten = [row.name for row in rivals if panel.significant(row)]
+    level = [row.name for row in rivals if not panel.significant(row)]
     if beaten:
         said += f" It is better by more than chance than {_list(beaten)}."
     if level:
@@ -66,6 +67,12 @@ def threshold(panel: Panel) -> str:
     """What counts as success, and why."""
     value = f"Success is {panel.loss} of {number(panel.threshold)} or less"
     return f"{value}." if panel.stated else f"{value}, the second best median."
+
+
+def abbreviations(panel: Panel) -> str:
+    """Which options the names of optimizers leave out; empty if none."""
+    said = [f"{row.name} is {row.arm}" for row in panel.rows if row.name != row.arm]
+    return f"Here {_list(said)}." if said else ""
 
 
 def _list(names: Iterable[str]) -> str:

@@ -141,6 +141,25 @@ def test_a_phone_shows_it_without_scrolling_sideways(
     context.close()
 
 
+def test_many_optimizers_with_long_names_fit_a_phone_too(browser: Any, tmp_path: Path) -> None:
+    from fide_plugins import report
+
+    from .conftest import results
+    from .test_report import LONG, many
+
+    made = results(many())
+    made.settings.update(size=8, budget=100)
+    written = report.write(made, tmp_path / "many.html").page
+    context = browser.new_context(viewport={"width": 390, "height": 800}, is_mobile=True)
+    page = context.new_page()
+    page.goto(written.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    first = page.locator("table.sortable tbody th").all()
+    assert all(th.bounding_box()["width"] < 200 for th in first), "numbers have room beside it"
+    assert LONG in page.locator("section").first.inner_text()
+    context.close()
+
+
 def test_a_screenshot_is_no_blank_page(page: Any, tmp_path: Path) -> None:
     import numpy as np
     from PIL import Image

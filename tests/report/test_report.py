@@ -10,15 +10,18 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from fide_plugins import compare, report
+from fide_plugins.compare import Arm, CellResult, Plan
 from fide_plugins.compare.results import NoResultsError
 from fide_plugins.errors import OptionError
-from fide_plugins.report import plots, svg, tables, words
+from fide_plugins.report import pictures, plots, svg, tables, words
+from fide_plugins.report.labels import short_names
 from fide_plugins.report.panel import panels
 
 from .conftest import NASTY, result, results
@@ -172,8 +175,12 @@ def test_markdown_reads_as_a_table(written: Path) -> None:
         bars = {len(re.findall(r"(?<!\\)\|", line)) for line in lines}
         assert len(bars) == 1
     assert "\\<script\\>" in text and "**" in text
-    for name in re.findall(r"\]\((figures/[^)]*)\)", text):
-        assert (written.parent / name).is_file()
+    prose = "\n".join(line for line in text.splitlines() if not line.startswith("    "))
+    assert not re.search(r"(?<!\\)<", prose), "names are no markup in headings and sentences"
+    names = re.findall(r"\]\((figures/[^)]*)\)", text)
+    assert len(names) == 2
+    for name in names:
+        assert (written.parent / unquote(name)).is_file()
 
 
 def test_the_winner_is_bold_and_differences_are_marked() -> None:
@@ -191,6 +198,74 @@ def test_the_winner_is_bold_and_differences_are_marked() -> None:
     assert "better by more than chance than b" in words.verdict(panel)
 
 
+LONG = "dibo:batch=64:budget=600:precision=single:proposals=2:proxy_width=64:width=128"
+MANY = ["fide", "cma", *(f"cma:popsize={k}" for k in range(10, 17)), "x" * 60, LONG]
+
+
+def many() -> list[CellResult]:
+    """Eleven optimizers, some with long names, one of them with a shorter run."""
+    cells = [result(arm, s, 1e-7 * 5**i) for i, arm in enumerate(MANY[:-1]) for s in range(2)]
+    return [*cells, *(result(LONG, s, 0.5, end=60) for s in range(2))]
+
+
+def test_options_that_tell_an_optimizer_from_nobody_are_left_out_and_said() -> None:
+    names = short_names([*MANY, "ng:A:k=1:b=2", "ng:A:k=1:b=3", "ng:B:k=1"])
+    assert len(set(names.values())) == len(names), "different ones stay different"
+    assert names[LONG] == "dibo" and names["cma:popsize=10"] == "cma:popsize=10"
+    assert [n for arm, n in names.items() if arm.startswith("ng")] == [
+        "ng:A:b=2",
+        "ng:A:b=3",
+        "ng:B",
+    ]
+    (panel,) = panels(results(many()), {})
+    assert words.abbreviations(panel) == f"Here dibo is {LONG}."
+    assert "| dibo " in tables.markdown(tables.ranking(panel))
+
+
+@pytest.mark.parametrize("legend", [True, False])
+def test_all_text_of_a_figure_lies_within_it_and_beside_the_curves(legend: bool) -> None:
+    from matplotlib.text import Text
+
+    (panel,) = panels(results(many()), {})
+    for figure in (plots.convergence(panel, "renders", legend), plots.times(panel, legend)):
+        canvas: Any = figure.canvas
+        canvas.draw()
+        x, y = figure.axes[0].xaxis, figure.axes[0].yaxis
+        beyond = {
+            t.label1
+            for axis in (x, y)
+            for t in (*axis.majorTicks, *axis.minorTicks)
+            if not axis.get_view_interval()[0] <= t.get_loc() <= axis.get_view_interval()[1]
+        }
+        texts: list[Any] = [t for t in figure.findobj(Text) if t.get_visible() and t.get_text()]
+        texts = [t for t in texts if t not in beyond]
+        said = {text.get_text() for text in texts}
+        if figure.axes[0].lines:
+            assert "best mse so far" in said and "1e-07" in said
+        for text in texts:
+            box = text.get_window_extent()
+            assert box.x0 >= 0 and box.y0 >= 0, text
+            assert box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1, text
+        if legend:
+            key: Any = figure.axes[0].get_legend()
+            box = key.get_window_extent()
+            assert not box.shrunk(0.99, 0.99).overlaps(figure.axes[0].bbox)
+
+
+def test_the_end_of_a_shorter_run_is_filmed_under_the_next_mark(tmp_path: Path) -> None:
+    plan = Plan(("spline",), (Arm.parse("random"), Arm.parse("cma:budget=20")), seeds=1,
+                budget=40, size=16)  # fmt: skip
+    compare.run(plan, tmp_path)
+    (panel,) = panels(compare.read(tmp_path), {})
+    marks, (long, short) = pictures.film(panel)
+    assert marks == [1, 3, 10, 30, 40]
+    assert [p is not None for p in long.pictures] == [True] * 5
+    assert [p is not None for p in short.pictures] == [True] * 4 + [False]
+    (last,) = [p for p in short.pictures[3:] if p is not None]
+    assert last.alt.startswith("cma after 20 renders, loss ") and last.note.startswith("20: ")
+    assert long.label == "random" and ":" not in (long.pictures[3] or last).note
+
+
 def test_few_seeds_are_said_to_be_few() -> None:
     cells = [result(arm, s, v + s) for arm, v in (("a", 0.1), ("b", 0.2)) for s in range(5)]
     (panel,) = panels(results(cells), {})
@@ -200,14 +275,14 @@ def test_few_seeds_are_said_to_be_few() -> None:
 
 
 def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
-    from fide_plugins.compare import Arm, Plan
-
     plan = Plan(("spline",), (Arm.parse("random"),), seeds=1, budget=12, size=16)
     compare.run(plan, tmp_path / "a")
     written = report.write(compare.read(tmp_path / "a"), tmp_path / "elsewhere" / "page.html")
     assert "random has the lowest median" in written.overview
     names = {path.name for path in (tmp_path / "elsewhere").iterdir()}
-    assert names == {"page.html", "page.md", "results.csv", "curves.csv", "figures"}
+    beside = {"page-results.csv", "page-curves.csv", "page-figures"}
+    assert names == {"page.html", "page.md", *beside}, "another report may lie there"
+    assert "](page-figures/images-spline-mse.png)" in written.page.with_suffix(".md").read_text()
 
 
 def test_the_same_results_give_the_same_chart(study: Path, written: Path) -> None:

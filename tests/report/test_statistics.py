@@ -133,6 +133,24 @@ def test_a_panel_says_who_won_and_how_surely() -> None:
     assert panel.success(rows["good"]).reached == 4
 
 
+def test_success_is_judged_without_noise() -> None:
+    unlucky, lucky, both, none = (result("a", s, v) for s, v in enumerate([0.1, 0.3, 0.1, 0.3]))
+    for run, told in ((unlucky, 0.25), (lucky, 0.15), (both, 0.15), (none, 0.25)):
+        assert run.curve is not None
+        run.curve.loss[-1] = told
+    (panel,) = panels(results([unlucky, lucky, both, none]), {"mse": 0.2})
+    reached = [panel.renders_to_target(run) for run in panel.rows[0].runs]
+    assert reached == [10, np.inf, 10, np.inf] and panel.success(panel.rows[0]).reached == 2
+    assert both.curve is not None
+    both.curve.at["renders"][-1] = 4  # told so earlier than the best was found
+    assert panel.renders_to_target(both) == 4
+
+
+def test_nobody_succeeds_where_no_loss_was_finite() -> None:
+    (panel,) = panels(results([result("a", 0, None)]), {})
+    assert panel.success(panel.rows[0]).reached == 0
+
+
 def test_thresholds_that_are_stated() -> None:
     cells = [result("a", s, 0.1 * s) for s in range(5)]
     cells += [result("a", s, 0.1 * s, task="u") for s in range(5)]
