@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.callback import Search
-from fide_plugins.baselines.dual_annealing import anneal
+from fide_plugins.baselines.dual_annealing import anneal, descent
 from fide_plugins.baselines.looking import Looking
 from fide_plugins.baselines.sequential import Sequential
 from fide_plugins.images import Float32
@@ -64,6 +65,7 @@ class FIDEAnnealing(Looking, Sequential):
     samples: k, points before each training; 500 in the paper.
     epochs: of a training.
     encoder, channels: of the images, see `Looking`; the paper's simplest by default.
+    step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
     The other options are those of `Baseline`; popsize is 1, and `sigma0` plays no part.
     """
@@ -79,11 +81,13 @@ class FIDEAnnealing(Looking, Sequential):
         samples: int = 500,
         epochs: int = 12,
         encoder: str = "patch",
+        step: float | None = None,
         **options: Any,
     ) -> None:
         super().__init__(dim, target, encoder=encoder, **options)
         self.samples = whole_number("samples", samples, 2)
         self.epochs = whole_number("epochs", epochs, 1)
+        self.step = None if step is None else positive("step", step)
         self._rng = np.random.default_rng(self.seed)
         from fide_plugins.proposers.diffusion import DiffusionProposer
 
@@ -94,7 +98,7 @@ class FIDEAnnealing(Looking, Sequential):
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
-        return partial(_anneal, visits=self._visits, x0=x0, rng=self._rng)
+        return partial(_anneal, visits=self._visits, x0=x0, rng=self._rng, step=self.step)
 
     def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
         if not self._visits.descending:
@@ -117,7 +121,8 @@ class FIDEAnnealing(Looking, Sequential):
         self._x, self._rows = [], []
 
     def _own_options(self) -> dict[str, Any]:
-        return {**super()._own_options(), "samples": self.samples, "epochs": self.epochs}
+        own = {"samples": self.samples, "epochs": self.epochs, "step": self.step}
+        return {**super()._own_options(), **own}
 
     def _pack(self) -> dict[str, Any]:
         own = {
@@ -135,7 +140,9 @@ class FIDEAnnealing(Looking, Sequential):
         self._proposer.load_state_dict(state["proposer"])
 
 
-def _anneal(function: Any, visits: Visits, x0: Float64, rng: np.random.Generator) -> None:
+def _anneal(
+    function: Any, visits: Visits, x0: Float64, rng: np.random.Generator, step: float | None
+) -> None:
     """SciPy's search, which does not know that some of its points are replaced."""
 
     def energy(x: Float64) -> Any:
@@ -147,15 +154,8 @@ def _anneal(function: Any, visits: Visits, x0: Float64, rng: np.random.Generator
         from scipy.optimize import minimize
 
         visits.descending = True
-        longest = min(max(6 * len(start), 100), 1000)  # as dual_annealing has it
         try:
-            return minimize(
-                fun,
-                start,
-                method="L-BFGS-B",
-                bounds=[(0.0, 1.0)] * len(start),
-                options={"maxiter": longest},
-            )
+            return minimize(fun, start, **descent(len(start), step))
         finally:
             visits.descending = False
 

@@ -48,6 +48,24 @@ def test_it_is_scipy_to_the_last_bit(dim: int) -> None:
     np.testing.assert_array_equal(ours.best.x, result.x)
 
 
+def test_the_step_of_the_finite_differences_can_be_chosen() -> None:
+    def points(**options: Any) -> Float64:
+        opt = DualAnnealing(3, seed=2, **options)
+        points = []
+        for _ in range(300):
+            X = opt.ask()
+            opt.tell(X, losses=rastrigin(X))
+            points.append(X[0])
+        return np.array(points)
+
+    np.testing.assert_array_equal(points(step=1e-8), points())  # SciPy's own
+    moved = np.abs(np.diff(points(step=0.01), axis=0))
+    gradients = ((moved > 0).sum(axis=1) == 1) & np.isclose(moved.max(axis=1), 0.01)
+    assert gradients.sum() > 20
+    with pytest.raises(OptionError, match="step must be a positive number, not 0"):
+        DualAnnealing(3, step=0)
+
+
 def test_another_search_begins_where_scipy_returns() -> None:
     points, result = scipys(1, seed=3)
     ours = DualAnnealing(1, seed=3)
@@ -101,6 +119,9 @@ def test_with_nothing_denoised_it_is_dual_annealing() -> None:
     plain = DualAnnealing(3, target, seed=5)
     ours = FIDEAnnealing(3, target, seed=5, samples=10**6)
     np.testing.assert_array_equal(run(ours, 400), run(plain, 400))
+    plain = DualAnnealing(3, target, seed=5, step=0.01)
+    ours = FIDEAnnealing(3, target, seed=5, samples=10**6, step=0.01)
+    np.testing.assert_array_equal(run(ours, 200), run(plain, 200))
 
 
 def test_scipy_goes_on_from_the_point_that_was_put_in_the_place_of_its_own() -> None:
