@@ -21,8 +21,8 @@ the length a sample may have (Hansen 2011, "Injecting External Solutions Into CM
 arXiv:1110.4181, eq. 3), and the mean standard deviation never exceeds the one the search began
 with, because good foreign candidates make the step-size path long for a reason that is no reason
 to widen the search.  With nothing foreign and no cap the numbers are those of `cmaes` (tested), up
-to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), and the
-step size follows `step_size.TwoPoint`.
+to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), or when it
+was told of a candidate that no sample can be, and the step size follows `step_size.TwoPoint`.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
 _SMALLEST_STD = 1e-14  # of the widest parameter; below it samples in a box of side 1 are all equal
 _FARTHEST = 2**10  # from 1 that the scale of C may drift
 _LARGEST_CONDITION = 1e14  # of C; beyond it eigenvectors are noise
+_OUTLIER = 10.0  # times the longest step that a sample may have; none ever is as long
 
 
 def default_popsize(dim: int) -> int:
@@ -147,7 +148,8 @@ class CMAES:
         self._update_covariance(y, lengths, long_path)
         self._scale_sigma(self._sigma_factor(y_w, losses, foreign))
         self._rescale()
-        if self.generation % self._decompose_every == 0:
+        far = lengths.max() > _OUTLIER * self._longest_step  # C may be singular, but for rounding
+        if far or self.generation % self._decompose_every == 0:
             self._decompose()
         std = self.std
         if std.mean() > self.largest_std:
