@@ -44,7 +44,7 @@ from fide_adapters.optuna_parts.eye import Eye
 from fide_adapters.optuna_parts.independent import NumberedSampler
 from fide_adapters.optuna_parts.memory import Memory
 from fide_adapters.optuna_parts.records import IMAGE, write_image
-from fide_adapters.optuna_parts.settings import Recipe, Settings
+from fide_adapters.optuna_parts.settings import Recipe, Settings, check_sampler, check_space
 from fide_adapters.optuna_parts.voice import Voice
 
 __all__ = ["FIDESampler", "ImageLoss", "ImageRef", "image_objective"]
@@ -118,9 +118,9 @@ class FIDESampler(BaseSampler):
             consider_pruned_trials,
             voice,
         )
-        self._search_space = None if search_space is None else dict(search_space)
+        self._search_space = check_space(search_space)
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
-        self._independent_sampler = independent_sampler or NumberedSampler(seed)
+        self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
         self._reseeded = False
         self._memory: Memory | None = None
         self._lock = threading.RLock()
@@ -238,6 +238,7 @@ class FIDESampler(BaseSampler):
     ) -> None:
         """Record features of a picture that the objective has put in the artifact store."""
         self._independent_sampler.after_trial(study, trial, state, values)
+        self._compare_with_space(trial, state)
         with self._lock:
             memory = self._memory_of(study)
             if state is TrialState.FAIL:
@@ -249,6 +250,18 @@ class FIDESampler(BaseSampler):
                 record = write_image(codec.digest, codec.pack(tokens))
                 study._storage.set_trial_system_attr(trial._trial_id, IMAGE, record)
                 memory.keep(trial.number, tokens)
+
+    def _compare_with_space(self, trial: FrozenTrial, state: TrialState) -> None:
+        """Warn of a trial that does not have what `search_space` promised."""
+        if self._search_space is None or state is not TrialState.COMPLETE:
+            return
+        missing = self._search_space.keys() - trial.params.keys()
+        if missing:
+            self._settings.voice.warn(
+                "search_space",
+                f"trial {trial.number} has no {', '.join(sorted(missing))}, which search_space "
+                "names, so nothing is learned from it; name only parameters that every trial has",
+            )
 
     def reseed_rng(self) -> None:
         """Reseed the independent sampler; threads ask different candidates without."""

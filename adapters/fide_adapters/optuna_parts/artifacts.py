@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import tempfile
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,9 @@ __all__ = ["ImageArtifacts"]
 
 _PREFIX = "artifacts:"  # of Optuna's attributes
 _MOST_BYTES = 2**28
-_SIGN_OF_ERROR = (OSError, ValueError, ArithmeticError, RuntimeError, LookupError, SyntaxError)
+_SIGN_OF_ERROR = (
+    OSError, ValueError, ArithmeticError, RuntimeError, LookupError, SyntaxError, TypeError
+)  # fmt: skip
 
 
 class ImageArtifacts:
@@ -56,22 +58,26 @@ class ImageArtifacts:
         """Image (1, H, W, 3) of a trial, of a target's shape (H, W, 3); None if it has none."""
         if not any(key.startswith(_PREFIX) for key in trial.system_attrs):
             return None
-        for meta in get_all_artifact_meta(trial, storage=storage):
-            if not meta.mimetype.startswith("image/"):
-                continue
-            try:
-                with self._store.open_reader(meta.artifact_id) as reader:
-                    data = reader.read(_MOST_BYTES)
-                return as_batch([Image.open(io.BytesIO(data))], shape)
-            except Exception as error:
-                if not isinstance(error, _SIGN_OF_ERROR) and not _is_of_optuna(error):
-                    raise
-                self._voice.warn(
-                    "artifacts",
-                    f"the image {meta.filename!r} of trial {trial.number} cannot be used, so the "
-                    f"trial counts without it: {error or type(error).__name__}",
-                )
+        try:
+            for meta in get_all_artifact_meta(trial, storage=storage):
+                if str(meta.mimetype).startswith("image/"):
+                    return as_batch([Image.open(io.BytesIO(self._read(meta.artifact_id)))], shape)
+        except Exception as error:
+            if not isinstance(error, _SIGN_OF_ERROR) and not _is_of_optuna(error):
+                raise
+            self._voice.warn(
+                "artifacts",
+                f"the image of trial {trial.number} in the artifact store cannot be used, so the "
+                f"trial counts without it: {error or type(error).__name__}",
+            )
         return None
+
+    def _read(self, name: object) -> bytes:
+        if not isinstance(name, str) or PurePath(name).name != name:
+            raise ValueError(f"no name of an artifact: {name!r}")  # it could lead anywhere
+        with self._store.open_reader(name) as reader:
+            data: bytes = reader.read(_MOST_BYTES)
+        return data
 
 
 def _is_of_optuna(error: Exception) -> bool:

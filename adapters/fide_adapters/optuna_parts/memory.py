@@ -19,7 +19,7 @@ from fide_adapters.optuna_parts.history import History, Trials
 from fide_adapters.optuna_parts.losses import loss_of
 from fide_adapters.optuna_parts.model import Lesson, Model, NotHereError
 from fide_adapters.optuna_parts.reader import Reader
-from fide_adapters.optuna_parts.records import ASK, IMAGE, SEED, read_image
+from fide_adapters.optuna_parts.records import ASK, IMAGE, SEED, is_seed, read_image
 from fide_adapters.optuna_parts.relative import RelativeSpace
 from fide_adapters.optuna_parts.settings import Settings
 from fide_adapters.optuna_parts.space import Space
@@ -79,7 +79,7 @@ class Memory:
             return
         storage = study._storage
         seed = storage.get_study_system_attrs(study._study_id).get(SEED)
-        if type(seed) is not int or seed < 0:
+        if not is_seed(seed):
             if seed is not None:
                 self._settings.voice.warn(
                     SEED, f"the study's attribute {SEED!r} is not ours, and is replaced"
@@ -143,7 +143,8 @@ class Memory:
 
     def _lesson(self, study: Study, trial: FrozenTrial, shared: bool) -> Lesson | None:
         """Loss and tokens of a finished trial."""
-        loss = loss_of(study, trial, self._settings.consider_pruned)
+        settings = self._settings
+        loss = loss_of(study, trial, settings.consider_pruned, settings.voice)
         if loss is None:
             return None
         if self._settings.eye is None:

@@ -16,7 +16,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-__all__ = ["ASK", "IMAGE", "MOST_NAMED", "SEED", "Ask", "read_ask", "read_image", "write_image"]
+__all__ = [
+    "ASK",
+    "IMAGE",
+    "MOST_NAMED",
+    "SEED",
+    "Ask",
+    "is_seed",
+    "read_ask",
+    "read_image",
+    "write_image",
+]
 
 ASK, IMAGE, SEED = "fide:ask", "fide:image", "fide:seed"
 
@@ -83,6 +93,11 @@ def read_ask(record: Any) -> Ask | None:
 
 def _whole(numbers: list[Any]) -> bool:
     return all(type(number) is int and 0 <= number < _LARGEST for number in numbers)
+
+
+def is_seed(record: Any) -> bool:
+    """Whether that can be the seed of a study."""
+    return _whole([record])
 
 
 def write_image(codec: str, code: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from optuna.distributions import BaseDistribution, distribution_to_json
+from optuna.samplers import BaseSampler
 
 from fide_adapters.optuna_parts.artifacts import ImageArtifacts
 from fide_adapters.optuna_parts.eye import Eye
@@ -20,9 +21,29 @@ from fide_plugins.images import Float32
 from fide_plugins.points import standard_deviation
 from fide_plugins.presets import make_options
 
-__all__ = ["Recipe", "Settings"]
+__all__ = ["Recipe", "Settings", "check_sampler", "check_space"]
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
+
+
+def check_space(space: object) -> dict[str, BaseDistribution] | None:
+    """Copy of a search space, or None; OptionError (a ValueError) if it is something else."""
+    if space is None:
+        return None
+    named = isinstance(space, Mapping) and all(isinstance(name, str) for name in space)
+    if not named or not all(isinstance(d, BaseDistribution) for d in space.values()):  # type: ignore[attr-defined]
+        raise OptionError(
+            "search_space must have distributions by name, such as "
+            f"{{'x': FloatDistribution(0, 1)}}, not {space!r}"
+        )
+    return dict(space)  # type: ignore[call-overload,no-any-return]
+
+
+def check_sampler(sampler: object) -> BaseSampler | None:
+    """Return a sampler of Optuna's, or None; OptionError (a ValueError) if it is none."""
+    if sampler is None or isinstance(sampler, BaseSampler):
+        return sampler
+    raise OptionError(f"independent_sampler must be a sampler of Optuna's, not {sampler!r}")
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
+from optuna.artifacts import FileSystemArtifactStore
+from optuna.distributions import FloatDistribution
+from PIL import Image
 
 from fide_adapters.optuna import FIDESampler
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
@@ -23,6 +28,9 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "loss": ({"loss": "nice"}, OptionError, "nice"),
     "encoder": ({"encoder": "eye"}, OptionError, "eye"),
     "startup": ({"n_startup_trials": -1}, OptionError, "n_startup_trials"),
+    "search space": ({"search_space": ["x"]}, OptionError, "search_space"),
+    "search space of numbers": ({"search_space": {"x": (0, 1)}}, OptionError, "FloatDistribution"),
+    "independent sampler": ({"independent_sampler": 3}, OptionError, "independent_sampler"),
     "loss without target": ({"target": None, "loss": "mse"}, OptionError, "target"),
 }
 
@@ -52,6 +60,85 @@ def test_without_a_target_it_says_once_that_it_is_cma_es(
     assert [r.message for r in caplog.records if "CMA-ES" in r.message] == [
         "FIDESampler without a target is CMA-ES"
     ]
+
+
+def test_a_search_space_that_promises_too_much_is_warned_of_once(bench: Bench) -> None:
+    space = {**bench.space, "never": FloatDistribution(0.0, 1.0)}
+    study = optuna.create_study(sampler=bench.sampler(search_space=space))
+    with pytest.warns(RuntimeWarning, match="has no never, which search_space names") as caught:
+        bench.run(study, 5)
+    assert len(caught) == 1
+    assert counts_of(study) == {"left out": 5}
+
+
+@pytest.mark.parametrize(
+    ("attributes", "as_if"),
+    [
+        ({"constraints": [-1.0, "high"]}, []),
+        ({"constraints": "high"}, []),
+        ({"constraints:a": {"b": 1}}, []),
+        ({"constraints:a": None, "constraints:b": np.float32(2.0)}, [2.0]),
+        ({"constraints": "high", "constraints:b": 10**400}, [1e300]),
+    ],
+)
+def test_a_constraint_that_is_no_number_is_ignored_with_a_warning(
+    bench: Bench, attributes: dict[str, Any], as_if: list[float]
+) -> None:
+    samplers = [bench.sampler(), bench.sampler()]
+    for sampler, stored in zip(samplers, (attributes, {"constraints": as_if}), strict=True):
+        study = optuna.create_study(sampler=sampler)
+        bench.run(study, 5)
+        study.add_trial(
+            optuna.create_trial(
+                params=dict.fromkeys(bench.names, 0.5),
+                distributions=bench.space,
+                value=0.0,
+                system_attrs=stored,
+            )
+        )
+        if stored is attributes:
+            with pytest.warns(RuntimeWarning, match="no number") as caught:
+                bench.run(study, 10)
+            assert len(caught) == 1
+            asked = bench.points(study)
+        else:
+            bench.run(study, 10)
+            np.testing.assert_array_equal(bench.points(study), asked)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        "no json",
+        None,
+        '{"artifact_id": "a"}',
+        '{"artifact_id": "a", "filename": "a", "mimetype": null, "encoding": null}',
+        '{"artifact_id": 3, "filename": "a", "mimetype": "image/png", "encoding": null}',
+        '{"artifact_id": "../a", "filename": "a", "mimetype": "image/png", "encoding": null}',
+    ],
+)
+def test_a_note_of_an_artifact_that_is_none_is_ignored(
+    bench: Bench, stored: Any, tmp_path: Path
+) -> None:
+    """Nor is a picture read that is outside of the store."""
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "a", "PNG")
+    (tmp_path / "store").mkdir()
+    store = FileSystemArtifactStore(tmp_path / "store")
+    study = optuna.create_study(sampler=bench.sampler(artifact_store=store))
+    study.add_trial(
+        optuna.create_trial(
+            params=dict.fromkeys(bench.names, 0.5),
+            distributions=bench.space,
+            value=0.5,
+            system_attrs={"artifacts:a": stored},
+        )
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        bench.run(study, 5)
+    is_no_image = isinstance(stored, str) and 'null, "enc' in stored
+    assert [str(w.message)[:21] for w in caught] == ["the image of trial 0 "] * (not is_no_image)
+    assert counts_of(study) == {"guest": 1, "member": 5, "image": 5}
 
 
 FOREIGN: list[Any] = [
@@ -113,7 +200,7 @@ def test_a_corrupt_code_counts_without_its_image(bench: Bench, code: Any) -> Non
     assert counts_of(study) == {"guest": 1, "member": 10, "image": 10}
 
 
-@pytest.mark.parametrize("seed", ["0", -1, 1.0, True, [0]])
+@pytest.mark.parametrize("seed", ["0", -1, 1.0, True, [0], 2**2000])
 def test_a_seed_that_is_none_is_replaced_with_a_warning(bench: Bench, seed: Any) -> None:
     study = optuna.create_study(sampler=bench.sampler(seed=None))
     study._storage.set_study_system_attr(study._study_id, "fide:seed", seed)
