@@ -161,8 +161,8 @@ def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:
         mine = [row for row in rows if row["task"] == task]
         lines += [f"### {task}, {mine[0]['size']}x{mine[0]['size']}", ""]
         marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
-        lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " | ms |"]
-        lines += ["|---" * (len(marks) + 3) + "|"]
+        lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " |"]
+        lines += ["|---" * (len(marks) + 2) + "|"]
         arms = [arm for arm in arms_in_order if any(row["arm"] == arm for row in mine)]
         arms += sorted({row["arm"] for row in mine} - set(arms))
         medians = {arm: arm_medians(mine, arm, marks) for arm in arms}
@@ -171,10 +171,9 @@ def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:
             numbers = " | ".join(
                 medians[arm].get(m, "") and f"{medians[arm][m]:.5f}" for m in marks
             )
-            cost = statistics.median(row["overhead_ms"] for row in group)
-            lines.append(f"| {arm} | {len(group)} | {numbers} | {cost:.2f} |")
+            lines.append(f"| {arm} | {len(group)} | {numbers} |")
         if any(arm.startswith(RIVAL) for arm in medians):
-            lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} | |")
+            lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} |")
         lines.append("")
     return "\n".join(lines)
 
