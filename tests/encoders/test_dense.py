@@ -100,6 +100,13 @@ def test_opposite_edges_do_not_cancel() -> None:
 def test_a_shift_by_a_patch_shifts_tokens() -> None:
     image = RNG.random((1, 112, 112, 3), dtype=np.float32)
     tokens, shifted = encode(image), encode(np.roll(image, (8, 16), axis=(1, 2)))
+    inside = tokens[:, 3:10, 3:9]  # where smoothing reaches no border
+    np.testing.assert_allclose(shifted[:, 4:11, 5:11], inside, atol=1e-5)
+
+
+def test_a_shift_by_a_patch_shifts_tokens_where_nothing_is_smoothed() -> None:
+    image = smooth(112)
+    tokens, shifted = encode(image), encode(np.roll(image, (8, 16), axis=(1, 2)))
     np.testing.assert_allclose(shifted[:, 2:13, 3:13], tokens[:, 1:12, 1:11], atol=1e-6)
 
 
