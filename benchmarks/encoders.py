@@ -3,9 +3,7 @@
     python benchmarks/encoders.py encoders voronoi spline robot
     python benchmarks/encoders.py losses voronoi spline robot
     python benchmarks/encoders.py table                     # of what was run
-    python benchmarks/encoders.py noise                     # how much of a distance is noise
-    python benchmarks/encoders.py times                     # of an image, each encoder and loss
-    python benchmarks/encoders.py tokens                    # what leaving out tokens saves
+    python benchmarks/encoders.py paired                    # is `dense` better than `patch`?
 
 Every run (task, target, arm, seed) is one line of benchmarks/results/encoders.jsonl, appended when
 it is done; a second call does what is missing.  All arms see the same targets, with the same seeds:
@@ -19,7 +17,6 @@ random weights; its files are made in runs/, by transformers.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import statistics
 import sys
@@ -34,13 +31,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from quality import Cell, machine, read, run_missing
+from scipy.stats import wilcoxon
 
 import fide_tasks
-from fide_plugins import FIDE, encoders, harness, losses
+from fide_plugins import encoders, harness, losses
 from fide_plugins.errors import DependencyError, WeightsError
-from fide_plugins.proposers.linear import LinearProposer
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"
+RUNS = Path("runs/encoders")
 CONTROL = Path("runs/dinov3-small-random")
 STEP = 50  # renders between two points of a curve
 
@@ -57,8 +55,8 @@ SCENES = {
     "voronoi": Scene(2000, 10, {}),
     "spline": Scene(2000, 10, {}),
     "robot": Scene(1000, 10, {}),
-    "san_miguel": Scene(800, 2, {"spp": 8}),
-    "beads": Scene(800, 2, {"spp": 16}),
+    "san_miguel": Scene(1500, 1, {"spp": 8}),
+    "beads": Scene(1500, 1, {"spp": 16}),
 }
 ENCODERS = {
     "dense": "dense",
@@ -68,6 +66,7 @@ ENCODERS = {
     "vgg19": "vgg19",
 }
 LOSSES = ("mse", "loi", "perceptual", "lpips")
+TRACED = ("san_miguel", "beads")  # noisy: what was seen is the luckiest too, what counts is judged
 
 
 # -- runs ------------------------------------------------------------------------------------------
@@ -91,11 +90,13 @@ class Clocked:
 
 
 def run_cell(cell: Cell, loss: str, options: dict[str, Any]) -> Cell:
-    """One run: its curve, its time, and the judgment of what it found."""
+    """One run: its curve, its time unless it was resumed, and the judgment of what it found."""
     scene = SCENES[cell["task"]]
     task = Clocked(fide_tasks.make(cell["task"], cell["size"], cell["target"], **scene.options))
     start = time.process_time()
-    result = harness.run(task, "fide", loss, cell["budget"], cell["seed"], options=options)
+    result = harness.run(
+        task, "fide", loss, cell["budget"], cell["seed"], options=options, **directory(cell)
+    )
     own = time.process_time() - start - task.seconds
     best = np.minimum.accumulate(result.losses)
     image = task.reference(result.x_best) if result.x_best is not None else task.target
@@ -107,11 +108,19 @@ def run_cell(cell: Cell, loss: str, options: dict[str, Any]) -> Cell:
             for name in LOSSES
             if problem("loss", name) is None
         },
-        "ms": round(own / cell["budget"] * 1e3, 3),
+        **({} if cell["task"] in TRACED else {"ms": round(own / cell["budget"] * 1e3, 3)}),
         "encoder": encoders.make(options.get("encoder", "dense")).version,
         "date": time.strftime("%Y-%m-%d"),
         "machine": machine(),
     }
+
+
+def directory(cell: Cell) -> dict[str, Any]:
+    """Where a run that takes minutes is saved, so that it goes on if it is interrupted."""
+    if cell["task"] not in TRACED:
+        return {}
+    name = "-".join(str(cell[key]) for key in ("task", "arm", "target", "seed", "size", "budget"))
+    return {"out": RUNS / name.replace(" ", "_").replace("/", "_"), "resume": True}
 
 
 def cells(arguments: argparse.Namespace, arms: list[str]) -> Iterator[Cell]:
@@ -130,6 +139,7 @@ def cells(arguments: argparse.Namespace, arms: list[str]) -> Iterator[Cell]:
                     "seed": seed,
                     "size": arguments.size,
                     "budget": arguments.budget or scene.budget,
+                    **scene.options,
                 }
 
 
@@ -182,6 +192,8 @@ def make_control() -> None:
 
 def tables(rows: list[Cell]) -> str:
     """All tables, in Markdown: medians over the seeds that all arms of a table share."""
+    traced = [row for row in rows if row["task"] in TRACED]
+    rows = [row for row in rows if row["task"] not in TRACED]
     every = of(rows, "encoder")
     handmade = [row for row in every if row["arm"][8:] in ("dense", "patch")]
     with_networks = {(row["task"], row["size"]) for row in every if row not in handmade}
@@ -190,6 +202,7 @@ def tables(rows: list[Cell]) -> str:
         encoder_table(handmade, (500, 1000, 2000)),
         encoder_table(up_to_the_shortest(networks), (100, 200, 300, 500, 1000)),
         loss_table(of_losses(rows)),
+        traced_table(traced, (500, 1000, 1500)),
     ]
     return "\n\n".join("\n".join(block) for block in blocks)
 
@@ -210,6 +223,24 @@ def of_losses(rows: list[Cell]) -> list[Cell]:
     where = {(row["task"], row["size"]) for row in others}
     mse = [row for row in rows if row["arm"] == "encoder dense"]
     return [{**r, "arm": "loss mse"} for r in mse if (r["task"], r["size"]) in where] + others
+
+
+def traced_table(rows: list[Cell], marks: Sequence[int]) -> list[str]:
+    """Lowest loss seen after some renders, and every loss of what was found, on the reference."""
+    names = [name for name in LOSSES if any(name in row["judged"] for row in rows)]
+    lines = [
+        f"| task | minimized | encoder | {' | '.join(f'{m:,}' for m in marks)} | "
+        f"{' | '.join(f'judged {name}' for name in names)} |",
+        "|---|---|---|" + "---:|" * (len(marks) + len(names)),
+    ]
+    for row in rows:
+        kind, arm = row["arm"].split(" ", 1)
+        minimized, encoder = ("mse", arm) if kind == "encoder" else (arm, "dense")
+        seen = [median_at([row], mark) for mark in marks]
+        judged = [f"{row['judged'][name]:.4g}" for name in names]
+        cells = [f"{row['task']}, {row['target']}", minimized, encoder, *seen, *judged]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
 def groups(rows: list[Cell]) -> Iterator[tuple[str, str, list[Cell]]]:
@@ -266,6 +297,31 @@ def time_to(loss: float, row: Cell) -> float:
     return float(reached[0] * STEP * row["ms"]) if reached else float("inf")
 
 
+def paired_table(rows: list[Cell]) -> list[str]:
+    """Loss of `dense` over that of `patch` on the same targets: geometric mean, how often, chance.
+
+    The interval is of two standard errors of the mean logarithm; p is that of Wilcoxon's
+    signed-rank test, two-sided, that the logarithms differ in neither direction.
+    """
+    handmade = [row for row in of(rows, "encoder") if row["arm"][8:] in ("dense", "patch")]
+    groups_of = {(task, arm[8:]): group for task, arm, group in groups(handmade)}
+    lines = ["| task | renders | pairs | `dense` / `patch` | better | p |", "|---|" + "---:|" * 5]
+    for task in dict.fromkeys(task for task, _ in groups_of):
+        pairs = list(zip(groups_of[task, "dense"], groups_of[task, "patch"], strict=True))
+        for mark in (500, 1000, 2000):
+            if len(pairs) < 2 or any(len(row["best"]) * STEP < mark for row in pairs[0]):
+                continue
+            at = mark // STEP - 1
+            d = np.array([np.log(own["best"][at] / other["best"][at]) for own, other in pairs])
+            middle, error = d.mean(), 2 * d.std(ddof=1) / np.sqrt(len(d))
+            low, ratio, high = np.exp([middle - error, middle, middle + error])
+            lines.append(
+                f"| {task} | {mark:,} | {len(d)} | {ratio:.2f} ({low:.2f} to {high:.2f}) | "
+                f"{(d < 0).sum()} of {len(d)} | {wilcoxon(d).pvalue:.2g} |"
+            )
+    return lines
+
+
 def loss_table(rows: list[Cell]) -> list[str]:
     names = [name for name in LOSSES if any(name in row["judged"] for row in rows)]
     lines = [f"| task | minimized | runs | {' | '.join(names)} | ms |"]
@@ -279,158 +335,13 @@ def loss_table(rows: list[Cell]) -> list[str]:
     return lines
 
 
-# -- noise, times, tokens --------------------------------------------------------------------------
-
-
-def print_noise(arguments: argparse.Namespace) -> None:
-    """Median distance of two renders of one candidate over that of two candidates."""
-    one, two = noisy_pairs(arguments.size)
-    print("| | distance of noise / of candidates |\n|---|---:|")
-    for name in LOSSES:
-        if problem("loss", name) is None:
-            distances = np.array([losses.make(name, target)(two) for target in one])
-            print(f"| loss `{name}` | {noise_share(distances):.3f} |")
-    for name in ENCODERS.values():
-        if problem("encoder", name) is None:
-            make = encoders.make(name)
-            print(f"| encoder `{name}`, squared | {noise_share(squares(make, one, two)):.3f} |")
-
-
-def noisy_pairs(size: int) -> tuple[Any, Any]:
-    """Two renders each of 24 candidates of Beads, as at the start of a search."""
-    task = fide_tasks.make("beads", size, 0, spp=16)
-    X = np.random.default_rng(0).normal(0.5, 1 / 6, (24, task.dim)).clip(0, 1)
-    one, two = (task.render(X, seed=[100 * k + i for i in range(len(X))]) for k in (1, 2))
-    return one, two
-
-
-def squares(encoder: Any, one: Any, two: Any) -> NDArray[np.float64]:
-    """Squared distances (n, n) of the features of images from those of others."""
-    e, f = (encoder(images).flatten(1).double() for images in (one, two))
-    distances: NDArray[np.float64] = torch.cdist(e, f).numpy() ** 2
-    return distances
-
-
-def noise_share(distances: NDArray[np.float64]) -> float:
-    """Of distances (n, n): median of the diagonal over the median of the others."""
-    others = distances[~np.eye(len(distances), dtype=bool)]
-    return float(np.median(np.diag(distances)) / np.median(others))
-
-
-def print_times(arguments: argparse.Namespace) -> None:
-    """Milliseconds of the processor for an image, in a batch."""
-    make_control()
-    rng = np.random.default_rng(0)
-    print("| | 112x112 | 224x224 |\n|---|---:|---:|")
-    for kind, names in (("encoder", ENCODERS.values()), ("loss", LOSSES)):
-        for name in names:
-            if not usable(kind, name):
-                continue
-            row = []
-            for side in (112, 224):
-                n = 8 if name.startswith(("dinov3", "vgg")) else 100
-                images = rng.random((n, side, side, 3), dtype=np.float32)
-                made = encoders.make(name) if kind == "encoder" else losses.make(name, images[0])
-                row.append(f"{1e3 * fastest(made, images) / n:.2f}")
-            print(f"| {kind} `{name}` | {' | '.join(row)} |", flush=True)
-    row = [
-        f"{1e3 * fastest(checksums, np.zeros((100, n, n, 3), np.float32)) / 100:.2f}"
-        for n in (112, 224)
-    ]
-    print(f"| SHA-256, by which images are kept | {' | '.join(row)} |", flush=True)
-    for encoder in ("dense", "patch"):
-        row = [f"{optimizing(encoder, side):.2f}" for side in (112, 224)]
-        print(f"| FIDE with `{encoder}`, all but rendering | {' | '.join(row)} |", flush=True)
-    print(f"\nencoder `dinov3` over the bare network: {ratio_to_bare_network():.2f}")
-
-
-def checksums(images: NDArray[np.float32]) -> None:
-    for image in images:
-        hashlib.sha256(image.data).digest()
-
-
-def fastest(made: Any, images: NDArray[np.float32]) -> float:
-    """Seconds of the processor, the least of three goes; images no cache has seen."""
-    goes = []
-    for go in range(3):
-        fresh = images * np.float32(1 - go / 1000)
-        start = time.process_time()
-        made(fresh)
-        goes.append(time.process_time() - start)
-    return min(goes)
-
-
-def optimizing(encoder: str, side: int) -> float:
-    """Milliseconds of FIDE for one of 300 candidates of Voronoi."""
-    cell = {"task": "voronoi", "target": 0, "seed": 0, "size": side, "budget": 300}
-    return float(run_cell(cell, "mse", {"encoder": encoder})["ms"])
-
-
-def ratio_to_bare_network() -> float:
-    """Time of the encoder for a batch of 16 at 224 x 224 over that of transformers alone."""
-    from transformers import AutoModel
-
-    network = AutoModel.from_pretrained(CONTROL).eval()
-    encoder = encoders.make(f"dinov3:{CONTROL}")
-    images = np.random.default_rng(0).random((16, 224, 224, 3), dtype=np.float32)
-
-    @torch.inference_mode()
-    def bare(images: NDArray[np.float32]) -> None:
-        network(torch.from_numpy(images).permute(0, 3, 1, 2).contiguous())
-
-    return fastest(encoder, images) / fastest(bare, images)
-
-
-def print_tokens(arguments: argparse.Namespace) -> None:
-    """What leaving out tokens saves the proposer."""
-    print("| task | size | encoder | tokens in use | ms, all tokens | ms | MB, all tokens | MB |")
-    print("|---|---:|---|---:|---:|---:|---:|---:|")
-    for name in arguments.tasks or ("robot", "spline", "voronoi"):
-        for size, encoder in ((112, "dense"), (112, "patch"), (224, "patch")):
-            every, some = (proposing(name, size, encoder, select) for select in (False, True))
-            print(
-                f"| {name} | {size} | {encoder} | {100 * some[1]:.0f} % | {every[0]:.2f} | "
-                f"{some[0]:.2f} | {every[2]:.1f} | {some[2]:.1f} |",
-                flush=True,
-            )
-
-
-def proposing(name: str, size: int, encoder: str, select: bool) -> tuple[float, float, float]:
-    """Milliseconds a candidate, mean share of tokens in use, most megabytes of features."""
-    task = fide_tasks.make(name, size, 0)
-    opt = FIDE(task.dim, task.target, seed=0, encoder=encoder, select_tokens=select)
-    proposer = opt._proposer
-    assert isinstance(proposer, LinearProposer)
-    seconds, shares, megabytes = 0.0, [], 0.0
-    update, propose = proposer.update, proposer.propose
-
-    def clocked(step: Any) -> Any:
-        def go(*arguments: Any) -> Any:
-            nonlocal seconds
-            start = time.process_time()
-            result = step(*arguments)
-            seconds += time.process_time() - start
-            return result
-
-        return go
-
-    proposer.update, proposer.propose = clocked(update), clocked(propose)  # type: ignore[method-assign]
-    while opt.evaluations < 600:
-        X = opt.ask()
-        opt.tell(X, task.render(X))
-        views = proposer._views
-        shares.append(float(views[-1].used.mean()) if views[-1].used.size else 1.0)
-        megabytes = max(megabytes, sum(view.features.nbytes for view in views) / 1e6)
-    return 1e3 * seconds / opt.evaluations, float(np.mean(shares)), megabytes
-
-
 def main() -> None:
     """Do what is asked."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("what", choices=("encoders", "losses", "table", "noise", "times", "tokens"))
+    add("what", choices=("encoders", "losses", "table", "paired"))
     add("tasks", nargs="*", metavar="TASK", help="voronoi, spline, robot; san_miguel and beads")
     add("--arms", nargs="+", default=list(ENCODERS), choices=list(ENCODERS), metavar="ARM")
     add("--seeds", type=int)
@@ -439,12 +350,11 @@ def main() -> None:
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    if arguments.what == "table":
-        print(tables(read(arguments.out)))
+    if arguments.what in ("table", "paired"):
+        rows = read(arguments.out)
+        print(tables(rows) if arguments.what == "table" else "\n".join(paired_table(rows)))
         return
-    steps = {"encoders": run_encoders, "losses": run_losses, "noise": print_noise}
-    steps |= {"times": print_times, "tokens": print_tokens}
-    steps[arguments.what](arguments)
+    {"encoders": run_encoders, "losses": run_losses}[arguments.what](arguments)
 
 
 if __name__ == "__main__":
