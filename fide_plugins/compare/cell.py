@@ -25,11 +25,14 @@ from fide_plugins.harness.directory import (
     checksum,
     read_run,
 )
+from fide_plugins.harness.record import PARTS
 
 __all__ = ["ERROR", "Outcome", "State", "examine", "run_cell"]
 
 ERROR = "error.txt"
 _LOCK = ".lock"
+_COUNTED = ("dim", "evaluations", "best_evaluation", "rounds", "wall_s")
+_LOSSES = ("best_loss", "reference_loss", "recommended_loss")  # None where there is none
 
 Watch = Callable[[Progress], None]
 
@@ -87,6 +90,9 @@ def examine(folder: Path, settings: dict[str, Any]) -> State:
                 return State("damaged", f"{folder / name} was changed or cut short")
         except (OSError, KeyError, TypeError) as error:
             return State("damaged", f"{folder / name} cannot be checked: {error!r}")
+    wrong = _wrong_totals(run.get("totals"))
+    if wrong:
+        return State("damaged", f"{folder / 'run.json'} has no {wrong} that could be read")
     return State("finished")
 
 
@@ -152,6 +158,21 @@ def _prepare(plan: Plan, cell: Cell, folder: Path, command: list[str] | None) ->
     except CheckpointError as error:
         _clear(folder)
         return attempt(), f"it could not be continued ({error}) and was done again"
+
+
+def _wrong_totals(totals: Any) -> str:
+    """Name of the first total of a finished run that is missing or nonsense; empty if none."""
+    if not isinstance(totals, dict):
+        return "totals"
+    times, judged = totals.get("times"), totals.get("judged")
+    numbers = {name: totals.get(name) for name in _COUNTED}
+    numbers |= {name: totals.get(name, "") for name in _LOSSES if totals.get(name, "") is not None}
+    if not isinstance(times, dict) or not isinstance(judged, dict):
+        return "times or judgment"
+    numbers |= {part: times.get(part) for part in PARTS}
+    numbers |= {name: value for name, value in judged.items() if value is not None}
+    wrong = [k for k, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
+    return wrong[0] if wrong else "" if totals["evaluations"] >= 1 else "evaluations"
 
 
 def _clear(folder: Path) -> None:

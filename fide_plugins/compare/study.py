@@ -106,13 +106,12 @@ class Study:
 
     def _joined(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
         """The study `there`, with the cells of this one, and `call` in the place of its last."""
-        there = there or {"settings": {"targets": {}}, "cells": [], "calls": []}
+        there = there or {"format": FORMAT, "settings": {"targets": {}}, "cells": [], "calls": []}
         calls = [one for one in there["calls"] if one != self._call]
         cells = dict(cells_of(there)) | self._cells
         targets = {**there["settings"]["targets"], **self._settings["targets"]}
         return {
             **there,
-            "format": FORMAT,
             "settings": {**self._settings, "targets": targets},
             "cells": [[*cell, identity] for cell, identity in cells.items()],
             "calls": [*calls, call],

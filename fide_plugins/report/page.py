@@ -50,6 +50,7 @@ def render(results: Results, panels: Sequence[Panel], charts: Sequence[dict[str,
         seeds=len({result.cell.seed for result in results.cells}),
         optimizers=len({result.cell.arm for result in results.cells}),
         cells=len(results.cells),
+        renders=_renders(panels),
         troubles=[r for r in results.cells if r.curve is None],
         calls=[_call(call) for call in results.calls],
         versions=results.versions,
@@ -136,7 +137,14 @@ def _call(call: dict[str, Any]) -> dict[str, Any]:
     return {**call, "command": words.command(call), "where": where}
 
 
+def _renders(panels: Sequence[Panel]) -> str:
+    """Renders of a run, or of the shortest and the longest."""
+    budgets = sorted({row.budget for panel in panels for row in panel.rows})
+    return " to ".join(map(tables.number, dict.fromkeys((budgets[0], budgets[-1]))))
+
+
 def _load(cells: Sequence[CellResult]) -> dict[str, float] | None:
     """Load average of the machine at the end of each run: the median, and the highest."""
-    loads = [r.run["load"] for r in cells if r.curve is not None and r.run.get("load") is not None]
+    said = (result.run.get("load") for result in cells if result.curve is not None)
+    loads = [load for load in said if isinstance(load, int | float)]
     return {"median": float(np.median(loads)), "highest": max(loads)} if loads else None

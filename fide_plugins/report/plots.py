@@ -224,7 +224,7 @@ def _canvas(
 
 def _legend(axes: Any, **where: Any) -> None:
     """For a paper; a page has one of its own and hides this."""
-    legend = axes.legend(**where, fontsize=7, frameon=False, labelcolor=INK, handlelength=1.6)
+    legend = axes.legend(**where, fontsize=7, frameon=False, labelcolor=INK, handlelength=2.8)
     legend.set_gid("legend")
 
 

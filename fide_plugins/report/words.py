@@ -12,8 +12,9 @@ from fide_plugins.report.tables import number
 __all__ = ["METHOD", "abbreviations", "command", "threshold", "verdict"]
 
 METHOD = (
-    "Everyone has the same target, the same number of renders, and starts from the center of the "
-    "same box; runs of one seed are a pair.",
+    "Everyone has the same target, the same number of renders unless another is said, and the same "
+    "box, at whose center or around it a search begins; who draws uniformly does so in all of it. "
+    "Runs of one seed are a pair.",
     "The loss of a run is that of what it found, judged on a render without noise; the curves show "
     "the lowest loss so far as the optimizer was told it.",
     "Middle and bands are medians and quantiles (25 to 75 %, 5 to 95 %) over seeds. A run whose "
@@ -22,13 +23,14 @@ METHOD = (
     "rate has Wilson's 95 % interval. Renders to the threshold are a median in which a run that "
     "never got there counts as infinite.",
     "The winner has the lowest median. Each rival is compared with it by a two-sided Wilcoxon "
-    "signed-rank test of the logarithms of the losses, pair by pair; where budgets differ, at the "
-    "end of the smaller one. The p shown are adjusted for all rivals of a panel (Benjamini and "
-    f"Hochberg); † marks those below {SIGNIFICANT}. The winner was chosen by the same numbers, so "
-    "that a p near the limit says little. The effect is the matched-pairs rank-biserial "
-    "correlation.",
-    "Seconds are wall time of one run in one process; measuring other losses and taking pictures "
-    "is not part of it. What ran beside is said under Origin.",
+    "signed-rank test of the logarithms of the losses (of the losses, where one is 0), pair by "
+    "pair; where budgets differ, of what the curves show at the end of the smaller one. The p "
+    "shown are adjusted for all rivals of a panel (Benjamini and Hochberg); † marks those below "
+    f"{SIGNIFICANT}. The winner was chosen by the same numbers, so that a p near the limit says "
+    "little. The effect is the matched-pairs rank-biserial correlation.",
+    "Seconds are wall time of one run in one process, with the saving of its state (a twentieth at "
+    "most); measuring other losses and taking pictures is not part of it. What ran beside is said "
+    "under Origin.",
     "Rounds of 8 parallel renders are counted from the record of what each optimizer asked for at "
     "once: n candidates take n / 8 rounds, rounded up, and the next generation begins when all are "
     "back. The optimizer's own time is not part of it.",

@@ -55,7 +55,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     table.write_bytes(table.read_bytes()[:-1])
     assert fide("report", "out", "-o", "pages/p.html") == 0
     assert "voronoi loi cma seed 1 is damaged and left out" in capsys.readouterr().err
-    assert Path("pages/p.html").is_file() and Path("pages/figures").is_dir()
+    assert Path("pages/p.html").is_file() and Path("pages/p-figures").is_dir()
     assert fide(*words, "--resume") == 0
     err = capsys.readouterr().err
     assert "voronoi loi cma seed 1 is damaged and will be done again" in err

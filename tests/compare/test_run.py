@@ -112,7 +112,18 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9])
 
 
+def _edit_totals(cell: Path, **totals: Any) -> None:
+    run = json.loads((cell / "run.json").read_text())
+    run["totals"] |= totals
+    (cell / "run.json").write_text(json.dumps(run))
+
+
 DAMAGE: dict[str, Any] = {
+    "totals that lack a number": lambda cell: _edit_totals(cell, dim=None),
+    "totals without a judgment": lambda cell: _edit_totals(cell, judged=3),
+    "a loss that is a word": lambda cell: _edit_totals(cell, reference_loss="low"),
+    "times that lack a part": lambda cell: _edit_totals(cell, times={"render": 1.0}),
+    "no evaluation at all": lambda cell: _edit_totals(cell, evaluations=0),
     "a table that was cut": lambda cell: _cut(cell / "improvements.csv"),
     "a table that was edited": lambda cell: (cell / "curve.csv").write_text("evaluation,loss\n"),
     "a table that is gone": lambda cell: (cell / "curve.csv").unlink(),
