@@ -7,6 +7,7 @@ or the next process after a kill, sees the old file or the new one and never a p
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
@@ -50,9 +51,15 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         with suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno is not None:
-            message = f"cannot write {final}: {error.strerror}; name a folder that can be written"
-            raise type(error)(error.errno, message) from error
+            raise type(error)(error.errno, f"cannot write {final}: {_why(error)}") from error
         raise
+
+
+def _why(error: OSError) -> str:
+    """What went wrong, and what can be done about it."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    remedy = "make room, or name another folder" if full else "name a folder that can be written"
+    return f"{error.strerror}; {remedy}"
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:

@@ -113,9 +113,14 @@ _CHOICES = {
 _SWITCHES = ("guard_search", "guard_images", "select_tokens", "overlap")
 _WHOLE = {"popsize": 4, "memory": 1, "sources": 1, "epochs": 1, "batch_size": 1}
 _WHOLE |= {"patience": 1, "steps": 1, "parameter_tokens": 1}
-# Of steps: beyond, there is nothing between two levels of noise.  Of epochs: a generation of them
-# takes minutes even of the smallest network, and their losses are kept until it is over.
-_MOST = {"steps": (1000, "3 are published"), "epochs": (10_000, "4 to 20 are published")}
+# Of popsize: what a checkpoint may hold.  Of steps: beyond, there is nothing between two levels of
+# noise.  Of epochs: a generation of them takes minutes even of the smallest network, and their
+# losses are kept until it is over.
+_MOST = {
+    "popsize": (2**20, "4 to 4,096 are tested"),
+    "steps": (1000, "3 are published"),
+    "epochs": (10_000, "4 to 20 are published"),
+}
 _POSITIVE = (
     "elite",
     "ridge",

@@ -47,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return complain(usage.prog, f"{usage}; see {usage.prog} --help")
     except _Done as done:
         return int(done.args[0])
+    except MemoryError as error:
+        return complain("fide", f"there is not enough memory ({error}); take smaller images")
     except KeyboardInterrupt:
         complain("fide", "stopped")
         return 130

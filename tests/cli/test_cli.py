@@ -118,6 +118,10 @@ def test_settings_are_typed(text: str, value: object) -> None:
         (["run", "voronoi", *SMALL, "--seed", "-1"], "a whole number >= 0, not '-1'"),
         (["run", "voronoi", *SMALL, "--out", "/proc/nowhere"], "cannot write to the folder"),
         (["run", "voronoi", *SMALL, "--bugdet", "5"], "unrecognized arguments: --bugdet"),
+        (
+            ["run", "voronoi", "--size", "99999999"],
+            "not enough memory .*PiB.*; take smaller images",
+        ),
         (["run", "voronoi", "--seed"], "expected one argument"),
         (["run"], "arguments are required: TASK"),
         (["fit", "none.png", "--model", "voronoi"], "none.png"),

@@ -86,6 +86,7 @@ SETTINGS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "sigma0 text": ({"sigma0": "wide"}, OptionError, "sigma0.*wide"),
     "sigma0 bool": ({"sigma0": True}, OptionError, "sigma0.*True"),
     "popsize": ({"popsize": 3}, OptionError, "popsize.*>= 4.*3"),
+    "popsize large": ({"popsize": 10**9}, OptionError, "popsize.*1,048,576.*1,000,000,000"),
     "seed": ({"seed": -1}, OptionError, "seed.*-1"),
     "seed text": ({"seed": "one"}, OptionError, "seed.*'one'"),
     "preset": ({"preset": "best"}, UnknownNameError, "preset 'best'.*balanced"),
