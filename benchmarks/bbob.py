@@ -2,7 +2,8 @@
 
     pip install ioh==0.3.22
     python benchmarks/bbob.py --out benchmarks/results/bbob.jsonl
-    python benchmarks/bbob.py --table benchmarks/results/bbob.jsonl
+    python benchmarks/bbob.py --table benchmarks/results/bbob.jsonl --by-function 10
+    python benchmarks/bbob.py --walls 10 --instances 5
 
 The functions are those of Hansen et al. 2009 ("Real-Parameter Black-Box Optimization Benchmarking
 2009: Noiseless Functions Definitions", RR-6829), made by `ioh`, in the box [-5, 5]^d.  All three
@@ -34,12 +35,15 @@ import numpy as np
 
 from fide_plugins.fide import FIDE
 from fide_plugins.points import Float64
-from fide_plugins.search.cma_es import default_popsize
+from fide_plugins.search import box
+from fide_plugins.search.cma_es import CMAES, default_popsize
 
 OPTIMIZERS = ("fide", "cma", "cmaes")
 PRECISIONS = [10.0**power for power in range(1, -9, -1)]
 STD = 1 / 6
 EVALUATIONS = 1000  # for each parameter
+WITH_WALLS = (2, 9, 10, 11, 13, 14)  # functions with one minimum, nowhere at a wall
+RESAMPLED = 1000  # times, for an interval
 BLANK = np.zeros((1, 1, 3), np.float32)
 
 Loss = Callable[[Float64], Float64]
@@ -101,32 +105,52 @@ def run(name: str, function: int, dim: int, instance: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def medians(rows: list[dict[str, Any]], dim: int, name: str, odd: int | None) -> Float64:
-    """Median evaluations (functions, precisions); infinite where fewer than half of runs did."""
-    table = []
-    for function in range(1, 25):
-        runs = [
-            row["reached"] + [np.inf] * (len(PRECISIONS) - len(row["reached"]))
-            for row in rows
-            if (row["function"], row["dim"], row["optimizer"]) == (function, dim, name)
-            and odd in (None, row["instance"] % 2)
-        ]
-        middle = (len(runs) - 1) // 2  # the lower of two: reached by at least half
-        table.append(np.sort(runs, axis=0)[middle] if runs else np.full(len(PRECISIONS), np.inf))
-    return np.array(table)
+def evaluations(rows: list[dict[str, Any]], dim: int, name: str) -> Float64:
+    """Evaluations to each precision (24 functions, instances, precisions); infinite for never."""
+    runs = {
+        (row["function"], row["instance"]): row["reached"]
+        for row in rows
+        if (row["dim"], row["optimizer"]) == (dim, name)
+    }
+    instances = sorted({row["instance"] for row in rows if row["dim"] == dim})
+    reached = np.full((24, len(instances), len(PRECISIONS)), np.inf)
+    for function, of_instances in enumerate(reached, 1):
+        for instance, of_precisions in zip(instances, of_instances, strict=True):
+            found = runs.get((function, instance), [])
+            of_precisions[: len(found)] = found
+    return reached
 
 
-def compared(a: Float64, b: Float64, rng: np.random.Generator) -> str:
-    """Geometric mean of a / b over functions where both are finite, with a 95 % interval.
+def medians(reached: Float64) -> Float64:
+    """Over instances, (functions, precisions); finite where at least half of the runs got there."""
+    middle = (reached.shape[1] - 1) // 2  # the lower of two
+    return np.asarray(np.sort(reached, axis=1)[:, middle])
 
-    The interval is by bootstrap over functions, each of which counts once.
+
+def log_ratio(a: Float64, b: Float64) -> float:
+    """Mean over functions of log(a / b), where both (functions, precisions) are finite."""
+    both = np.isfinite(a) & np.isfinite(b)
+    logs = np.where(both, np.log(np.where(both, a, 1.0) / np.where(both, b, 1.0)), 0.0)
+    count = both.sum(axis=1)
+    each = logs.sum(axis=1)[count > 0] / count[count > 0]
+    return float(each.mean()) if len(each) else np.nan
+
+
+def compared(a: Float64, b: Float64, rng: np.random.Generator, paired: bool = True) -> str:
+    """Geometric mean of a / b over functions where both have medians, with a 95 % interval.
+
+    a, b: see `evaluations`.  The interval is by bootstrap over functions, each of which counts
+    once, and over instances; of both the same ones if they are paired.
     """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        logs = np.where(np.isfinite(a) & np.isfinite(b), np.log(a / b), np.nan)
-    each = np.array([np.nanmean(row) for row in logs if np.isfinite(row).any()])
-    means = rng.choice(each, (4000, len(each))).mean(axis=1)
-    low, high = np.exp(np.quantile(means, [0.025, 0.975]))
-    return f"{np.exp(each.mean()):.2f} ({low:.2f} to {high:.2f})"
+    means = []
+    for _ in range(RESAMPLED):
+        functions = rng.integers(24, size=24)
+        left = rng.integers(a.shape[1], size=a.shape[1])
+        right = left if paired else rng.integers(b.shape[1], size=b.shape[1])
+        chosen = medians(a[functions][:, left]), medians(b[functions][:, right])
+        means.append(log_ratio(*chosen))
+    low, high = np.exp(np.nanquantile(means, [0.025, 0.975]))
+    return f"{np.exp(log_ratio(medians(a), medians(b))):.2f} ({low:.2f} to {high:.2f})"
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -137,17 +161,61 @@ def table(rows: list[dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for dim in sorted({row["dim"] for row in rows}):
-        of = {name: medians(rows, dim, name, None) for name in OPTIMIZERS}
+        of = {name: evaluations(rows, dim, name) for name in OPTIMIZERS}
         for name in OPTIMIZERS:
             runs = sum(row["dim"] == dim and row["optimizer"] == name for row in rows)
             cells = ["" if name == o else compared(of[name], of[o], rng) for o in OPTIMIZERS[1:]]
-            solved = int(np.isfinite(of[name]).sum())
+            solved = int(np.isfinite(medians(of[name])).sum())
             lines.append(f"| {dim} | {name} | {runs} | {solved} | {cells[0]} | {cells[1]} |")
-        halves = [medians(rows, dim, "cma", odd) for odd in (1, 0)]
-        solved_in = " and ".join(str(int(np.isfinite(half).sum())) for half in halves)
-        noise = compared(*halves, rng)
+        halves = [of["cma"][:, first::2] for first in (0, 1)]
+        solved_in = " and ".join(str(int(np.isfinite(medians(half)).sum())) for half in halves)
+        noise = compared(*halves, rng, paired=False)
         lines.append(f"| {dim} | `cma`, split halves | | {solved_in} | {noise} | |")
     return "\n".join(lines)
+
+
+def by_function(rows: list[dict[str, Any]], dim: int) -> str:
+    """Ratio of FIDE's evaluations to those of the others, function by function."""
+    of = {name: medians(evaluations(rows, dim, name)) for name in OPTIMIZERS}
+    lines = ["| function | / `cma` | precisions | / `cmaes` | precisions |", "|---" * 5 + "|"]
+    for i in range(24):
+        cells = []
+        for other in OPTIMIZERS[1:]:
+            a, b = of["fide"][i : i + 1], of[other][i : i + 1]
+            cells += [
+                f"{np.exp(log_ratio(a, b)):.2f}",
+                f"{(np.isfinite(a) & np.isfinite(b)).sum()}",
+            ]
+        lines.append(f"| {i + 1} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def walls(dim: int, instances: int) -> str:
+    """Evaluations to the last precision with each way of keeping to the box, and without a box."""
+    lines = ["| function | reflected | drawn again | no box |", "|---|---|---|---|"]
+    for function in WITH_WALLS:
+        cells = []
+        for how in ("reflected", "drawn again", "no box"):
+            found = [near_walls(function, dim, i, how) for i in range(1, instances + 1)]
+            reached = [evaluations for evaluations in found if evaluations]
+            cells.append(f"{np.exp(np.mean(np.log(reached))):,.0f} ({len(reached)})")
+        lines.append(f"| {function} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def near_walls(function: int, dim: int, instance: int, how: str) -> int | None:
+    """Evaluations to the last precision, None if it was not reached; see `walls`."""
+    loss, rng = Watch(function, dim, instance), np.random.default_rng(instance)
+    search = CMAES(np.full(dim, 0.5), STD, default_popsize(dim))
+    while loss.evaluations < EVALUATIONS * dim and not loss.done:
+        z = search.sample(search.popsize, rng)
+        for _ in range(30 if how == "drawn again" else 0):
+            outside = ((z < 0) | (z > 1)).any(axis=1)
+            if outside.any():
+                z[outside] = search.sample(int(outside.sum()), rng)
+        losses = loss(z if how == "no box" else box.into(z))
+        search.tell(z, losses, np.zeros(len(z), bool))
+    return loss.reached[-1] if loss.done else None
 
 
 def main() -> None:
@@ -157,11 +225,18 @@ def main() -> None:
     parser.add_argument("--instances", type=int, default=7)
     parser.add_argument("--out", type=Path, default=Path("runs/bbob.jsonl"))
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--walls", type=int, metavar="DIM")
+    parser.add_argument("--by-function", nargs="+", type=int, default=[], metavar="DIM")
     arguments = parser.parse_args()
+    if arguments.walls:
+        print(walls(arguments.walls, arguments.instances))
+        return
     out = arguments.table or arguments.out
     rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
     if arguments.table:
         print(table(rows))
+        for dim in arguments.by_function:
+            print(by_function(rows, dim))
         return
     out.parent.mkdir(parents=True, exist_ok=True)
     done = {(r["function"], r["dim"], r["instance"], r["optimizer"]) for r in rows}
