@@ -31,8 +31,8 @@ from fide_plugins.points import Float64, whole_number
 
 __all__ = ["Samples"]
 
-_PAIRS = 16  # renders of one candidate twice from which sigma is estimated
-_SPREADS = 8  # generations, of which the median spread counts
+_PAIRS, _FEWEST_PAIRS = 16, 8  # of two renders of a candidate, from which sigma is estimated
+_SPREADS, _FEWEST_SPREADS = 8, 3  # generations, of which the median spread counts
 _FACTOR = 4
 _SMALLEST = 4  # candidates that have a spread
 _NORMAL = 1.349  # quartiles of the normal law are so many standard deviations apart
@@ -77,12 +77,14 @@ class Samples:
     @property
     def noise(self) -> float | None:
         """Estimated sigma at the present number; None while there are too few pairs."""
-        return float(np.sqrt(np.mean(self._halves))) if len(self._halves) == _PAIRS else None
+        few = len(self._halves) < _FEWEST_PAIRS
+        return None if few else float(np.sqrt(np.mean(self._halves)))
 
     @property
     def spread(self) -> float | None:
-        """Of the last generations at the present number; None before the first."""
-        return float(np.median(self._spreads)) if self._spreads else None
+        """Of the last generations at the present number; None before there are three."""
+        few = len(self._spreads) < _FEWEST_SPREADS
+        return None if few else float(np.median(self._spreads))
 
     def note(self, losses: npt.ArrayLike, again: float | None = None) -> bool:
         """Note the losses (n,) of candidates of one generation, rendered with `number` samples.
@@ -102,8 +104,9 @@ class Samples:
             self._spreads.append(_spread(finite))
         if not self._noise_decides():
             return False
-        self.number = min(self.most, _FACTOR * self.number)
-        self._halves.clear()
+        before, self.number = self.number, min(self.most, _FACTOR * self.number)
+        for i in range(len(self._halves)):  # as of independent samples, until pairs say otherwise
+            self._halves[i] *= before / self.number
         self._spreads.clear()
         return True
 

@@ -4,6 +4,7 @@
     fide run spline --optimizer cma --set popsize=50 --out runs/mine
     fide run voronoi --task-set cells=12 --task-seed 3 --json
     fide run beads --size 112 --spp 16 --loss perceptual --task-set variant=llvm
+    fide run san_miguel --size 112 --spp 16 --least-spp 1
 
 The directory holds summary.png, best.png, curve.csv, run.json and what --resume needs.
 """
@@ -31,6 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
     add("--spp", type=whole(1), metavar="N", help="paths a pixel, for tasks of Mitsuba")
+    add("--least-spp", type=whole(1), metavar="N",
+        help="paths to begin with; up to --spp as noise requires")  # fmt: skip
     add("--workers", type=whole(1), metavar="N", help="processes that render, likewise (1)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
@@ -62,5 +65,5 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from those that have a flag of their own."""
-    flags = {"spp": args.spp, "workers": args.workers}
+    flags = {"spp": args.spp, "least_spp": args.least_spp, "workers": args.workers}
     return {**{k: v for k, v in flags.items() if v is not None}, **dict(args.task_set)}

@@ -24,6 +24,7 @@ import numpy as np
 from fide_plugins.errors import FideError, PointsError, RenderError
 from fide_plugins.harness import film
 from fide_plugins.harness.directory import RunDirectory
+from fide_plugins.harness.fidelity import Fidelity
 from fide_plugins.harness.judge import Verdict, judge
 from fide_plugins.harness.record import Keep, Progress, Record, RunResult
 from fide_plugins.harness.signals import Interrupted, Interrupts
@@ -75,11 +76,12 @@ class Run:
         checkpoint_every: float,
         keep: Keep,
         metrics: Mapping[str, ImageLoss],
+        fidelity: Fidelity | None = None,
     ) -> None:
         self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
         self.settings, self.record = settings, record
         self._directory, self._checkpoint_every = directory, checkpoint_every
-        self._keep, self._metrics = keep, metrics
+        self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
         self._budget: int = settings["budget"]
         self._clipped = False
         self._whole = True  # whether record and optimizer agree, so that they may be saved
@@ -144,14 +146,18 @@ class Run:
         X, rest = record.pending[:PIECE], record.pending[PIECE:]
         with interrupts.stoppable():
             start = time.perf_counter()
-            images = self._render(X)
+            images, beside = self._render(X), self._render_beside(X)
             rendered = time.perf_counter()
         batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._on_clip)
         losses = self.loss.compute(batch)
+        others = self.loss.compute(beside) if len(beside) else np.empty(0)
         record.times["render"] += rendered - start
         record.times["encode"] += time.perf_counter() - rendered
         self._of_optimizer(lambda: self.optimizer.tell(X, batch, losses))
         self._tick()
+        if self._fidelity is not None:
+            self._fidelity.note(record, losses, beside, others)
+            record.fidelity = self._fidelity.state_dict()
         first, before = record.evaluations, record.image
         improved = record.add(X, batch, losses)
         self._observe(first, before, batch, improved)
@@ -189,10 +195,19 @@ class Run:
             ) from error
         return points
 
-    def _render(self, X: Float64) -> Any:
-        first = self.settings["seed"] * 2**40 + self.record.evaluations
+    def _render_beside(self, X: Float64) -> Float32:
+        """Images (m, H, W, 3) of what the samples of a pixel are judged by, none mostly."""
+        points = X[:0] if self._fidelity is None else self._fidelity.beside(X, self.record)
+        if not len(points):
+            return np.empty((0, *self.target.shape), np.float32)
+        images = self._render(points, 2**39)
+        return as_batch(images, self.target.shape, n=len(points), on_clip=self._on_clip)
+
+    def _render(self, X: Float64, stream: int = 0) -> Any:
+        first = self.settings["seed"] * 2**40 + stream + self.record.evaluations
+        render = self.task.render if self._fidelity is None else self._fidelity.render
         try:
-            return self.task.render(X, seed=[first + i for i in range(len(X))])
+            return render(X, seed=[first + i for i in range(len(X))])
         except FideError:
             raise
         except Exception as error:
@@ -331,4 +346,5 @@ class Run:
             metrics={name: np.array(values) for name, values in r.metrics.items()},
             judged=dict(verdict.metrics),
             generations=np.array(r.generations, np.int64),
+            samples=None if self._fidelity is None else self._fidelity.total,
         )

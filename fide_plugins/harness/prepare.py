@@ -10,6 +10,7 @@ from typing import Any
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.harness.directory import RunDirectory
+from fide_plugins.harness.fidelity import Fidelity
 from fide_plugins.harness.loop import Run, Task
 from fide_plugins.harness.record import Keep, Progress, Record, RunResult
 from fide_plugins.images import Float32, as_target
@@ -57,7 +58,8 @@ def prepare(
     task
         name in `fide_tasks`, or a `Task`.
     size, task_seed, task_options
-        what a task that is named is made with.
+        what a task that is named is made with.  `least_spp` among the options: samples of a pixel
+        to begin with; those of the task are the most, see `fide_plugins.samples`.
     optimizer
         name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
         (dim, target, loss=, seed=, **options).
@@ -97,6 +99,7 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
+    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     searcher = _make_optimizer(optimizer, task.dim, target, loss, seed, budget, options)
     record = Record()
     directory = None
@@ -110,19 +113,23 @@ def prepare(
         restored = directory.restore()
         if restored is not None:
             record, searcher = restored
+        if fidelity is not None and record.fidelity is not None:
+            fidelity.load_state_dict(record.fidelity)
         directory.write_run()
     return Run(
-        task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics
-    )
+        task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
+        fidelity,
+    )  # fmt: skip
 
 
 def make_task(
     name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
 ) -> Task:
-    """Task `name` of `fide_tasks`."""
+    """Task `name` of `fide_tasks`; its samples of a pixel are the most that a run takes."""
     import fide_tasks
 
-    return fide_tasks.make(name, size, seed, **options)
+    own = {key: value for key, value in options.items() if key != "least_spp"}
+    return fide_tasks.make(name, size, seed, **own)
 
 
 def settings_of(

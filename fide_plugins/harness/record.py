@@ -76,6 +76,7 @@ class RunResult:
     metrics: by name, (m,): what other losses say of the images of these.
     judged: by name, what they say of the reference image.
     generations: (g,), numbers of candidates that were asked at once.
+    samples: of a pixel, taken in all renders together, where their number rises; else None.
     """
 
     task: str
@@ -106,6 +107,7 @@ class RunResult:
     metrics: dict[str, Float64]
     judged: dict[str, float]
     generations: npt.NDArray[np.int64]
+    samples: int | None = None
 
     @property
     def render_s(self) -> float:
@@ -149,6 +151,7 @@ class RunResult:
             "judge_s": self.judge_s,
             "watch_s": self.watch_s,
             "times": self.times,
+            **({} if self.samples is None else {"samples": self.samples}),
         }
 
 
@@ -160,6 +163,7 @@ class Record:
     improvements: evaluations that were the best so far; metrics: one entry for each of these.
     generations: sizes of what was asked at once.
     pending: (m, dim), candidates that were asked and not yet told.
+    fidelity: state of the samples of a pixel, where they rise.
     """
 
     losses: array[float] = field(default_factory=lambda: array("d"))
@@ -176,6 +180,7 @@ class Record:
     image: Float32 | None = None
     first_image: Float32 | None = None
     pending: Float64 | None = None
+    fidelity: dict[str, Any] | None = None
 
     @property
     def evaluations(self) -> int:
@@ -201,6 +206,10 @@ class Record:
         self.losses.extend(losses.tolist())
         self.seconds.extend([self.wall_s] * len(losses))
         return improved
+
+    def judge_again(self, image: Float32, loss: float) -> None:
+        """Put another render of the best candidate in the place of its image and loss."""
+        self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf
 
     def state(self) -> dict[str, Any]:
         """Everything, for a checkpoint."""

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from fide_plugins.harness.fidelity import FORM
 from fide_plugins.harness.record import PARTS
 from fide_plugins.state_form import Form, array, check, maybe, real, table, whole
 
@@ -30,6 +31,7 @@ _RECORD: Form = {
     "image": _IMAGE,
     "first_image": _IMAGE,
     "pending": maybe(array("p", "d", low=0.0, high=1.0)),
+    "fidelity": maybe(FORM),
 }
 
 
