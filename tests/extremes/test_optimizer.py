@@ -150,16 +150,21 @@ def test_candidates_lie_in_the_box_and_the_best_never_gets_worse(
     if target == "answer":
         pictures["answer"] = images_of("blurred", rng.random((1, dim)), blank, rng)
         pictures["answer"] = pictures["answer"][0]
-    opt = FIDE(
-        dim, pictures[target], popsize=popsize, sigma0=sigma0, preset=preset, seed=seed,
-        restarts=restarts, patience=2 if restarts != "none" else None,
+    opt, twin = (
+        FIDE(
+            dim, pictures[target], popsize=popsize, sigma0=sigma0, preset=preset, seed=seed,
+            restarts=restarts, patience=2 if restarts != "none" else None,
+        )
+        for _ in range(2)
     )  # fmt: skip
     best, told = np.inf, 0
 
     def tell(X: Float64, shown: Float32 | None, values: Float64 | None) -> None:
         nonlocal best, told
         assert X.dtype == np.float64 and ((X >= 0) & (X <= 1)).all()
-        opt.tell(X, shown, values)
+        np.testing.assert_array_equal(twin.ask(), X)
+        for each in (opt, twin):
+            each.tell(X, shown, values)
         told += len(X)
         assert opt.evaluations == told
         now = np.inf if opt.best is None else opt.best.loss
@@ -168,6 +173,33 @@ def test_candidates_lie_in_the_box_and_the_best_never_gets_worse(
         check(opt)
 
     drive(opt, losses, images, 8 * opt.popsize, seed % 2**32, tell)
+    np.testing.assert_array_equal(twin.ask(), opt.ask())
+
+
+@pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
+@settings(max_examples=15 * CASES, deadline=None)
+@given(
+    dim=st.integers(1, 4),
+    target=st.sampled_from([0.0, 1.0, 0.4]),
+    losses=st.sampled_from(LOSSES),
+    images=st.sampled_from(IMAGES),
+    seed=st.integers(0, 2**64),
+)
+def test_the_weights_of_the_network_stay_finite(
+    dim: int, target: float, losses: str, images: str, seed: int
+) -> None:
+    """Of the published method, whatever it is shown and told; what it proposes is in the box."""
+    opt = FIDE(dim, np.full((8, 8, 3), target), preset="paper", popsize=6, epochs=1, seed=seed)
+
+    def tell(X: Float64, shown: Float32 | None, values: Float64 | None) -> None:
+        assert ((X >= 0) & (X <= 1)).all()
+        opt.tell(X, shown, values)
+        check(opt)
+        proposer: Any = opt._proposer
+        weights = proposer.state_dict().get("weights", {})
+        assert all(bool(value.isfinite().all()) for value in weights.values())
+
+    drive(opt, losses, images, 4 * opt.popsize, seed % 2**32, tell)
 
 
 ANYTHING: list[Any] = [
