@@ -160,6 +160,16 @@ class Ledger:
         return candidate
 
     @property
+    def told(self) -> int:
+        """Candidates of the generation that were told."""
+        return len(self._told)
+
+    def told_so_far(self) -> tuple[list[Candidate], Float64]:
+        """Those in the order they were asked, and their losses (n,)."""
+        told = sorted(self._told, key=lambda pair: pair[0].index)
+        return [candidate for candidate, _ in told], np.array([loss for _, loss in told])
+
+    @property
     def complete(self) -> bool:
         """Whether a whole generation has been told."""
         return 0 < self.size <= len(self._told)
@@ -169,13 +179,13 @@ class Ledger:
 
         What was drawn for it and never handed out is thrown away.
         """
-        told = sorted(self._told, key=lambda pair: pair[0].index)
+        members, losses = self.told_so_far()
         self._told = []
         self._queue.clear()
         self._drop_due()
         self._generation_from = self.drawn
         self.generations += 1
-        return [candidate for candidate, _ in told], np.array([loss for _, loss in told])
+        return members, losses
 
     def close_search(self) -> None:
         """After a restart: forget what is still out; it is a guest if it comes back."""

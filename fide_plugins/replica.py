@@ -7,7 +7,8 @@ was told, so replicas that were told the same log propose the same candidates, a
 - a candidate has a name, (generation, slot), that means the same to everybody: who knows that slots
   0 to 4 are out may take slot 5 without asking anybody;
 - slots have no end: those beyond the generation's size are drawn from the same distribution, by a
-  generator made from (seed, generation, slot), so that drawing them changes nothing;
+  generator made from (seed, generation, slot), so that drawing them changes nothing; as soon as
+  half of the generation is known, who asks for one is better off with the `newest`, though;
 - who comes later, or was away, catches up by being told the log; nothing is rendered again.
 
 Rounding that differs from machine to machine, or features that are not known to all their digits
@@ -21,7 +22,8 @@ What an entry of the log counts for is its `Role`:
 member   a candidate of the present generation: as if one optimizer had asked it
 foreign  asked in the present generation and yet not the candidate of that name: a parameter was
          fixed by somebody, or another machine rounds otherwise
-late     asked in an earlier generation of the present search
+late     asked in an earlier generation of the present search, or in this one when all of its
+         candidates were out
 guest    all others: never asked, or asked in an earlier search
 =======  =========================================================================================
 
@@ -39,6 +41,7 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins import fide_state
+from fide_plugins.ahead import draw_ahead
 from fide_plugins.fide import FIDE
 from fide_plugins.ledger import Candidate, Ledger
 from fide_plugins.points import Float64
@@ -92,6 +95,20 @@ class Replica:
             more.draw(*self.optimizer._draw(np.random.default_rng(seed)))
             self._batches[batch] = more.hand_out_all()
         return self._batches[batch][row]
+
+    def newest(self, slot: int) -> Candidate:
+        """Better one than the candidate in that slot, if it is beyond the generation's size.
+
+        It is drawn from what is known when it is asked (see `ahead`), so it differs from worker
+        to worker, and from one moment to the next.
+        """
+        if slot >= self.size:
+            key = (self.generation, slot, 1)  # never that of `candidate`
+            seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
+            ahead = draw_ahead(self.optimizer, np.random.default_rng(seed))
+            if ahead is not None:
+                return ahead
+        return self.candidate(slot)
 
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""
@@ -147,8 +164,9 @@ class Replica:
         if generation is None or generation < self.began:
             return Role.GUEST, x
         ledger = self.optimizer._ledger
-        is_open = generation == self.generation and slot not in self._taken
-        if is_open and self.is_candidate(slot, x):
+        is_open = generation == self.generation
+        is_known = is_open and self.is_candidate(slot, x)
+        if is_known and slot not in self._taken:
             known = self.candidate(slot)
             self._taken.add(slot)
             if slot >= self.size:
@@ -156,7 +174,8 @@ class Replica:
             return Role.MEMBER, known.x
         z = box.near(x, self.optimizer._search.mean)
         ledger.adopt(x, z, proposed=proposed, late=True)
-        return (Role.LATE if generation < self.generation else Role.FOREIGN), x
+        beyond = is_open and not is_known and slot >= self.size
+        return (Role.LATE if generation < self.generation or beyond else Role.FOREIGN), x
 
     def _stage_of_search(self) -> tuple[Stage, int]:
         return self.optimizer._stage, self.optimizer._searches

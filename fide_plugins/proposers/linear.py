@@ -45,6 +45,7 @@ one n x n eigendecomposition, whatever the number of features.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -204,6 +205,12 @@ class LinearProposer:
         if self.evidence == 0:
             return np.ones(self.dim)
         return np.clip(fit.explained, 0.0, self.evidence) / self.evidence
+
+    def copy(self) -> LinearProposer:
+        """Another with the same buffer, which can be updated without this one."""
+        other = copy.copy(self)  # arrays are replaced, never written to
+        other._views = [copy.copy(view) for view in self._views]
+        return other
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""

@@ -27,6 +27,7 @@ was told of a candidate that no sample can be, and the step size follows `step_s
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -156,6 +157,17 @@ class CMAES:
             self._scale_sigma(self.largest_std / std.mean())
         elif std.max() < _SMALLEST_STD:
             self._scale_sigma(_SMALLEST_STD / std.max())
+
+    def ahead(self, z: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]) -> CMAES:
+        """Return a copy that was told z (n, d), only part of a generation; see `tell`.
+
+        Its weights are those of a population of n.
+        """
+        other = copy.copy(self)  # arrays are replaced, never written to
+        other._two_point = None  # whose pair may still be out, and is drawn once
+        other._set_weights(self.dim, len(z))
+        other.tell(z, losses, foreign)
+        return other
 
     def _sigma_factor(self, y_w: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]) -> float:
         """What to multiply the step size by."""

@@ -34,12 +34,15 @@ import base64
 import binascii
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from math import asinh, ceil
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+from fide_plugins.points import Float64
 
 __all__ = ["BYTES", "Codec"]
 
@@ -59,26 +62,27 @@ class _Group:
     fine: a byte for each, and not half of one.
     """
 
-    basis: Tensor
+    basis: Float64
     unit: float
     fine: bool
 
-    @property
+    @cached_property
     def _law(self) -> tuple[int, float, float]:
         """Largest level n, s, and the growth of steps."""
         n, s, largest = (127, 1 / 64, 32.0) if self.fine else (7, 1 / 8, 16.0)
         return n, s * self.unit, asinh(largest / s) / n
 
-    def levels(self, difference: Tensor) -> _Levels:
+    def levels(self, difference: Float64) -> _Levels:
         """Whole numbers (S, k) of differences (S, C)."""
         n, s, step = self._law
-        levels = torch.round(torch.asinh(difference @ self.basis.T / s) / step).clamp(-n, n)
-        return levels.to(torch.int8).numpy()
+        levels = np.rint(np.arcsinh(difference @ self.basis.T / s) / step)
+        return np.clip(levels, -n, n).astype(np.int8)
 
-    def difference(self, levels: _Levels) -> Tensor:
+    def difference(self, levels: _Levels) -> Float64:
         """Undo `levels`, as far as that is possible, (S, C)."""
         _, s, step = self._law
-        return torch.sinh(torch.from_numpy(levels.astype(np.float64)) * step) * s @ self.basis
+        difference: Float64 = (np.sinh(levels.astype(np.float64) * step) * s) @ self.basis
+        return difference
 
     def size(self, tokens: int) -> int:
         """Bytes of so many tokens."""
@@ -111,7 +115,7 @@ class Codec:
     """
 
     def __init__(self, target_tokens: Tensor, leading: int | None, *names: str | bytes) -> None:
-        self._target = target_tokens.detach().cpu().double()
+        self._target = _as_array(target_tokens)
         tokens = len(self._target)
         self._run = ceil(tokens / BYTES)
         self._stored = ceil(tokens / self._run)
@@ -122,7 +126,7 @@ class Codec:
 
     def pack(self, tokens: Tensor) -> str:
         """Code of the tokens (T, C) of an image."""
-        difference = self._averaged(tokens.detach().cpu().double() - self._target)
+        difference = self._averaged(_as_array(tokens) - self._target)
         data = b"".join(group.to_bytes(group.levels(difference)) for group in self._groups)
         return base64.b64encode(data).decode("ascii")
 
@@ -135,24 +139,29 @@ class Codec:
         sizes = [group.size(self._stored) for group in self._groups]
         if len(data) != sum(sizes):
             return None
-        difference = torch.zeros((self._stored, self._target.shape[1]), dtype=torch.float64)
+        difference = np.zeros((self._stored, self._target.shape[1]))
         for group, size in zip(self._groups, sizes, strict=True):
             difference += group.difference(group.from_bytes(data[:size], self._stored))
             data = data[size:]
-        spread = difference.repeat_interleave(self._run, dim=0)[: len(self._target)]
-        return (self._target + spread).float()
+        spread = np.repeat(difference, self._run, axis=0)[: len(self._target)]
+        return torch.from_numpy((self._target + spread).astype(np.float32))
 
-    def _averaged(self, difference: Tensor) -> Tensor:
+    def _averaged(self, difference: Float64) -> Float64:
         """Means of runs of tokens, (S, C)."""
         if self._run == 1:
             return difference
-        return torch.stack([run.mean(dim=0) for run in torch.split(difference, self._run)])
+        starts = range(0, len(difference), self._run)
+        return np.stack([difference[i : i + self._run].mean(axis=0) for i in starts])
 
 
-def _groups(target: Tensor, leading: int, bits: int) -> list[_Group]:
+def _as_array(tokens: Tensor) -> Float64:
+    return tokens.detach().cpu().numpy().astype(np.float64)
+
+
+def _groups(target: Float64, leading: int, bits: int) -> list[_Group]:
     """How C channels are stored in so many bits a token, at least 8."""
     channels = target.shape[1]
-    identity = torch.eye(channels, dtype=torch.float64)
+    identity = np.eye(channels)
     fine = 8 * channels <= bits
     first = min(leading, channels, bits // 8)
     room = channels - first if fine else (bits - 8 * first) // 4
@@ -163,16 +172,16 @@ def _groups(target: Tensor, leading: int, bits: int) -> list[_Group]:
     return groups
 
 
-def _mixtures(first: int, rows: int, channels: int) -> Tensor:
+def _mixtures(first: int, rows: int, channels: int) -> Float64:
     """Orthonormal rows (rows, channels) that leave out the first channels, the same for ever."""
     noise = np.random.default_rng(0).standard_normal((channels - first, rows))
     q, r = np.linalg.qr(noise)
-    basis = torch.zeros((rows, channels), dtype=torch.float64)
-    basis[:, first:] = torch.from_numpy((q * np.sign(np.diag(r))).T.copy())
+    basis = np.zeros((rows, channels))
+    basis[:, first:] = (q * np.sign(np.diag(r))).T
     return basis
 
 
-def _rms(values: Tensor) -> float:
+def _rms(values: Float64) -> float:
     """Root mean square, or 1 where there is nothing."""
-    mean = float(values.square().mean()) if values.numel() else 0.0
+    mean = float(np.square(values).mean()) if values.size else 0.0
     return mean**0.5 or 1.0

@@ -139,7 +139,7 @@ class Model:
     def ask(self, number: int, passed: list[int], late: list[int]) -> tuple[Ask, dict[str, Any]]:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _ELSEWHERE + number
-        candidate = self._replica.candidate(slot)
+        candidate = self._replica.newest(slot)
         ask = Ask(
             self.digest,
             self._replica.generation,
