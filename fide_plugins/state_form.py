@@ -14,6 +14,7 @@ so ("n", "d") and ("n",) have as many rows, and "d" is what the caller said.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -51,7 +52,7 @@ IMPOSSIBLE = (
     ValueError,
 )
 """What can go wrong where something is made of a state that nobody could have saved."""
-_LARGEST = 1.7e308  # what is more is infinite
+_LARGEST = sys.float_info.max  # some take it for "failed"
 
 
 def check(state: Any, form: Form, sides: Sides, place: str = "state") -> None:

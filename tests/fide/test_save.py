@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -47,6 +48,23 @@ def begun(target: Float32, render: Render, settings: dict[str, Any], steps: int 
     guest = np.full((1, 6), 0.6)
     opt.tell(guest, render(guest))
     return opt
+
+
+@pytest.mark.parametrize("loss", [sys.float_info.max, -sys.float_info.max, 5e-324])
+@pytest.mark.parametrize("proposer", ["linear", "none"])
+def test_any_finite_loss_can_be_saved(
+    loss: float, proposer: str, target: Float32, render: Render, tmp_path: Path
+) -> None:
+    """Some tell the largest number there is of a candidate that failed."""
+    opt = FIDE(6, target, seed=4, popsize=8, proposer=proposer)
+    for _ in range(3):
+        X = opt.ask(5)  # lessons, candidates and a guest are left over
+        opt.tell(X, render(X), [loss, 3.0, 1.0, 2.0, 4.0])
+        opt.tell([[0.5] * 6], render(X[:1]), [loss])
+    opt.save(tmp_path / "c")
+    copy = FIDE.load(tmp_path / "c")
+    assert copy.best is not None and opt.best is not None and copy.best.loss == opt.best.loss
+    np.testing.assert_array_equal(copy.ask(), opt.ask())
 
 
 @pytest.mark.parametrize("steps", [0, 1, 20])
