@@ -93,13 +93,13 @@ def prepare(
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
+    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     target = target_of(task)
     judge = losses_module.resolve(loss, target)
     metrics = {name: losses_module.make(name, target) for name in keep.metrics}
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
-    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     searcher = _make_optimizer(optimizer, task.dim, target, loss, seed, budget, options)
     record = Record()
     directory = None

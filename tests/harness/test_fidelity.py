@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import harness
+from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
 from fide_plugins.harness.fidelity import Fidelity
 from fide_plugins.harness.record import Record
@@ -107,3 +108,13 @@ def test_refuses_what_cannot_be() -> None:
         harness.prepare(Plain(), "cma", task_options={"least_spp": 1})
     with pytest.raises(OptionError, match="least must not be above most, got 32 and 16"):
         run(Grainy(16), 32)
+
+
+def test_the_command_line_refuses_it_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", "voronoi", "--size", "8", "--least-spp", "1", "--out", str(tmp_path / "a")]
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "voronoi takes none: leave it out" in captured.err
+    assert len(captured.err.splitlines()) == 1
