@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.images import Float32
 from fide_plugins.points import Float64
 
+FOLDER = Path(tempfile.mkdtemp())  # for files that a case writes over
 CASES = int(os.environ.get("FIDE_CASES", "1"))  # times as many as in CI
 
 LOSSES = (
@@ -21,6 +25,7 @@ LOSSES = (
     "constant",
     "equal but one",
     "from -1e300 to 1e300",
+    "the largest numbers",
     "denormal",
     "some NaN",
     "some infinite",
@@ -52,6 +57,7 @@ def losses_of(what: str, X: Float64, rng: np.random.Generator) -> Float64 | None
         "constant": np.zeros(n),
         "equal but one": -(np.arange(n) == rng.integers(n)).astype(float),
         "from -1e300 to 1e300": rng.choice([-1.0, 1.0], n) * 10.0 ** rng.uniform(-300, 300, n),
+        "the largest numbers": rng.choice([-1.0, 1.0, 0.97], n) * sys.float_info.max,
         "denormal": np.multiply(5e-324, rng.integers(0, 3, n)),
         "some NaN": np.where(some, np.nan, sphere),
         "some infinite": np.where(some, rng.choice([np.inf, -np.inf], n), sphere),
@@ -173,7 +179,10 @@ def test_candidates_lie_in_the_box_and_the_best_never_gets_worse(
         check(opt)
 
     drive(opt, losses, images, 8 * opt.popsize, seed % 2**32, tell)
-    np.testing.assert_array_equal(twin.ask(), opt.ask())
+    opt.save(FOLDER / "saved")
+    X = opt.ask()
+    for each in (twin, FIDE.load(FOLDER / "saved")):
+        np.testing.assert_array_equal(each.ask(), X)
 
 
 @pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
