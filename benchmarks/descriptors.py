@@ -1,16 +1,10 @@
 """Which descriptors: what the encoder `dense` was chosen from.
 
-    python benchmarks/descriptors.py tell                     # what features tell of parameters
     python benchmarks/descriptors.py noise                    # how much of a distance is noise
     python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each of them
     python benchmarks/descriptors.py table                    # of what was fitted
 
 `fit`: 500 renders, mean squared error, the targets and seeds of benchmarks/encoders.py.
-
-`tell`: a ridge regression, as the proposer's, from features of 160 renders to their parameters;
-how much of the variance of the parameters of 80 other renders it explains, the mean over the
-parameters.  The parameters have a standard deviation of 0.1 around a random point (wide), or 0.03
-(narrow).  Noisy: scenes with few paths a pixel, and others with normal noise of 0.1 a pixel.
 
 All descriptors share a grid of 14 x 14 tokens, but where they say otherwise, and begin with the
 mean colors, so the proposer looks at the colors alone every second time, as it does with `dense`.
@@ -23,7 +17,6 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -37,12 +30,10 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from encoder_noise import measured, of_encoder
-from encoders import SCENES, run_cell
-from numpy.typing import NDArray
+from encoders import run_cell
 from quality import Cell, read, run_missing
 from torch import Tensor
 
-import fide_tasks
 from fide_plugins import encoders
 from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders import dense
@@ -50,11 +41,7 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.images import Float32
 
 RESULTS = Path(__file__).parent / "results" / "descriptors.jsonl"
-RENDERS = Path("runs/descriptors")
-TRACED = ("san_miguel", "beads")  # noisy as they are
-TRAINING, TESTED = 160, 80
 BUDGET = 500  # later, a run has found the right place of every part or not, by chance
-WIDTHS = {"wide": 0.1, "narrow": 0.03}  # standard deviations
 
 Samples = Callable[[int], Tensor]  # side of a patch in samples -> (n, 3, 14 side, 14 side)
 
@@ -198,22 +185,7 @@ VARIANTS: dict[str, Callable[..., PatchEncoder]] = {
 }
 
 
-# -- what features tell ----------------------------------------------------------------------------
-
-
-def tell(arguments: argparse.Namespace) -> None:
-    """Explained variance for every scene, width and noise."""
-    columns = []
-    for task in arguments.tasks or SCENES:
-        for noisy in (True,) if task in TRACED else (False, True):
-            columns += [(task, width, noisy) for width in WIDTHS]
-    head = " | ".join(f"{t}, {w}{', noisy' if n else ''}" for t, w, n in columns)
-    print(f"| descriptor | {head} |\n|---|{'---:|' * len(columns)}")
-    populations = [population(*column, arguments.size) for column in columns]
-    for name, make in VARIANTS.items():
-        encoder = make()
-        shares = [explained(encoder, x, images) for x, images in populations]
-        print(f"| {name} | {' | '.join(f'{share:.2f}' for share in shares)} |", flush=True)
+# -- noise -----------------------------------------------------------------------------------------
 
 
 def noise(arguments: argparse.Namespace) -> None:
@@ -235,42 +207,6 @@ def cost(encoder: PatchEncoder) -> float:
         encoder(images)
         goes.append(time.process_time() - start)
     return 1e3 * min(goes) / len(images)
-
-
-def population(
-    task: str, width: str, noisy: bool, size: int
-) -> tuple[NDArray[np.float64], Float32]:
-    """Candidates and their images; rendered once, and kept in runs/."""
-    path = RENDERS / f"{task}-{width}-{size}.npz"
-    if not path.exists():
-        rng = np.random.default_rng(1)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scene = fide_tasks.make(task, size, 0, **SCENES[task].options)
-        center = rng.uniform(0.3, 0.7, scene.dim)
-        x = rng.normal(center, WIDTHS[width], (TRAINING + TESTED, scene.dim)).clip(0, 1)
-        images = scene.render(x, seed=list(range(len(x))))
-        np.savez(path, x=x, images=np.round(255 * images).astype(np.uint8))
-        print(path, file=sys.stderr, flush=True)
-    with np.load(path) as file:
-        x, images = file["x"], file["images"] / np.float32(255)
-    if noisy and task not in TRACED:
-        noise = np.random.default_rng(2).standard_normal(images.shape, dtype=np.float32)
-        images = images + np.float32(0.1) * noise
-    return x, images.clip(0, 1)
-
-
-def explained(encoder: PatchEncoder, x: NDArray[np.float64], images: Float32) -> float:
-    """Share of the variance of the tested parameters, 0 where there is none, the mean of all."""
-    features = encoder(images).flatten(1).double().numpy()
-    features -= features[:TRAINING].mean(axis=0)
-    mean, scale = x[:TRAINING].mean(axis=0), x[:TRAINING].std(axis=0)
-    u = (x - mean) / scale
-    gram = features @ features[:TRAINING].T
-    penalty = 0.02 * np.trace(gram[:TRAINING]) / 64  # as the proposer's
-    weights = np.linalg.solve(gram[:TRAINING] + penalty * np.eye(TRAINING), u[:TRAINING])
-    errors = np.square(u[TRAINING:] - gram[TRAINING:] @ weights).mean(axis=0)
-    shares = 1 - errors / u[TRAINING:].var(axis=0)
-    return float(shares.clip(min=0).mean())
 
 
 # -- what FIDE makes of them -----------------------------------------------------------------------
@@ -328,7 +264,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("what", choices=("noise", "tell", "fit", "table"))
+    add("what", choices=("noise", "fit", "table"))
     add("tasks", nargs="*", metavar="TASK")
     add("--arms", nargs="+", default=list(VARIANTS), choices=list(VARIANTS), metavar="NAME")
     add("--seeds", type=int, default=10)
@@ -337,7 +273,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    {"noise": noise, "tell": tell, "fit": fit, "table": print_table}[arguments.what](arguments)
+    {"noise": noise, "fit": fit, "table": print_table}[arguments.what](arguments)
 
 
 if __name__ == "__main__":
