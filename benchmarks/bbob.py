@@ -43,6 +43,7 @@ PRECISIONS = [10.0**power for power in range(1, -9, -1)]
 STD = 1 / 6
 EVALUATIONS = 1000  # for each parameter
 WITH_WALLS = (2, 9, 10, 11, 13, 14)  # functions with one minimum, nowhere at a wall
+WALLS = ("reflected", "reflected, no limit", "drawn again", "no box")
 RESAMPLED = 1000  # times, for an interval
 BLANK = np.zeros((1, 1, 3), np.float32)
 
@@ -66,7 +67,7 @@ class Watch:
             self.evaluations += 1
             while not self.done and value <= PRECISIONS[len(self.reached)]:
                 self.reached.append(self.evaluations)
-        return values
+        return np.asarray(values)
 
     @property
     def done(self) -> bool:
@@ -167,9 +168,9 @@ def table(rows: list[dict[str, Any]]) -> str:
             cells = ["" if name == o else compared(of[name], of[o], rng) for o in OPTIMIZERS[1:]]
             solved = int(np.isfinite(medians(of[name])).sum())
             lines.append(f"| {dim} | {name} | {runs} | {solved} | {cells[0]} | {cells[1]} |")
-        halves = [of["cma"][:, first::2] for first in (0, 1)]
-        solved_in = " and ".join(str(int(np.isfinite(medians(half)).sum())) for half in halves)
-        noise = compared(*halves, rng, paired=False)
+        odd, even = (of["cma"][:, first::2] for first in (0, 1))
+        solved_in = " and ".join(str(int(np.isfinite(medians(h)).sum())) for h in (odd, even))
+        noise = compared(odd, even, rng, paired=False)
         lines.append(f"| {dim} | `cma`, split halves | | {solved_in} | {noise} | |")
     return "\n".join(lines)
 
@@ -192,10 +193,10 @@ def by_function(rows: list[dict[str, Any]], dim: int) -> str:
 
 def walls(dim: int, instances: int) -> str:
     """Evaluations to the last precision with each way of keeping to the box, and without a box."""
-    lines = ["| function | reflected | drawn again | no box |", "|---|---|---|---|"]
+    lines = [f"| function | {' | '.join(WALLS)} |", "|---" * (len(WALLS) + 1) + "|"]
     for function in WITH_WALLS:
         cells = []
-        for how in ("reflected", "drawn again", "no box"):
+        for how in WALLS:
             found = [near_walls(function, dim, i, how) for i in range(1, instances + 1)]
             reached = [evaluations for evaluations in found if evaluations]
             cells.append(f"{np.exp(np.mean(np.log(reached))):,.0f} ({len(reached)})")
@@ -206,7 +207,8 @@ def walls(dim: int, instances: int) -> str:
 def near_walls(function: int, dim: int, instance: int, how: str) -> int | None:
     """Evaluations to the last precision, None if it was not reached; see `walls`."""
     loss, rng = Watch(function, dim, instance), np.random.default_rng(instance)
-    search = CMAES(np.full(dim, 0.5), STD, default_popsize(dim))
+    limit = how != "reflected, no limit"
+    search = CMAES(np.full(dim, 0.5), STD, default_popsize(dim), limit_std=limit)
     while loss.evaluations < EVALUATIONS * dim and not loss.done:
         z = search.sample(search.popsize, rng)
         for _ in range(30 if how == "drawn again" else 0):
