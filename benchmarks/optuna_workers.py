@@ -21,7 +21,7 @@ import os
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -40,6 +40,9 @@ EVERY = 25
 SIZE = 64
 SPREAD = 0.3
 LEVELS = (200, 400, 600)  # trials of one worker
+
+Runs: TypeAlias = dict[int, list[Any]]
+"""Curves of several runs, by target."""
 
 
 def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
@@ -151,24 +154,51 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """Trials to the loss that another run of one worker has after n trials, over n.
+    """Trials to the loss that one worker has after n trials, over those of one worker.
 
-    Each run is compared with those of the same target and another seed; runs of one worker too,
-    which shows what chance does.  Medians and quartiles.
+    That loss is the median of one worker's runs for the same target.  Geometric means over runs and
+    targets (a run that is not there at its end counts with its length), with 95 % intervals from
+    drawing the seeds of both again.
     """
-    curves: dict[int, dict[tuple[int, int], Any]] = {}
+    runs: dict[int, Runs] = {}
     for line in lines:
-        cell = line["target"], line["seed"]
-        curves.setdefault(line["workers"], {})[cell] = np.array(line["curve"])
+        by_target = runs.setdefault(line["workers"], {})
+        by_target.setdefault(line["target"], []).append(np.array(line["curve"]))
     head = " | ".join(f"to the loss of {n} trials alone" for n in LEVELS)
     rows = [f"| workers | runs | {head} | late |", "|---|---|" + "---|" * (len(LEVELS) + 1)]
-    for workers, runs in sorted(curves.items()):
-        quartiles = [np.percentile(ratios(runs, curves[1], n), [50, 25, 75]) for n in LEVELS]
-        texts = [f"{q[0]:.2f} ({q[1]:.2f} to {q[2]:.2f})" for q in quartiles]
+    for workers in sorted(set(runs) - {1}):
+        texts = [interval(runs[workers], runs[1], n) for n in LEVELS]
         counts = [line["counts"] for line in lines if line["workers"] == workers]
         late = np.mean([c.get("late", 0) / sum_of(c) for c in counts])
-        rows.append(f"| {workers} | {len(runs)} | {' | '.join(texts)} | {late:.0%} |")
+        rows.append(f"| {workers} | {len(counts)} | {' | '.join(texts)} | {late:.0%} |")
     return "\n".join(rows)
+
+
+def interval(runs: Runs, alone: Runs, n: int) -> str:
+    """Ratio at the level of n trials alone, and its interval."""
+    rng = np.random.default_rng(0)
+    again = [ratio(drawn(runs, rng), drawn(alone, rng), n) for _ in range(2000)]
+    low, high = np.percentile(again, [2.5, 97.5])
+    return f"{ratio(runs, alone, n):.2f} ({low:.2f} to {high:.2f})"
+
+
+def drawn(runs: Runs, rng: np.random.Generator) -> Runs:
+    """As many runs of each target, drawn with replacement."""
+    return {
+        target: [curves[i] for i in rng.integers(len(curves), size=len(curves))]
+        for target, curves in runs.items()
+    }
+
+
+def ratio(runs: Runs, alone: Runs, n: int) -> float:
+    """Geometric mean over targets of trials to the level, of runs and of those alone."""
+    logs = []
+    for target, curves in runs.items():
+        level = float(np.median([curve[n // EVERY - 1] for curve in alone[target]]))
+        both = ([trials_to(c, level) for c in several] for several in (curves, alone[target]))
+        several, one = (np.mean(np.log(trials)) for trials in both)
+        logs.append(several - one)
+    return float(np.exp(np.mean(logs)))
 
 
 def sum_of(counts: dict[str, int]) -> int:
@@ -176,22 +206,10 @@ def sum_of(counts: dict[str, int]) -> int:
     return sum(counts.get(role, 0) for role in ("member", "foreign", "late", "guest"))
 
 
-def ratios(
-    runs: dict[tuple[int, int], Any], alone: dict[tuple[int, int], Any], n: int
-) -> list[float]:
-    """Trials to the level of n trials alone, over n, for all runs of one target, two seeds."""
-    return [
-        trials_to(run, other[n // EVERY - 1]) / n
-        for (target, seed), run in runs.items()
-        for (same, another), other in alone.items()
-        if same == target and another != seed
-    ]
-
-
 def trials_to(curve: Any, level: float) -> float:
-    """Trials after which a falling curve is at the level; a large number if it never is."""
-    after = int(np.argmax(curve <= level))
-    return float(EVERY * (after + 1)) if curve[after] <= level else 10.0 * TRIALS
+    """Trials after which a falling curve is at the level, or its length."""
+    there = np.flatnonzero(curve <= level)
+    return float(EVERY * (there[0] + 1 if len(there) else len(curve)))
 
 
 if __name__ == "__main__":
