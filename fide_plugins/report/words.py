@@ -57,11 +57,18 @@ def verdict(panel: Panel) -> str:
         )
     rivals = [row for row in panel.rows if row.arm in tests]
     beaten = [row.name for row in rivals if panel.significant(row)]
-    level = [row.name for row in rivals if not panel.significant(row)]
+    level = [row for row in rivals if not panel.significant(row)]
+    always = [row.name for row in level if tests[row.arm].effect == 1.0]
+    chance = [row.name for row in level if tests[row.arm].effect != 1.0]
     if beaten:
         said += f" It is better by more than chance than {_list(beaten)}."
-    if level:
-        said += f" The difference to {_list(level)} may be chance."
+    if always:
+        said += (
+            f" It is better in every pair than {_list(always)}, but with {len(tests)} rivals these "
+            "pairs are too few to rule out chance; more seeds would tell."
+        )
+    if chance:
+        said += f" The difference to {_list(chance)} may be chance."
     return said
 
 

@@ -274,6 +274,19 @@ def test_few_seeds_are_said_to_be_few() -> None:
     assert "†" not in tables.markdown(tables.ranking(panel))
 
 
+def test_pairs_that_are_too_few_for_many_rivals_are_said_to_be_so() -> None:
+    cells = [result("best", s, 0.1 * 1.1**s) for s in range(6)]
+    cells += [result("worse", s, 0.3 * 1.2**s) for s in range(6)]  # in every pair: p = 1 / 32
+    for name in ("like", "alike"):
+        cells += [result(name, s, 0.101 * 1.1 ** (s + (-1) ** s)) for s in range(6)]
+    (panel,) = panels(results(cells), {})
+    assert panel.winner.arm == "best"
+    said = words.verdict(panel)
+    assert "better in every pair than worse, but with 3 rivals these pairs are too few" in said
+    assert said.endswith("The difference to like and alike may be chance.")
+    assert "better by more than chance" not in said
+
+
 def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
     plan = Plan(("spline",), (Arm.parse("random"),), seeds=1, budget=12, size=16)
     compare.run(plan, tmp_path / "a")
