@@ -94,7 +94,7 @@ def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
 
     def begin(now: float) -> None:
         slot = len(asked) - first
-        candidate = replica.newest(slot)
+        candidate = replica.newest(slot, len(asked) - told)
         heapq.heappush(busy, (now + clock.lognormal(0.0, SPREAD), len(asked)))
         asked.append((replica.generation, slot, candidate.proposed, candidate.x.copy()))
 

@@ -96,13 +96,16 @@ class Replica:
             self._batches[batch] = more.hand_out_all()
         return self._batches[batch][row]
 
-    def newest(self, slot: int) -> Candidate:
-        """Better one than the candidate in that slot, if it is beyond the generation's size.
+    def newest(self, slot: int, out: int) -> Candidate:
+        """Better one than the candidate in that slot, if the generation does not need that.
+
+        out: entries that are still to be told; with these and those told the generation may be
+            complete, and then what is asked now is for the next one.
 
         It is drawn from what is known when it is asked (see `ahead`), so it differs from worker
         to worker, and from one moment to the next.
         """
-        if slot >= self.size:
+        if slot >= self.size <= self.optimizer._ledger.told + out:
             key = (self.generation, slot, 1)  # never that of `candidate`
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
             ahead = draw_ahead(self.optimizer, np.random.default_rng(seed))

@@ -42,7 +42,7 @@ def test_they_are_drawn_from_what_the_results_so_far_make_of_the_search() -> Non
     members, losses = replica.optimizer._ledger.told_so_far()
     now = replica.optimizer._search
     ahead = now.ahead(np.array([c.z for c in members]), losses, np.zeros(6, bool))
-    z = np.array([replica.newest(slot).z for slot in range(SIZE, SIZE + 400)])
+    z = np.array([replica.newest(slot, 2).z for slot in range(SIZE, SIZE + 400)])
     error = ahead.std / np.sqrt(len(z))
     assert (np.abs(z.mean(axis=0) - ahead.mean) < 4 * error).all()
     assert (np.abs(z.mean(axis=0) - now.mean) > 4 * error).any()
@@ -51,7 +51,7 @@ def test_they_are_drawn_from_what_the_results_so_far_make_of_the_search() -> Non
 
 def test_some_are_proposals_that_know_the_results_so_far() -> None:
     replica = replica_in_the_midst(6, share=0.5, share_rate=0.0, guard_images=False)
-    candidates = [replica.newest(slot) for slot in range(SIZE, SIZE + 80)]
+    candidates = [replica.newest(slot, 2) for slot in range(SIZE, SIZE + 80)]
     assert 25 <= sum(candidate.proposed for candidate in candidates) <= 55
     proposer = _proposer_ahead(replica.optimizer)
     assert isinstance(proposer, LinearProposer)
@@ -61,7 +61,7 @@ def test_some_are_proposals_that_know_the_results_so_far() -> None:
 
 def test_asking_for_them_changes_nothing() -> None:
     asked, idle = replica_in_the_midst(6), replica_in_the_midst(6)
-    assert len({asked.newest(slot).x.tobytes() for slot in range(SIZE, SIZE + 30)}) == 30
+    assert len({asked.newest(slot, 2).x.tobytes() for slot in range(SIZE, SIZE + 30)}) == 30
     for replica in (asked, idle):
         for slot in (6, 7):
             x = replica.candidate(slot).x
@@ -73,7 +73,7 @@ def test_asking_for_them_changes_nothing() -> None:
 
 def test_they_count_as_late_ones_at_once_or_later() -> None:
     replica = replica_in_the_midst(6)
-    first, second, third = (replica.newest(slot).x for slot in (8, 9, 10))
+    first, second, third = (replica.newest(slot, 2).x for slot in (8, 9, 10))
     roles = [replica.tell(x, *look(x), generation=3, slot=s) for s, x in ((8, first), (9, second))]
     assert roles == [Role.LATE] * 2 and replica.generation == 4
     assert replica.tell(third, *look(third), generation=3, slot=10) is Role.LATE
@@ -82,8 +82,15 @@ def test_they_count_as_late_ones_at_once_or_later() -> None:
 def test_with_few_results_or_within_the_generation_it_is_the_candidate_of_that_name() -> None:
     replica = replica_in_the_midst(3)
     for slot in (0, 7, 8, 100):
-        assert replica.newest(slot) is replica.candidate(slot)
+        assert replica.newest(slot, 5) is replica.candidate(slot)
     assert draw_ahead(FIDE(DIM, TARGET), np.random.default_rng(0)) is None
+
+
+def test_what_the_generation_still_needs_is_a_member_of_it() -> None:
+    """Some have failed, and nobody else is rendering enough to complete it."""
+    replica = replica_in_the_midst(6)
+    assert replica.newest(9, 1) is replica.candidate(9)
+    assert replica.newest(9, 2) is not replica.candidate(9)
 
 
 def test_told_all_of_a_generation_the_copy_is_what_the_search_becomes() -> None:

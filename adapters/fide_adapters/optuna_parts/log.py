@@ -28,6 +28,7 @@ from fide_adapters.optuna_parts.records import MOST_NAMED
 
 __all__ = ["Log"]
 
+_TO_BE_TOLD = (TrialState.RUNNING, TrialState.COMPLETE)
 _PATIENCE = 4  # trials that complete meanwhile, for each that is running
 
 
@@ -63,6 +64,11 @@ class Log:
         ask = self._history.ask_of(trial)
         named = () if ask is None else ask.late
         return [n for n in named if n in self._history.passed and n not in self._counted_late]
+
+    def out(self, trials: Trials, number: int) -> int:
+        """Trials before `number` that are still to be told, as far as one can know."""
+        ahead = (trials[n] for n in range(self.next, number) if n not in self._history.passed)
+        return sum(trial.state in _TO_BE_TOLD for trial in ahead)
 
     def overdue(self, trials: Trials, generation: int) -> list[int]:
         """Unfinished trials, the first of the log, that are no longer to be waited for.

@@ -120,7 +120,7 @@ class Memory:
         passed = model.stop_waiting(self._trials, trial.number, lesson)
         self._drop_tokens(model)
         late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
-        ask, params = model.ask(trial.number, passed, late)
+        ask, params = model.ask(self._trials, trial.number, passed, late)
         study._storage.set_trial_system_attr(trial._trial_id, ASK, ask.to_json())
         return params
 

@@ -136,10 +136,12 @@ class Model:
             self.catch_up(trials, lesson)
         return passed
 
-    def ask(self, number: int, passed: list[int], late: list[int]) -> tuple[Ask, dict[str, Any]]:
+    def ask(
+        self, trials: Trials, number: int, passed: list[int], late: list[int]
+    ) -> tuple[Ask, dict[str, Any]]:
         """Record and parameters of trial `number`."""
         slot = number - self._first if number >= self._first else _ELSEWHERE + number
-        candidate = self._replica.newest(slot)
+        candidate = self._replica.newest(slot, self._log.out(trials, number))
         ask = Ask(
             self.digest,
             self._replica.generation,
