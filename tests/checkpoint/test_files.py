@@ -41,9 +41,7 @@ def test_a_full_disk_is_an_error_that_names_the_file(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(
-        OSError, match="cannot write .*a: No space left.*; make room"
-    ) as caught:
+    with pytest.raises(OSError, match="cannot write .*a: No space left.*; make room") as caught:
         files.write_text(tmp_path / "a", "new")
     assert caught.value.errno == 28
     assert (tmp_path / "a").read_text() == "old"
