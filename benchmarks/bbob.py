@@ -19,7 +19,6 @@ halves" compares `cma` with itself, one half of the instances with the other: th
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -32,6 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cma
 import cmaes
 import numpy as np
+from quality import append, read
 
 from fide_plugins.fide import FIDE
 from fide_plugins.points import Float64
@@ -234,7 +234,7 @@ def main() -> None:
         print(walls(arguments.walls, arguments.instances))
         return
     out = arguments.table or arguments.out
-    rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+    rows = read(out) if out.exists() else []
     if arguments.table:
         print(table(rows))
         for dim in arguments.by_function:
@@ -249,8 +249,7 @@ def main() -> None:
                     if (function, dim, instance, name) in done:
                         continue
                     row = run(name, function, dim, instance)
-                    with out.open("a") as file:
-                        file.write(json.dumps(row) + "\n")
+                    append(out, row)
         print(f"instance {instance} done", file=sys.stderr, flush=True)
 
 

@@ -24,7 +24,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import machine
+from quality import append, machine
 
 import fide_tasks
 from fide_plugins import FIDE, losses
@@ -155,8 +155,7 @@ def main() -> None:
                 if any(all(row[k] == v for k, v in cell.items()) for row in read(a.out)):
                     continue
                 row = Run(cell).go()
-                with open(a.out, "a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
+                append(a.out, row)
                 print(cell, [round(m["judged"], 5) for m in row["marks"]], flush=True)
 
 

@@ -11,7 +11,6 @@ ratio, with a 95 % interval by bootstrap over the pairs: above 1 the guard costs
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import sys
@@ -23,6 +22,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from quality import append, read
 
 from fide_plugins import harness
 
@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
     out = arguments.table or arguments.out
-    rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+    rows = read(out) if out.exists() else []
     if arguments.table:
         print(table(rows))
         return
@@ -105,8 +105,7 @@ def main() -> None:
     for seed, loss, task, guard in cells:
         if (task, loss, seed, guard, arguments.size) not in done:
             row = run(task, loss, seed, guard, arguments.size)
-            with out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+            append(out, row)
             print(row, file=sys.stderr, flush=True)
 
 

@@ -13,7 +13,6 @@ Every arm has the same seeds; `without` is told losses only.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import sys
@@ -25,6 +24,7 @@ from typing import Any, NamedTuple
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from quality import append, read
 
 import fide_tasks
 from fide_plugins.fide import FIDE
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
     out = arguments.table or arguments.out
-    rows = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+    rows = read(out) if out.exists() else []
     if arguments.table:
         print(table(rows))
         return
@@ -179,8 +179,7 @@ def main() -> None:
                 if needless or (name, arm, seed) in done:
                     continue
                 row = run(name, arm, seed)
-                with out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
+                append(out, row)
                 print(row, file=sys.stderr, flush=True)
 
 

@@ -91,11 +91,8 @@ class Stopwatch:
         return lambda: setattr(owner, method, original)
 
 
-def parts(task_name: str, preset: str, size: int, renders: int, options: dict[str, Any]) -> Any:
-    """Milliseconds an evaluation, by part, of a run by hand."""
-    task = fide_tasks.make(task_name, size=size, seed=0)
-    optimizer = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu", **options)
-    watch = Stopwatch()
+def watched(optimizer: FIDE, watch: Stopwatch) -> list[Callable[[], None]]:
+    """Have the parts of an optimizer timed; returns what ends that."""
     undo = [
         watch.wrap(CMAES, "sample", "search"),
         watch.wrap(CMAES, "tell", "search"),
@@ -105,8 +102,19 @@ def parts(task_name: str, preset: str, size: int, renders: int, options: dict[st
         watch.wrap(optimizer._loss, "compute", "loss"),
     ]
     if optimizer._proposer is not None:
-        watch.wrap(optimizer._proposer, "update", "train")
-        watch.wrap(optimizer._proposer, "propose", "sample")
+        undo += [
+            watch.wrap(optimizer._proposer, "update", "train"),
+            watch.wrap(optimizer._proposer, "propose", "sample"),
+        ]
+    return undo
+
+
+def parts(task_name: str, preset: str, size: int, renders: int, options: dict[str, Any]) -> Any:
+    """Milliseconds an evaluation, by part, of a run by hand."""
+    task = fide_tasks.make(task_name, size=size, seed=0)
+    optimizer = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu", **options)
+    watch = Stopwatch()
+    undo = watched(optimizer, watch)
     try:
         while optimizer.evaluations < renders:
             with watch.part("rest"):

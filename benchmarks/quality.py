@@ -89,9 +89,14 @@ def run_missing(
         if i % parts != part or key(cell) in done:
             continue
         row = (run or run_cell)(cell, *arms[cell["arm"]])
-        with out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        append(out, row)
         print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
+
+
+def append(out: Path, row: Cell) -> None:
+    """Add a row to a file, in a folder that is there."""
+    with out.open("a") as file:
+        file.write(json.dumps(row) + "\n")
 
 
 def grid(arguments: argparse.Namespace) -> Iterator[Cell]:

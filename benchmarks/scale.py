@@ -23,7 +23,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from profile_generation import PARTS, Stopwatch, overhead
+from profile_generation import PARTS, Stopwatch, overhead, watched
 from quality import machine
 
 RESULTS = Path(__file__).parent / "results" / "scale.jsonl"
@@ -60,8 +60,7 @@ def measure(cell: dict[str, Any]) -> dict[str, Any]:
     """Milliseconds of a generation by part, and the largest resident set, MB."""
     import torch
 
-    from fide_plugins import FIDE, fide as fide_module
-    from fide_plugins.search.cma_es import CMAES
+    from fide_plugins import FIDE
 
     torch.set_num_threads(1)
     settings = {**BASE, **cell}
@@ -73,16 +72,7 @@ def measure(cell: dict[str, Any]) -> dict[str, Any]:
     opt = FIDE(dim, task.target, seed=0, device="cpu", guard_images=False, **settings)
     for _ in range(GENERATIONS[preset]):
         watch = Stopwatch()
-        undo = [
-            watch.wrap(CMAES, "sample", "search"),
-            watch.wrap(CMAES, "tell", "search"),
-            watch.wrap(fide_module, "as_batch", "copy"),
-            watch.wrap(opt, "_note", "copy"),
-            watch.wrap(opt._encoder, "compute", "encode"),
-            watch.wrap(opt._loss, "compute", "loss"),
-            watch.wrap(opt._proposer, "update", "train"),
-            watch.wrap(opt._proposer, "propose", "sample"),
-        ]
+        undo = watched(opt, watch)
         with watch.part("rest"):
             X = opt.ask()
         for some in np.array_split(X, -(-len(X) // 100)):  # images of at most 100 at a time

@@ -11,6 +11,7 @@ import optuna
 import pytest
 from optuna.artifacts import FileSystemArtifactStore
 from optuna.distributions import FloatDistribution
+from optuna.trial import FrozenTrial
 from PIL import Image
 
 from fide_adapters.optuna import FIDESampler
@@ -33,6 +34,16 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "independent sampler": ({"independent_sampler": 3}, OptionError, "independent_sampler"),
     "loss without target": ({"target": None, "loss": "mse"}, OptionError, "target"),
 }
+
+
+def with_attributes(bench: Bench, attributes: dict[str, Any], value: float = 0.5) -> FrozenTrial:
+    """A completed trial of the bench's space, with what may be stored beside it."""
+    return optuna.create_trial(
+        params=dict.fromkeys(bench.names, 0.5),
+        distributions=bench.space,
+        value=value,
+        system_attrs=attributes,
+    )
 
 
 @pytest.mark.parametrize("what", WRONG)
@@ -88,14 +99,7 @@ def test_a_constraint_that_is_no_number_is_ignored_with_a_warning(
     for sampler, stored in zip(samplers, (attributes, {"constraints": as_if}), strict=True):
         study = optuna.create_study(sampler=sampler)
         bench.run(study, 5)
-        study.add_trial(
-            optuna.create_trial(
-                params=dict.fromkeys(bench.names, 0.5),
-                distributions=bench.space,
-                value=0.0,
-                system_attrs=stored,
-            )
-        )
+        study.add_trial(with_attributes(bench, stored, value=0.0))
         if stored is attributes:
             with pytest.warns(RuntimeWarning, match="no number") as caught:
                 bench.run(study, 10)
@@ -125,14 +129,7 @@ def test_a_note_of_an_artifact_that_is_none_is_ignored(
     (tmp_path / "store").mkdir()
     store = FileSystemArtifactStore(tmp_path / "store")
     study = optuna.create_study(sampler=bench.sampler(artifact_store=store))
-    study.add_trial(
-        optuna.create_trial(
-            params=dict.fromkeys(bench.names, 0.5),
-            distributions=bench.space,
-            value=0.5,
-            system_attrs={"artifacts:a": stored},
-        )
-    )
+    study.add_trial(with_attributes(bench, {"artifacts:a": stored}))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         bench.run(study, 5)
@@ -163,14 +160,7 @@ def test_foreign_attributes_are_ignored_with_one_warning(
 ) -> None:
     study = optuna.create_study(sampler=bench.sampler())
     for _ in range(3):
-        study.add_trial(
-            optuna.create_trial(
-                params=dict.fromkeys(bench.names, 0.5),
-                distributions=bench.space,
-                value=0.5,
-                system_attrs={key: record},
-            )
-        )
+        study.add_trial(with_attributes(bench, {key: record}))
     if record is None:
         bench.run(study, 5)
     else:
@@ -186,14 +176,7 @@ def test_a_corrupt_code_counts_without_its_image(bench: Bench, code: Any) -> Non
     study = optuna.create_study(sampler=bench.sampler())
     bench.run(study, 5)
     good = study.trials[-1].system_attrs["fide:image"]
-    study.add_trial(
-        optuna.create_trial(
-            params=dict.fromkeys(bench.names, 0.5),
-            distributions=bench.space,
-            value=0.5,
-            system_attrs={"fide:image": {**good, "d": code}},
-        )
-    )
+    study.add_trial(with_attributes(bench, {"fide:image": {**good, "d": code}}))
     with pytest.warns(RuntimeWarning, match="fide:image") as caught:
         bench.run(study, 5)
     assert len(caught) == 1
@@ -214,14 +197,7 @@ def test_a_seed_that_is_none_is_replaced_with_a_warning(bench: Bench, seed: Any)
 def test_records_that_name_trials_that_cannot_be_meant(bench: Bench) -> None:
     study = optuna.create_study(sampler=bench.sampler())
     ask = {"v": 1, "m": "x", "g": 0, "i": 0, "passed": [0, 99], "late": [1, 5, 2**40]}
-    study.add_trial(
-        optuna.create_trial(
-            params=dict.fromkeys(bench.names, 0.5),
-            distributions=bench.space,
-            value=0.5,
-            system_attrs={"fide:ask": ask},
-        )
-    )
+    study.add_trial(with_attributes(bench, {"fide:ask": ask}))
     bench.run(study, 10)
     assert counts_of(study) == {"guest": 1, "member": 10, "image": 10}
 
