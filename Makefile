@@ -5,9 +5,22 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 # of the tests: one process a core, with one thread each, up to eight
 PARALLEL := -n auto --maxprocesses 8
+# of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
+# browsers, databases, renderers and other processes; what they compute is tested in these.
+NUMERIC := $(addprefix tests/,adapters/nevergrad baselines fide search space speed validation)
+# with two threads, so in one process: the parts, and the optimizer
+CORE := $(addprefix tests/,encoders fide losses population proposers search speed)
+# of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
+OUTSIDE := $(addprefix tests/,adapters cli experiments fide fitting learning losses package \
+  renderers tasks/test_contract.py watch)
+# as an x86 CPU without AVX-512, and as one without AVX2
+HASWELL := OPENBLAS_CORETYPE=Haswell ATEN_CPU_CAPABILITY=avx2 \
+  NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
+SANDYBRIDGE := OPENBLAS_CORETYPE=Sandybridge ATEN_CPU_CAPABILITY=default \
+  NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test lint format wheel clean
+.PHONY: setup demo test test-kernels lint format wheel clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -29,6 +42,11 @@ demo: setup
 test: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL)
 
+# The same result on any CPU: other kernels of OpenBLAS, PyTorch and NumPy, and two threads.
+test-kernels: setup
+	OMP_NUM_THREADS=1 $(HASWELL) $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERIC)
+	OMP_NUM_THREADS=2 $(SANDYBRIDGE) $(BIN)/python -m pytest -q $(CORE)
+
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -45,8 +63,8 @@ wheel: setup
 	@$(PYTHON) -m venv build/wheel-test
 	@build/wheel-test/bin/python -m pip --disable-pip-version-check install -qq \
 	  -c constraints.txt "$$(echo dist/*.whl)[dev]"
-	cp -r tests examples README.md pyproject.toml build/wheel-test/
-	cd build/wheel-test && OMP_NUM_THREADS=1 bin/python -P -m pytest -q $(PARALLEL) -o pythonpath= tests
+	cp -r tests examples docs README.md pyproject.toml build/wheel-test/
+	cd build/wheel-test && OMP_NUM_THREADS=1 bin/python -P -m pytest -q $(PARALLEL) -o pythonpath= $(OUTSIDE)
 
 clean:
 	rm -rf build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

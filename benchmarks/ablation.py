@@ -1,9 +1,9 @@
-"""What each part of FIDE is worth: the loss without it, at equal renders.
+"""What each component of FIDE contributes: the loss without it, at equal renders.
 
     python benchmarks/ablation.py voronoi spline --out runs/ablation.jsonl
     python benchmarks/ablation.py --table runs/ablation.jsonl
 
-Cells, files and `--part` are those of `quality.py`.
+Runs, files and `--part` work as in `quality.py`.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ CHANGES: dict[str, dict[str, Any]] = {
     "view: 3 channels": {"views": (3,)},
     "view: all 20 channels": {"views": (20,)},
     "encoder: patch": {"encoder": "patch"},
-    "weights: the best tenth counts": {"elite": 0.1},
+    "weights: the best tenth counts": {"rank_weight_scale": 0.1},
     "source: the best candidate only": {"sources": 1},
     "all of the way, no noise": {"shortest_step": 1.0, "longest_step": 1.0, "noise": 0.0},
     "proposed without evidence": {"evidence": 0.0},
     "share fixed at 0.3": {"share_rate": 0.0},
-    "foreign candidates not guarded": {"guard_search": False},
+    "injected candidates not guarded": {"guard_search": False},
     "memory of 2 generations": {"memory": 2},
     "memory of 6 generations": {"memory": 6},
     "memory of 12 generations": {"memory": 12},

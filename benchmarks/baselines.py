@@ -4,11 +4,12 @@
     python benchmarks/baselines.py --arms DiBO --functions ackley --dims 10 --seeds 1 ...
     python benchmarks/baselines.py --table benchmarks/results/baselines.jsonl
 
-Ackley, Rastrigin, Levy and Rosenbrock in the boxes of the DiBO paper, scaled to the unit cube, and
-shifted: by the seed, by up to a fifth of the box in each parameter, the same for everyone, or else
-the start in the center would be the answer of some.  Every cell (function, dimension, arm, seed) is
-one line of the output file; a second call does what is missing, and a cell of DiBO that was
-interrupted goes on where it stood.  One thread a process; `--part i/n` shares the cells.
+Ackley, Rastrigin, Levy and Rosenbrock in the boxes of the DiBO paper, scaled to the unit cube.  The
+seed shifts each function by up to a fifth of the box in each parameter, in the same way for all
+optimizers.  Without this shift the start in the center is the answer for some functions.  Every run
+(function, dimension, optimizer, seed) is one line of the output file.  A second call does the
+missing runs and continues an interrupted run of DiBO.  One thread per process; `--part i/n` divides
+the runs among n processes.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from quality import Cell, read, run_missing
 
-from fide_plugins import checkpoint, optimizers
+from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.zerograds import ZeroGrads
-from fide_plugins.harness.machine import machine
-from fide_plugins.points import Float64
+from fide_plugins.experiments.run.machine import machine
+from fide_plugins.runtime import checkpoint
+from fide_plugins.types import Float64
 
 MARKS = (100, 300, 600, 1000, 2000, 5000)
 SHIFT = 0.2  # of the box

@@ -1,4 +1,4 @@
-"""The search distribution beside `cma` and `cmaes`, on the 24 BBOB functions, by losses alone.
+"""The search distribution compared with `cma` and `cmaes` on the 24 BBOB functions, no images.
 
     pip install ioh==0.3.22
     python benchmarks/bbob.py --out benchmarks/results/bbob.jsonl
@@ -6,14 +6,15 @@
     python benchmarks/bbob.py --walls 10 --instances 5
 
 The functions are those of Hansen et al. 2009 ("Real-Parameter Black-Box Optimization Benchmarking
-2009: Noiseless Functions Definitions", RR-6829), made by `ioh`, in the box [-5, 5]^d.  All three
-begin in its center with a sixth of its side, have a population of 4 + 3 ln d, keep to the box in
-their own way, and make one search without restarts.  FIDE has `proposer="none"`, and is told no
-image.  Noted are the evaluations after which f - f* first was at most 10^1, 10^0, ..., 10^-8.
+2009: Noiseless Functions Definitions", RR-6829), from `ioh`, in the box [-5, 5]^d.  All three
+optimizers start at the center with a standard deviation of a sixth of the side, have a population
+of 4 + 3 ln d, stay in the box in their own way, and make one search without restarts.  FIDE has
+`proposer="none"` and gets no image.  Each run records the evaluations after which f - f* was first
+at most 10^1, 10^0, ..., 10^-8.
 
-The table counts, over functions and precisions, the pairs (function, precision) that an optimizer
-reached in at least half of its runs, and compares the median evaluations where both did.  "split
-halves" compares `cma` with itself, one half of the instances with the other: that is the noise.
+The table counts the pairs (function, precision) that an optimizer reached in at least half of its
+runs, and compares the median evaluations where both did.  "split halves" compares one half of the
+instances of `cma` with the other half; this shows the noise.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ import numpy as np
 from quality import append, read
 
 from fide_plugins.fide import FIDE
-from fide_plugins.points import Float64
-from fide_plugins.search import box
+from fide_plugins.search import boundary
 from fide_plugins.search.cma_es import CMAES, default_popsize
+from fide_plugins.types import Float64
 
 OPTIMIZERS = ("fide", "cma", "cmaes")
 PRECISIONS = [10.0**power for power in range(1, -9, -1)]
@@ -215,7 +216,7 @@ def near_walls(function: int, dim: int, instance: int, how: str) -> int | None:
             outside = ((z < 0) | (z > 1)).any(axis=1)
             if outside.any():
                 z[outside] = search.sample(int(outside.sum()), rng)
-        losses = loss(z if how == "no box" else box.into(z))
+        losses = loss(z if how == "no box" else boundary.into(z))
         search.tell(z, losses, np.zeros(len(z), bool))
     return loss.reached[-1] if loss.done else None
 

@@ -1,15 +1,15 @@
-"""Which descriptors: what the encoder `dense` was chosen from.
+"""Alternative descriptors for the encoder `dense`.
 
     python benchmarks/descriptors.py noise                    # how much of a distance is noise
-    python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each of them
-    python benchmarks/descriptors.py table                    # of what was fitted
+    python benchmarks/descriptors.py fit voronoi spline robot # FIDE with each descriptor
+    python benchmarks/descriptors.py table                    # results of `fit`
 
 `fit`: 500 renders, mean squared error, the targets and seeds of benchmarks/encoders.py.
 
-All descriptors share a grid of 14 x 14 tokens, but where they say otherwise, and begin with the
-mean colors, so the proposer looks at the colors alone every second time, as it does with `dense`.
-All but `dense` itself are made of the despeckled image, and not smoothed where it is noisy; where
-it is not, `without smoothing` is `dense`.
+Unless stated otherwise, all descriptors have a grid of 14 x 14 tokens and begin with the mean
+colors, so the proposer uses the colors alone every second time, as with `dense`.  All except
+`dense` use the despeckled image and do not smooth noisy images.  On images without noise `without
+smoothing` equals `dense`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from quality import Cell, read, run_missing
 from torch import Tensor
 
 from fide_plugins import encoders
-from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders import dense
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.images import Float32
+from fide_plugins.encoders.despeckle import despeckled
+from fide_plugins.types import Float32
 
 RESULTS = Path(__file__).parent / "results" / "descriptors.jsonl"
 BUDGET = 500  # later, a run has found the right place of every part or not, by chance
@@ -199,7 +199,7 @@ def noise(arguments: argparse.Namespace) -> None:
 
 
 def cost(encoder: PatchEncoder) -> float:
-    """Milliseconds of the processor for a noisy image of 112 x 112, the least of three goes."""
+    """Milliseconds of CPU time for a noisy image of 112 x 112, the least of three goes."""
     images = np.random.default_rng(0).random((24, 112, 112, 3), dtype=np.float32)
     goes = []
     for _ in range(3):

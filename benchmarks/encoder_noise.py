@@ -1,15 +1,15 @@
-"""How much of a distance is noise, and whether it changes the order: a table of docs/encoders.md.
+"""How much of a distance is noise, and how it affects the order: a table of docs/encoders.md.
 
     python benchmarks/encoder_noise.py
 
-24 candidates of Beads as a search meets them at its start, at 112 x 112 and 16 paths a pixel, each
-rendered twice, and a third time with 128 paths, the reference.
+24 candidates of Beads from the start of a search, at 112 x 112 and 16 paths per pixel, each
+rendered twice, and a third time with 128 paths as the reference.
 
-*noise / difference*: the median distance of two renders of one candidate over the median distance
-of renders of different candidates.
+*noise / difference*: the median distance of two renders of one candidate, divided by the median
+distance of renders of different candidates.
 
-*order*: with every reference as the target, Spearman's rank correlation of the distances of the
-noisy renders to it with the mean squared errors of their references; the mean over the targets.
+*order*: each reference in turn is the target; Spearman's rank correlation between the distances of
+the noisy renders to it and the mean squared errors of their references; the mean over the targets.
 
 The renders are kept in runs/; the first call takes half a minute.
 """
@@ -31,7 +31,7 @@ from scipy.stats import spearmanr
 
 import fide_tasks
 from fide_plugins import encoders, losses
-from fide_plugins.images import Float32
+from fide_plugins.types import Float32
 
 CANDIDATES, SPP, REFERENCE_SPP = 24, 16, 128
 RENDERS = Path("runs/descriptors")

@@ -1,13 +1,13 @@
-"""What encoders and losses cost: tables of docs/encoders.md.
+"""Times of encoders and losses: tables of docs/encoders.md.
 
-    python benchmarks/encoder_times.py images               # of an image, each encoder and loss
+    python benchmarks/encoder_times.py images               # per image, each encoder and loss
     python benchmarks/encoder_times.py split voronoi spline # where FIDE's time goes
     python benchmarks/encoder_times.py tokens robot         # what leaving out tokens saves
-    python benchmarks/encoder_times.py batches              # images that a network sees together
+    python benchmarks/encoder_times.py batches              # batch size of a network
 
-All times are milliseconds of the processor, one thread, all but rendering.  `split` and `images`
-take the least of three goes, and so does `batches`; those of `split` take turns with the encoders,
-and those of `batches` with the sizes, so that a machine that has other work is as slow for all.
+All times are milliseconds of CPU time, one thread, without rendering.  `split`, `images` and
+`batches` take the minimum of three repeats.  In `split` the encoders take turns, and in `batches`
+the batch sizes do, so that other programs slow down all of them alike.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def checksums(images: Images) -> None:
 
 
 def fastest(made: Any, images: Images) -> float:
-    """Milliseconds of the processor for an image, the least of the goes; no cache has seen them."""
+    """Milliseconds of CPU time for an image, the least of the goes; no cache has seen them."""
     goes = []
     for go in range(GOES):
         fresh = images * np.float32(1 - go / 1000)
@@ -137,7 +137,7 @@ def in_batches(network: Any, side: int) -> list[float]:
 
 
 class Clocks:
-    """Seconds of the processor in some methods of an optimizer, and in all of its own."""
+    """Seconds of CPU time in some methods of an optimizer, and in all of its own."""
 
     def __init__(self, opt: FIDE) -> None:
         self.seconds = {"encoder": 0.0, "proposer": 0.0, "all": 0.0}

@@ -2,16 +2,16 @@
 
     python benchmarks/encoders.py encoders voronoi spline robot
     python benchmarks/encoders.py losses voronoi spline robot
-    python benchmarks/encoders.py table                     # of what was run
+    python benchmarks/encoders.py table                     # of the recorded runs
     python benchmarks/encoders.py paired                    # is `dense` better than `patch`?
 
-Every run (task, target, arm, seed) is one line of benchmarks/results/encoders.jsonl, appended when
-it is done; a second call does what is missing.  All arms see the same targets, with the same seeds:
-a seed chooses the target, too.  What a run found is judged by every loss, on the task's reference
-image.  Time is that of the processor, one thread, all but rendering.
+Every run (task, target, encoder or loss, seed) is one line of benchmarks/results/encoders.jsonl,
+appended when it ends.  A second call does the missing runs.  All encoders and losses have the same
+targets and seeds: a seed also chooses the target.  Every loss judges each result, on the task's
+reference image.  Times are CPU times, one thread, without rendering.
 
-What has no weights on this machine is left out, and said.  The control is the small DINOv3 with
-random weights; its files are made in runs/, by transformers.
+Encoders without weights on this machine are left out, with a message.  The control is the small
+DINOv3 with random weights; transformers creates its files in runs/.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ from quality import Cell, machine, read, run_missing
 from scipy.stats import wilcoxon
 
 import fide_tasks
-from fide_plugins import encoders, harness, losses
-from fide_plugins.encoders.network import IMAGENET_MEAN, IMAGENET_STD
+from fide_plugins import encoders, losses
+from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
+from fide_plugins.experiments import run as harness
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"
 RUNS = Path("runs/encoders")
@@ -76,7 +77,7 @@ TRACED = ("san_miguel", "beads")  # noisy: what was seen is the luckiest too, wh
 
 
 class Clocked:
-    """A task that counts the processor's time for its renders."""
+    """A task that counts the CPU time of its renders."""
 
     def __init__(self, task: fide_tasks.Task) -> None:
         self.task, self.seconds = task, 0.0

@@ -1,15 +1,15 @@
-"""Samples of a pixel for so much time: few, many, or as noise requires.
+"""Samples per pixel at equal time: few, many, or as noise requires.
 
     python benchmarks/fidelity.py beads san_miguel --seeds 3
     python benchmarks/fidelity.py --table
 
-FIDE (`balanced`, mean squared error) on the tasks of Mitsuba, one thread.  Less than one sample of
-a pixel is one of 2 x 2 or 4 x 4: an image of half or a quarter of the side, enlarged.  A run ends
-after so many seconds of the processor, rendering and all else.  At each mark the best candidate so
-far (of those rendered with the largest number so far) is judged by the task's reference, which
-takes no time of the run's.  A seed chooses the target, the optimizer's random numbers and the
-noise.  Every run is a line of benchmarks/results/fidelity.jsonl, appended when it is done; a second
-call does what is missing.
+FIDE (`balanced`, mean squared error) on the Mitsuba tasks, one thread.  Less than one sample per
+pixel means one sample of 2 x 2 or 4 x 4 pixels: an image of half or a quarter of the side,
+enlarged.  A run ends after a given CPU time, rendering and all else.  At each mark the task's
+reference judges the best candidate so far (of those rendered with the largest number of samples so
+far); this takes no time of the run.  A seed chooses the target, the optimizer's random numbers and
+the noise.  Every run is a line of benchmarks/results/fidelity.jsonl, appended when it ends; a
+second call does the missing runs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from quality import append, machine
 
 import fide_tasks
 from fide_plugins import FIDE, losses
-from fide_plugins.samples import Samples
+from fide_plugins.experiments.run.pixel_samples import PixelSamples
 
 RESULTS = Path(__file__).parent / "results" / "fidelity.jsonl"
 ARMS = (
@@ -120,12 +120,12 @@ class Run:
         return float(self.loss.compute(self.task.reference(x)[None])[0])
 
 
-def rule(arm: str) -> Samples | None:
+def rule(arm: str) -> PixelSamples | None:
     """What chooses the samples, counted on 4 x 4 pixels."""
     if not arm.startswith("as noise requires, "):
         return None
     least, most = arm.removeprefix("as noise requires, ").split(" to ")
-    return Samples(int(Fraction(least) * FINEST**2), int(most) * FINEST**2)
+    return PixelSamples(int(Fraction(least) * FINEST**2), int(most) * FINEST**2)
 
 
 def read(path: Path) -> list[dict[str, Any]]:
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, metavar="ARM")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--size", type=int, default=112)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of the processor, a run (60)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="CPU time of a run (60)")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true")
     a = parser.parse_args()

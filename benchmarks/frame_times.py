@@ -1,12 +1,12 @@
-"""Milliseconds a frame of a task, and where they go; prints a table for docs/tasks.md.
+"""Milliseconds per frame of a task, and where they go; prints a table for docs/tasks.md.
 
     python benchmarks/frame_times.py beads
     python benchmarks/frame_times.py voronoi spline --sizes 64 224
 
-Each row is the fastest of several batches of frames, after frames that load and compile, and of
-several passes over all rows, since few machines are idle all the time. "update",
-"render" and "copy" are parts of the time of a process; where two processes render, each takes
-longer and the frame is ready sooner. Nothing else should run on the machine.
+Each row is the fastest of several batches of frames, after some warm-up frames, and of several
+passes over all rows, since few machines are idle all the time. "update", "render" and "copy" are
+parts of the time of one process; with two processes each takes longer, but the frame is ready
+sooner. Nothing else should run on the machine.
 """
 
 from __future__ import annotations

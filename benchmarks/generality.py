@@ -1,12 +1,12 @@
-"""FIDE and CMA-ES where the settings were not chosen: other targets, and many parameters.
+"""FIDE and CMA-ES on tasks that were not used for tuning: other targets, and many parameters.
 
     python benchmarks/generality.py --out benchmarks/results/generality.jsonl
     python benchmarks/generality.py --table benchmarks/results/generality.jsonl
 
-The two tasks of `quality.py` with targets that were not looked at while FIDE was made (Spline:
-random strokes, which it can draw), and a photograph, the one that comes with matplotlib, drawn by
-20 and by 60 Voronoi cells of five parameters each.  Every cell is one line of the output file; a
-second call does what is missing.
+The two tasks of `quality.py` with targets that were not used during development (Spline: random
+strokes, which it can draw), and a photograph, the one that comes with matplotlib, fitted by 20 and
+by 60 Voronoi cells of five parameters each.  Every run is one line of the output file; a second
+call does the missing runs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import matplotlib
 from quality import ARMS, Cell, measured, read, run_missing
 
 import fide_tasks
-from fide_plugins import harness, images
+from fide_plugins.experiments import run as harness
+from fide_plugins.validation import images
 
 BUDGET, SIZE = 4000, 112
 MARKS = ("500", "1000", "2000", "4000")

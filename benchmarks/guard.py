@@ -1,11 +1,11 @@
-"""What the guard against images that lie costs where they do not: paired runs with and without it.
+"""What the guard against misleading images costs on honest images: paired runs with and without it.
 
     python benchmarks/guard.py --out benchmarks/results/guard.jsonl
     python benchmarks/guard.py --table benchmarks/results/guard.jsonl
 
-Every run has the task's own images and one of the losses; `guard_images` is on or off, seeds and
-targets are the same.  The table has the median best loss of each and the geometric mean of their
-ratio, with a 95 % interval by bootstrap over the pairs: above 1 the guard costs.
+Every run uses the task's own images and one of the losses.  `guard_images` is on or off; seeds and
+targets are the same.  The table shows the median best losses and the geometric mean of their ratio,
+with a 95 % interval by bootstrap over the pairs.  A ratio above 1 is the cost of the guard.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from quality import append, read
 
-from fide_plugins import harness
+from fide_plugins.experiments import run as harness
 
 TASKS, LOSSES = ("voronoi", "spline"), ("loi", "perceptual")
 MARKS = (1000, 2000, 4000)

@@ -2,9 +2,9 @@
 
     python benchmarks/harness_overhead.py
 
-The same optimizer, task, loss and seed, by hand and through the harness with everything that
-`fide compare` records; rendering costs next to nothing, so that the loop is what is left. The two
-take turns, and what counts is the smallest CPU time of each, which other programs disturb least.
+The same optimizer, task, loss and seed run in a loop by hand, and in the run loop with everything
+that `fide compare` records.  Rendering takes almost no time, so the loop remains.  The two take
+turns, and the table shows the minimum CPU time of each, which other programs affect least.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_plugins import harness, losses, optimizers
-from fide_plugins.images import as_batch
+from fide_plugins import losses, optimizers
+from fide_plugins.experiments import run as harness
+from fide_plugins.validation.images import as_batch
 
 
 class Tint:

@@ -2,7 +2,7 @@
 
     python benchmarks/landscape.py san_miguel --task-seeds 0 2
 
-One line for each target and loss: the median loss of candidates that are Gaussian around x_star,
+Prints one line per target and loss: the median loss of candidates that are Gaussian around x_star,
 by the standard deviation in every parameter, and of candidates that are uniform in the box.
 """
 

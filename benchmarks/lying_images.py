@@ -1,13 +1,13 @@
-"""What images that lie cost: evaluations to a target loss, beside the same search without images.
+"""What misleading images cost: evaluations to a target loss, compared with a search without images.
 
     python benchmarks/lying_images.py --out runs/lying.jsonl
     python benchmarks/lying_images.py --table runs/lying.jsonl
 
-Problems: a sphere and Rosenbrock's function of ten parameters, whose losses are told, beside images
-that show all ten; and the task voronoi, 8 cells, mean squared error.  Images are what the renderer
-made ("honest"), noise, always the same, those of other candidates, or true with a target that no
-parameters reach ("unreachable": noise).  Of voronoi the losses are then those of that target.
-Every arm has the same seeds; `without` is told losses only.
+Problems: a sphere and Rosenbrock's function of ten parameters, with images that show all ten; and
+the task voronoi, 8 cells, mean squared error.  Images are those of the renderer ("honest"), noise,
+constant, those of other candidates, or true images with a target that no parameters reach
+("unreachable": noise).  In the last problem of voronoi the losses are also those of such a target.
+All configurations have the same seeds; `without` gets losses only.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from quality import append, read
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 ARMS = ("without", "noise", "constant", "others", "unreachable", "honest")
 DIM, SIZE = 10, 32

@@ -1,12 +1,12 @@
-"""Whether candidates whose images are near the target's are near its parameters, too.
+"""How near the candidates with the nearest images are to the parameters of the target.
 
     python benchmarks/nearest.py san_miguel robot
 
-Of uniform candidates, those twenty are taken whose images are nearest to the target, by each loss
-and by features: the tokens of `dense` as they are, and means and deviations of them over parts of
-the image, which forget where in a part something is.  How far are they from x_star, in every
-parameter, compared with all candidates?  1 is no nearer than any, 0 is there.  Medians over the
-twenty, mean over parameters and targets.  All targets share the candidates' renders.
+The script draws uniform candidates and takes the twenty whose images are nearest to the target, by
+each loss and by features: the tokens of `dense`, and their means and deviations over regions of the
+image, which do not contain positions inside a region.  It compares their distance from x_star in
+every parameter with that of all candidates: 1 means no nearer, 0 means equal to x_star.  Medians
+over the twenty, mean over parameters and targets.  All targets share the candidates' renders.
 """
 
 from __future__ import annotations

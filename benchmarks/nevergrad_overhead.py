@@ -2,10 +2,11 @@
 
     OMP_NUM_THREADS=1 python benchmarks/nevergrad_overhead.py
 
-Processor time of one trial (ask and tell with a loss and an image that is there already): FIDE
-alone, one candidate at a time; the same candidates through Nevergrad; an optimizer of Nevergrad's
-that does nothing but draw (what Nevergrad itself costs); and its CMA-ES on the loss.  Blocks of
-trials alternate, so that what else runs meets all alike; the median, and the least of all blocks.
+CPU time of one trial (ask, and tell with a loss and an existing image): FIDE alone, one candidate
+at a time; the same candidates through Nevergrad; a Nevergrad optimizer that only draws at random
+(the cost of Nevergrad itself); and Nevergrad's CMA-ES on the loss.  Blocks of trials alternate, so
+that other programs affect all of them alike.  The table shows the median and the minimum of all
+blocks.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""FIDE told images that say nothing, beside CMA-ES told none, for docs/nevergrad.md.
+"""FIDE with uninformative images compared with CMA-ES without images, for docs/nevergrad.md.
 
     OMP_NUM_THREADS=1 nice python benchmarks/nevergrad_uninformative.py
 
-The loss is that of eight Voronoi cells (40 parameters); the image beside it is the true one, one
-gray picture for all, or fresh noise.  CMA-ES is FIDE told the same losses without images.  Seeds
-are paired: a search and its comparison begin with the same candidates.  Compared is the best loss
-after the budget, as a ratio to that of CMA-ES: its geometric mean over seeds, and what 95 % of
-resamplings of the seeds stay below.
+The loss is that of eight Voronoi cells (40 parameters).  The image is the true one, the same gray
+image for all candidates, or new noise.  CMA-ES is FIDE with the same losses and no images.  Seeds
+are paired: a search and its comparison start with the same candidates.  The table shows the ratio
+of the best loss after the budget to that of CMA-ES: its geometric mean over seeds, and the value
+that 95 % of resamplings of the seeds stay below.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--budget", type=int, default=1500)
     parser.add_argument("--size", type=int, default=32)
-    parser.add_argument("--out", help="file to add results to, and to take them from")
+    parser.add_argument("--out", help="file of results: read, and appended to")
     options = parser.parse_args()
     known: dict[tuple[str, int], float] = {}
     if options.out and os.path.exists(options.out):

@@ -1,14 +1,14 @@
-"""Noise of a task that is rendered by random paths, for docs/tasks.md.
+"""Noise of a task rendered by random paths, for docs/tasks.md.
 
     python benchmarks/noise.py san_miguel beads --size 64
     python benchmarks/noise.py beads --losses mse loi perceptual --spp 16 64
 
-One row for each number of paths a pixel: the standard error of a pixel at x_star and the mean
-squared error of a render of x_star against its target, of 128 renders and all targets. Standard
-errors are averaged as squares, since rare bright paths make the noise: the plain mean would be
-smaller, and still smaller of fewer renders, of which most have seen no such path.
-With --losses, a row for each loss instead: of renders of x_star, mean and standard deviation, and
-of candidates as a search meets them at its start, mean and lowest, for the target of seed 0.
+Prints one row per number of paths per pixel: the standard error of a pixel at x_star and the mean
+squared error of a render of x_star against its target, from 128 renders and all targets. Standard
+errors are averaged as squares, since rare bright paths cause the noise: the plain mean would be
+smaller, and smaller still with fewer renders, most of which contain no such path.
+With --losses it prints one row per loss instead: mean and standard deviation over renders of
+x_star, and mean and minimum over candidates from the start of a search, for the target of seed 0.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""What it costs that workers learn from features as they are stored, in 1,300 bytes.
+"""What is lost when workers learn from stored features, compressed to 1,300 bytes.
 
     python benchmarks/optuna_codec.py --out benchmarks/results/optuna_codec.jsonl
     python benchmarks/optuna_codec.py --table benchmarks/results/optuna_codec.jsonl
 
-Eight Voronoi cells, 40 parameters; the optimizer is told features, either as the encoder gives them
-or as they come out of the storage.  The same targets and seeds for both; a second call does what is
-missing.
+Eight Voronoi cells, 40 parameters.  The optimizer gets features either from the encoder or from the
+storage, with the same targets and seeds.  A second call does the missing runs.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ import numpy as np
 import torch
 
 import fide_tasks
-from fide_adapters.optuna_parts.eye import Eye
+from fide_adapters.optuna.features import ImageEvaluator
 from fide_plugins import FIDE
 
 MARKS = (500, 1000, 2000)
@@ -34,16 +33,16 @@ ARMS = ("full", "stored")
 def run(arm: str, task_seed: int, seed: int) -> dict[str, Any]:
     """Best losses at the marks."""
     task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
-    eye = Eye(task.target, None, "dense", "cpu")
     optimizer = FIDE(task.dim, task.target, seed=seed)
+    evaluator = ImageEvaluator(lambda: optimizer.evaluator)
     losses: list[float] = []
     while optimizer.evaluations < MARKS[-1]:
         X = optimizer.ask()
         images = task.render(X)
-        told = [eye.loss(image[None]) for image in images]
-        features = torch.stack([eye.tokens(image[None]) for image in images])
+        told = [evaluator.loss(image[None]) for image in images]
+        features = torch.stack([evaluator.tokens(image[None]) for image in images])
         if arm == "stored":
-            stored = [eye.codec.unpack(eye.codec.pack(f)) for f in features]
+            stored = [evaluator.codec.unpack(evaluator.codec.pack(f)) for f in features]
             features = torch.stack([f for f in stored if f is not None])
         optimizer.tell(X, losses=told, features=features)
         losses += told

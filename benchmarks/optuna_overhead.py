@@ -1,12 +1,12 @@
-"""What a trial costs beyond rendering, in Optuna and without, up to trial 20,000.
+"""Time of a trial beyond rendering, with Optuna and without, up to trial 20,000.
 
     python benchmarks/optuna_overhead.py --out benchmarks/results/optuna_overhead.jsonl
 
-20 parameters, images of 32 x 32, everything in memory, processor time of this process.  *Core* is
-the optimizer asked and told one candidate at a time; *Optuna itself* is a study whose sampler draws
-at random; *FIDE beyond both* is what is left of a trial with `FIDESampler`.  `CmaEsSampler` goes on
-with a study that was filled with trials of its space.  All take turns in blocks of 20 trials, and
-figures are medians over blocks, so that other work on the machine meets all of them alike.
+20 parameters, images of 32 x 32, everything in memory, CPU time of this process.  *Core* is the
+optimizer with ask and tell of one candidate at a time; *Optuna itself* is a study whose sampler
+draws at random; *FIDE beyond both* is the rest of a trial with `FIDESampler`.  `CmaEsSampler`
+continues a study filled with trials of its space.  All take turns in blocks of 20 trials, and
+numbers are medians over blocks, so that other programs affect all of them alike.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def cma(trials: int) -> Step:
 
 
 def milliseconds(steps: dict[str, Step]) -> dict[str, float]:
-    """Processor time of a step of each, the median of blocks; all go on by a window."""
+    """CPU time of a step of each, the median of blocks; all go on by a window."""
     times: dict[str, list[float]] = {name: [] for name in steps}
     for _ in range(WINDOW // BLOCK):
         for name, step in steps.items():

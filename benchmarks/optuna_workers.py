@@ -1,15 +1,15 @@
-"""How many trials several workers need for what one worker reaches.
+"""How many trials several workers need for the result of one worker.
 
     python benchmarks/optuna_workers.py --out benchmarks/results/optuna_workers.jsonl
     python benchmarks/optuna_workers.py --table benchmarks/results/optuna_workers.jsonl
 
-Eight Voronoi cells, 40 parameters.  Workers are samplers of their own on one study in memory; they
-take turns in the order of a clock that is not real: a trial takes a time drawn from a log-normal
-distribution (standard deviation 0.3 of the logarithm), asking and telling take none.  So the
-figures do not depend on how many cores there are.  The same targets and seeds for all.
+Eight Voronoi cells, 40 parameters.  Each worker has its own sampler; all share one study in memory.
+They take turns by a simulated clock: the time of a trial is drawn from a log-normal distribution
+(standard deviation 0.3 of the logarithm), and asking and telling take no time.  So the results do
+not depend on the number of cores.  The same targets and seeds for all.
 
-With ``--direct`` there is one replica of the optimizer in place of the samplers, which is told what
-they would read from the storage: the same losses to the last digit, in a quarter of the time.
+With ``--direct`` one replica of the optimizer replaces the samplers.  It gets what they would read
+from the storage: the same losses to the last digit, in a quarter of the time.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from torch import Tensor
 
 import fide_tasks
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna_parts.eye import Eye
+from fide_adapters.optuna.features import ImageEvaluator
 from fide_plugins import FIDE
-from fide_plugins.replica import Replica
+from fide_plugins.distributed.replica import Replica
 
 TRIALS = 1000
 EVERY = 25
@@ -82,8 +82,8 @@ def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
 def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
     """As `run`, by what every sampler does with what it reads."""
     task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
-    eye = Eye(task.target, None, "dense", "cpu")
     replica = Replica(FIDE(task.dim, task.target, seed=seed))
+    evaluator = ImageEvaluator(lambda: replica.optimizer.evaluator)
     clock = np.random.default_rng([seed, workers])
     busy: list[tuple[float, int]] = []
     asked: list[tuple[int, int, bool, Any]] = []  # generation, slot, proposed, x; by number
@@ -102,11 +102,11 @@ def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
         begin(0.0)
     while len(losses) < TRIALS:
         now, number = heapq.heappop(busy)
-        image = eye.image(task.render(asked[number][3][None])[0])
-        tokens: Tensor | None = eye.tokens(image)
+        image = evaluator.read(task.render(asked[number][3][None])[0])
+        tokens: Tensor | None = evaluator.tokens(image)
         if tokens is not None and workers > 1:  # who is alone learns from features as they are
-            tokens = eye.codec.unpack(eye.codec.pack(tokens))
-        done[number] = eye.loss(image), tokens
+            tokens = evaluator.codec.unpack(evaluator.codec.pack(tokens))
+        done[number] = evaluator.loss(image), tokens
         losses.append(done[number][0])
         while told in done:
             generation, slot, proposed, x = asked[told]
@@ -203,7 +203,7 @@ def ratio(runs: Runs, alone: Runs, n: int) -> float:
 
 def sum_of(counts: dict[str, int]) -> int:
     """Trials that were told."""
-    return sum(counts.get(role, 0) for role in ("member", "foreign", "late", "guest"))
+    return sum(counts.get(role, 0) for role in ("member", "altered", "late", "injected"))
 
 
 def trials_to(curve: Any, level: float) -> float:

@@ -1,13 +1,13 @@
-"""Where the time of a generation goes, and how near training comes to what the processor can do.
+"""Where the time of a generation goes, and how close training comes to the CPU's peak.
 
     python benchmarks/profile_generation.py parts voronoi spline --presets balanced fast paper
     python benchmarks/profile_generation.py training
-    python benchmarks/profile_generation.py kernels     # what a training step consists of
+    python benchmarks/profile_generation.py kernels     # the operators of a training step
     python benchmarks/profile_generation.py ways        # threads, batches, compiled or not
-    python benchmarks/profile_generation.py table           # of what was run
+    python benchmarks/profile_generation.py table       # of the recorded measurements
 
-Times are the processor's, one thread, so that other programs disturb them little; every part counts
-without the parts that it calls.  Every measurement is a line of the file `--out`.
+Times are CPU times, one thread, so that other programs affect them little.  The time of each part
+excludes the parts that it calls.  Every measurement is a line of the file `--out`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Shape = Sequence[int]  # (batch, heads, tokens, channels)
 
 
 class Stopwatch:
-    """Processor time by part; a part that calls another stands still meanwhile."""
+    """CPU time by part; a part that calls another stands still meanwhile."""
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys(PARTS, 0.0)
@@ -192,7 +192,7 @@ def a_proposer(T: int, C: int, **options: Any) -> tuple[Any, Any, torch.Tensor, 
 
 
 def kernels(T: int, C: int, **options: Any) -> dict[str, float]:
-    """Share of each kind of operator in the processor's time of an epoch; of attention, in FLOP."""
+    """Share of each kind of operator in the CPU time of an epoch; of attention, in FLOP."""
     epoch = epoch_of(T, C, **options)
     epoch()
     with counted() as counter:
@@ -348,8 +348,8 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("tasks", nargs="*", default=["voronoi"])
     parser.add_argument("--presets", nargs="+", default=["fast", "balanced", "accurate", "paper"])
     parser.add_argument("--sizes", nargs="+", type=int, default=[112, 224])
-    parser.add_argument("--epochs", type=int, default=4, help="of the paper's preset")
-    parser.add_argument("--renders", type=int, default=1000, help="twice as many of the paper's")
+    parser.add_argument("--epochs", type=int, default=4, help="epochs of the preset paper (4)")
+    parser.add_argument("--renders", type=int, default=1000, help="renders; paper: twice as many")
     parser.add_argument("--out", type=Path, default=RESULTS)
     return parser.parse_args()
 

@@ -1,12 +1,12 @@
-"""Wall time beside CMA-ES's, with a renderer that takes 10 ms and leaves the processor alone.
+"""Wall time relative to CMA-ES, with a renderer that takes 10 ms and does not use the CPU.
 
     python benchmarks/profile_overlap.py --renders 1000
 
-The same task for all, Voronoi with 8 cells at 112 x 112, whose frames come late, as from a GPU or
-another program.  The network is trained for 4 epochs, in the background and not.  Each optimizer
-runs alone: while another had its turn, its training would go on unseen.  The clocks run from the
-end of one generation to the end of a later one, so that they hold as much training as rendering;
-that of the processor counts all threads.  Of several repeats the median is shown.
+The task is the same for all, Voronoi with 8 cells at 112 x 112.  Its frames are delayed, as if a
+GPU or another program rendered them.  The network trains for 4 epochs, in the background and not.
+Each optimizer runs alone: otherwise its training could continue during another one's turn.  Times
+are measured from the end of one generation to the end of a later one, so that they contain as much
+training as rendering.  CPU time counts all threads.  The table shows the median of the repeats.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Late:
     def __init__(self, name: str, options: dict[str, Any], frame: float) -> None:
         self.task = fide_tasks.make("voronoi", size=112, seed=0)
         self.optimizer = optimizers.make(name, self.task.dim, self.task.target, seed=0, **options)
-        self.ask = getattr(self.optimizer, "ask_ready", self.optimizer.ask)
+        self.ask = self.optimizer.ask_ready
         self.frame = frame
 
     def times(self, renders: int) -> tuple[float, float]:
-        """Milliseconds of wall and processor a render, after the first 500."""
+        """Milliseconds of wall and CPU time a render, after the first 500."""
         self._go_on(GENERATION)
         before, wall, cpu = self.optimizer.evaluations, time.perf_counter(), time.process_time()
         self._go_on(GENERATION + renders)
@@ -75,7 +75,7 @@ def main() -> None:
     for _ in range(arguments.repeats):
         for arm, times in found.items():
             times.append(Late(*ARMS[arm], arguments.frame).times(arguments.renders))
-    print("| | ms a render | beside the first | ms of the processor |\n|---|---|---|---|")
+    print("| | ms a render | beside the first | ms of CPU time |\n|---|---|---|---|")
     medians = {arm: np.median(times, axis=0) for arm, times in found.items()}
     first, _ = medians[arguments.arms[0]]
     for arm, (wall, cpu) in medians.items():

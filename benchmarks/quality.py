@@ -1,11 +1,11 @@
-"""Loss against renders: FIDE, its parts, and CMA-ES at every population, in one run.
+"""Loss against renders: FIDE, its presets, and CMA-ES at three populations, in one run.
 
     python benchmarks/quality.py voronoi spline --out runs/quality.jsonl
     python benchmarks/quality.py --table runs/quality.jsonl
 
-Every cell (task, target, optimizer, seed) is one line of the output file, appended when it is
-done; a second call does what is missing.  One thread a process; use `--part i/n` to share the
-cells among n processes.  All optimizers see the same targets, with the same seeds.
+Every run (task, target, optimizer, seed) is one line of the output file, appended when it ends; a
+second call does the missing runs.  One thread per process; `--part i/n` divides the runs among n
+processes.  All optimizers have the same targets and seeds.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from fide_plugins import harness
-from fide_plugins.harness.machine import machine
+from fide_plugins.experiments import run as harness
+from fide_plugins.experiments.run.machine import machine
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
 RIVAL = "CMA-ES"
@@ -158,6 +158,11 @@ def read(paths: Path | list[Path]) -> list[Cell]:
     """Rows of one or several files."""
     several = paths if isinstance(paths, list) else [paths]
     return [json.loads(line) for path in several for line in path.read_text().splitlines()]
+
+
+def rows_of(out: Path) -> list[Cell]:
+    """Rows of a file; none if it is not there yet."""
+    return read(out) if out.exists() else []
 
 
 def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:

@@ -1,14 +1,14 @@
-"""What a generation costs with many parameters, candidates, pixels: exponents, and memory.
+"""Time and memory of a generation with many parameters, candidates, pixels; with exponents.
 
-    python benchmarks/scale.py dim popsize size         # what is missing of these three rows
+    python benchmarks/scale.py dim popsize size         # the missing measurements of these rows
     python benchmarks/scale.py network tokens           # the network: by parameters, image tokens
     python benchmarks/scale.py table
 
-Each cell is a process of its own, for its largest resident set, and a line of the results; a second
-call does what is missing.  The renderer is a linear map to 8 x 8 colors, nearly free.  Times are
-the processor's, one thread, without rendering, the mean of some generations: of eight once the
-linear proposer remembers all that it will, since the covariance of many parameters is decomposed in
-one of several.
+Each measurement has a process of its own, for its maximum resident set size, and is one line of the
+results; a second call does the missing ones.  The renderer is a linear map to 8 x 8 colors, which
+takes almost no time.  Times are CPU times, one thread, without rendering: the mean of eight
+generations after the buffer of the linear proposer is full.  Several are needed, since with many
+parameters the covariance is decomposed only in one of several generations.
 """
 
 from __future__ import annotations

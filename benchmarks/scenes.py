@@ -5,14 +5,14 @@
     python benchmarks/scenes.py --table
     python benchmarks/scenes.py --pictures
 
-Every cell (task, loss, optimizer, seed) is one line of benchmarks/results/scenes.jsonl, appended
-when it is done; a second call does what is missing. A seed chooses the target, the optimizer's
-random numbers and the renderer's noise. What a run found is judged after it, by both losses, on the
-task's reference, which no optimizer has seen: its best candidate, which of a noisy task is the
-luckiest too, and its recommendation.
+Every run (task, loss, optimizer, seed) is one line of benchmarks/results/scenes.jsonl, appended
+when it ends; a second call does the missing runs. A seed chooses the target, the optimizer's random
+numbers and the renderer's noise. After a run both losses judge its result on the task's reference,
+which no optimizer has seen: the best candidate, which with noise is also the luckiest, and the
+recommendation.
 
-A robot renders on one core, so two processes may share the cells by `--part`. Mitsuba uses all
-cores, so one process is enough; `--threads` leaves some to others, and changes no image.
+Robot renders on one core, so two processes may divide the runs by `--part`. Mitsuba uses all cores,
+so one process is enough; `--threads` leaves some cores to other programs, and changes no image.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from quality import ARMS, Arms, Cell, measured, read, run_missing
 from task_pictures import save
 
 import fide_tasks
-from fide_plugins import encoders, harness, losses
+from fide_plugins import encoders, losses
+from fide_plugins.experiments import run as harness
 
 
 class Scene(NamedTuple):
@@ -84,12 +85,12 @@ def parse_arguments() -> argparse.Namespace:
     add("--seeds", type=int, nargs="+", help="0 1 2 for robot, 0 for the others")
     add("--size", type=int, default=112, metavar="PX")
     add("--budget", type=int, help="renders; 10,000 for robot, 6,000 for the others")
-    add("--spp", type=int, help="paths a pixel; 8 for san_miguel, 16 for beads")
+    add("--spp", type=int, help="paths per pixel; 8 for san_miguel, 16 for beads")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
-    add("--part", default="0/1", metavar="I/N", help="the cells of this process")
-    add("--threads", type=int, help="of Mitsuba; all cores by default")
-    add("--table", action="store_true", help="print the table of the file")
-    add("--pictures", action="store_true", help="draw the pictures of the file")
+    add("--part", default="0/1", metavar="I/N", help="the runs of this process")
+    add("--threads", type=int, help="threads of Mitsuba; default: all cores")
+    add("--table", action="store_true", help="print the table of the results")
+    add("--pictures", action="store_true", help="draw the pictures of the results")
     add("--images", type=Path, default=Path("docs/images"), metavar="DIR")
     arguments = parser.parse_args()
     unknown = set(arguments.tasks) - set(SCENES)

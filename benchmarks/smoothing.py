@@ -1,10 +1,10 @@
-"""Ways to take noise out of the samples of `dense`: what its smoothing was chosen from.
+"""Methods to remove noise from the samples of `dense`: the alternatives to its smoothing.
 
     python benchmarks/smoothing.py
 
 The columns are those of benchmarks/encoder_noise.py, on the same renders, and the milliseconds of
-the processor for an image, all of `dense` included.  Every way is applied in full, whatever the
-noise of an image, but for `dense` itself; the references are encoded by `dense` without smoothing.
+CPU time per image, with all of `dense`.  Every method except `dense` itself is applied in full,
+whatever the noise of an image.  `dense` without smoothing encodes the references.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import numpy as np
 import torch
 from encoder_noise import Matrix, noise_share, of_loss, order, renders
 
-from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders.dense import DenseEncoder, less_noisy, sampled
-from fide_plugins.images import Float32
+from fide_plugins.encoders.despeckle import despeckled
+from fide_plugins.types import Float32
 
 Step = Callable[[Float32], Float32]  # of an image, or of samples
 SAMPLES = 28

@@ -1,11 +1,11 @@
-"""How long the parts that every candidate passes through take, by pytest-benchmark.
+"""Times of the code that every candidate passes through, by pytest-benchmark.
 
     python -m pytest benchmarks/speed_suite.py --benchmark-only
     python -m pytest benchmarks/speed_suite.py --benchmark-only --benchmark-autosave
     python -m pytest benchmarks/speed_suite.py --benchmark-only --benchmark-compare
 
-Not part of the tests: seconds need a machine that does nothing else, though they are the
-processor's.  `tests/speed` counts the work instead.  What is promised is checked.
+This suite is not part of the tests: its times, although CPU times, need an otherwise idle machine.
+`tests/speed` counts the work instead.  The limits in docs/speed.md are checked.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.benchmark(warmup=True, warmup_iterations=2, timer=time.
 MOST = {"fast": 0.7, "balanced": 2.0, "accurate": 2.0}
 """Milliseconds a candidate that are promised at 112 x 112."""
 LATER = 1.05
-"""Wall time beside CMA-ES's that is promised with a renderer of 10 ms."""
+"""Wall time relative to CMA-ES that is promised with a renderer of 10 ms."""
 
 
 @pytest.mark.parametrize("size", [112, 224])
@@ -93,7 +93,7 @@ def test_an_epoch(
 ) -> None:
     """Of the network, on 200 candidates of 40 parameters."""
     if precision == "bfloat16" and not has_bfloat16(torch.device("cpu")):
-        pytest.skip("this processor has no products in bfloat16")
+        pytest.skip("this CPU has no products in bfloat16")
     rng = np.random.default_rng(0)
     x, images = rng.random((200, 40)), torch.rand(200, tokens, 768)
     proposer = DiffusionProposer(

@@ -2,8 +2,8 @@
 
     python benchmarks/task_pictures.py san_miguel
 
-Each picture, docs/images/TASK.png, has on the left one view; on the right above, the targets of the
-seeds 0, 1, 2; below, three random candidates as a search meets them at its start.
+Each picture, docs/images/TASK.png, shows one view on the left, the targets of the seeds 0, 1, 2 at
+the top right, and three random candidates from the start of a search at the bottom right.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("tasks", nargs="+", metavar="TASK", choices=fide_tasks.names())
+    parser.add_argument("tasks", nargs="+", metavar="TASK", choices=fide_tasks.names("all"))
     parser.add_argument("--out", type=Path, default=Path("docs/images"), metavar="DIR")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,10 @@
-"""Compare optimizers on one task: the same target, the same budget, some seeds."""
+"""Compare optimizers on one task: the same target, the same budget, several seeds."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins import harness
+from fide_plugins.experiments import run as harness
 
 BUDGET, SEEDS = 600, range(2)
 

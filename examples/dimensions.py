@@ -1,12 +1,12 @@
 """More parameters need more renders: Voronoi pictures of 8, 12 and 16 cells.
 
-40, 60 and 80 parameters, and the same start for all; writes the curves and what was
-found.
+40, 60 and 80 parameters, with the same start for all.  Writes a picture of the loss curves and the
+results.
 
     python examples/dimensions.py
     python examples/dimensions.py --size 224 --budget 25000 [--set preset=paper]
 
-A quarter of a minute in its default setting.
+Takes a quarter of a minute with the default options.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fide_plugins import harness, settings
+from fide_plugins.experiments import run as harness
+from fide_plugins.validation import key_value
 
 
 def draw(results: list[harness.RunResult], targets: list[np.ndarray], path: Path) -> None:
-    """Write the loss against renders, and each target beside what was found."""
+    """Write the loss against renders, and each target beside its result."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -33,7 +34,7 @@ def draw(results: list[harness.RunResult], targets: list[np.ndarray], path: Path
         curve.semilogy(np.minimum.accumulate(result.losses), label=f"{result.dim} parameters")
         for row, (image, title) in enumerate(((target, "target"), (result.image, "found"))):
             axis = figure.add_subplot(grid[row, 2 + i])
-            if image is not None:  # None: no loss was finite
+            if image is not None:  # None if no loss was finite
                 axis.imshow(image)
             axis.set(xticks=[], yticks=[])
             axis.set_title(f"{title}, {result.dim}" if row == 0 else title, fontsize=9)
@@ -45,14 +46,14 @@ def draw(results: list[harness.RunResult], targets: list[np.ndarray], path: Path
 
 
 def main() -> None:
-    """Run all, print a table, draw the picture."""
+    """Run all, print a table, write the picture."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--cells", type=int, nargs="+", default=[8, 12, 16])
-    parser.add_argument("--size", type=int, default=64, help="of the images, in pixels")
+    parser.add_argument("--size", type=int, default=64, help="image side, pixels")
     parser.add_argument("--budget", type=int, default=2000, help="renders")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="options of FIDE")
-    parser.add_argument("--out", type=Path, default=Path("dimensions.png"), help="the picture")
+    parser.add_argument("--out", type=Path, default=Path("dimensions.png"), help="output image")
     args = parser.parse_args()
     marks = [round(args.budget * share) for share in (0.1, 0.25, 0.5, 1.0)]
     print("parameters" + "".join(f"{f'MSE at {mark}':>16}" for mark in marks))
@@ -66,7 +67,7 @@ def main() -> None:
             args.seed,
             size=args.size,
             task_options={"cells": cells},
-            options=dict(settings.parse(text) for text in args.set),
+            options=dict(key_value.parse(text) for text in args.set),
         )
         results.append(run.execute())
         targets.append(run.target)

@@ -1,25 +1,25 @@
-"""How long the published denoiser is trained in each generation: epochs against time.
+"""How long to train the published denoiser in each generation: epochs against time.
 
-More epochs cost time and, up to a point, save renders (the paper runs 4 to 20).
+More epochs cost time and, up to a point, save renders (the paper uses 4 to 20).
 
     python examples/epochs_against_time.py
     python examples/epochs_against_time.py --size 224 --popsize 500 --budget 25000 --epochs 4 10 20
 
-Half a minute in its default setting; hours in the second.
+The first command takes half a minute, the second hours.
 """
 
 from __future__ import annotations
 
 import argparse
 
-from fide_plugins import harness
+from fide_plugins.experiments import run as harness
 
 
 def main() -> None:
-    """Run the published method with each number of epochs, and print what came of it."""
+    """Run the published method with each number of epochs, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--task", default="spline")
-    parser.add_argument("--size", type=int, default=64, help="of the images, in pixels")
+    parser.add_argument("--size", type=int, default=64, help="image side, pixels")
     parser.add_argument("--epochs", type=int, nargs="+", default=[1, 4, 12])
     parser.add_argument("--popsize", type=int, default=40)
     parser.add_argument("--budget", type=int, default=800, help="renders")
@@ -38,7 +38,7 @@ def main() -> None:
                 "preset": "paper",
                 "epochs": epochs,
                 "popsize": args.popsize,
-                "overlap": False,  # all of the training is to be seen
+                "background_training": False,  # so that the time includes all training
             },
         )
         half = result.losses[: args.budget // 2].min()

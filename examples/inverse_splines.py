@@ -1,13 +1,13 @@
-"""The inverse step alone: one look at a stroke, and a guess at its control points.
+"""The inverse step alone: predict the control points of a stroke from one image.
 
-A network learns from random strokes which control points made an image, over the whole box, with
-no evolution (the paper's Sec. 4.1).  With two control points its samples resemble the target; with
-each further one they are vaguer, though still nearer to it than random strokes; FIDE, with fewer
-renders, goes on to find it.
+A network learns from random strokes which control points produced an image, over the whole box,
+without evolution (the paper's Sec. 4.1).  With two control points its samples resemble the target.
+With more points they are less accurate, but still nearer to the target than random strokes.  FIDE
+then finds the target with fewer renders.
 
     python examples/inverse_splines.py [--scenes 50000 --epochs 30] [--out splines.png]
 
-Three quarters of a minute in its default setting.
+Takes three quarters of a minute with the default options.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_plugins import FIDE, encoders
-from fide_plugins.proposers.inverse import InversePredictor
+from fide_plugins.baselines.posterior_sampler import PosteriorSampler
 from fide_tasks.base import Task
 
 Floats = NDArray[np.float64]
-THICKNESS = 0.15  # of the stroke, in units of the image's side; known to everyone
+THICKNESS = 0.15  # of the stroke, in image sides; known to all methods
 SHOWN = 4  # samples in the picture
 
 
@@ -54,7 +54,7 @@ class Strokes:
 
 @dataclass(frozen=True)
 class Row:
-    """What was found for one number of control points, (n, d) each."""
+    """The results for one number of control points, (n, d) each."""
 
     strokes: Strokes
     random: Floats
@@ -68,7 +68,7 @@ class Row:
 
 
 def make_strokes(points: int, size: int, seed: int) -> Strokes:
-    """A random stroke to be found, with that many control points."""
+    """The task of finding a random stroke with that many control points."""
     task = fide_tasks.make("spline", size, seed, control_points=points, target="random")
     assert task.x_star is not None
     strokes = Strokes(task, task.target)
@@ -76,11 +76,11 @@ def make_strokes(points: int, size: int, seed: int) -> Strokes:
 
 
 def solve(strokes: Strokes, scenes: int, epochs: int, renders: int, seed: int) -> Row:
-    """Ask the inverse step, chance, and FIDE."""
+    """Compare the inverse step, random strokes, and FIDE."""
     encode = encoders.make("patch")
     x = np.random.default_rng(seed).random((scenes, strokes.dim))
     small = {"batch_size": 100, "width": 32, "blocks": 2}
-    predictor = InversePredictor(strokes.dim, seed=seed, learning_rate=2e-3, **small)
+    predictor = PosteriorSampler(strokes.dim, seed=seed, learning_rate=2e-3, **small)
     predictor.fit(x, encode(strokes.render(x)), epochs)
     samples = predictor.sample(100, encode(strokes.target[None])[0])
     opt = FIDE(strokes.dim, strokes.target, seed=seed)
@@ -117,15 +117,15 @@ def draw(rows: list[Row], path: Path) -> None:
 
 
 def main() -> None:
-    """Run the experiment, print its numbers, draw its picture."""
+    """Run the experiment, print its numbers, write its picture."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--points", type=int, nargs="+", default=[2, 3, 4, 5])
-    parser.add_argument("--scenes", type=int, default=5000, help="to learn from")
-    parser.add_argument("--renders", type=int, default=1500, help="by FIDE")
+    parser.add_argument("--scenes", type=int, default=5000, help="training scenes")
+    parser.add_argument("--renders", type=int, default=1500, help="renders of FIDE")
     parser.add_argument("--epochs", type=int, default=12)
-    parser.add_argument("--size", type=int, default=32, help="of the images, in pixels")
+    parser.add_argument("--size", type=int, default=32, help="image side, pixels")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("splines.png"), help="the picture")
+    parser.add_argument("--out", type=Path, default=Path("splines.png"), help="output image")
     args = parser.parse_args()
     print("  points   random strokes    inverse step            FIDE   (median MSE)")
     rows = []

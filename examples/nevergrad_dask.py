@@ -1,8 +1,8 @@
-"""Nevergrad's `minimize` with FIDE on a Dask cluster: renders elsewhere, search here.
+"""Nevergrad's `minimize` with FIDE on a Dask cluster: workers render, this process searches.
 
-Two worker processes on this machine stand for a cluster; ``Client("tcp://scheduler:8786")`` is a
-real one.  The workers compute the features of what they render and send these: a large image would
-be the larger part of the traffic.  (Images on a disk that all can read may be told by name,
+Two worker processes on this machine replace a cluster; use ``Client("tcp://scheduler:8786")`` for a
+real one.  The workers compute the features of their renders and send these, since a large image
+would dominate the traffic.  (Images on a shared disk can be passed by name,
 ``ImageLoss(loss, image=ImageRef(path))``.)
 """
 

@@ -1,7 +1,7 @@
-"""FIDE as an optimizer of Nevergrad's: eight Voronoi cells, beside Nevergrad's CMA-ES.
+"""FIDE as a Nevergrad optimizer: eight Voronoi cells, compared with Nevergrad's CMA-ES.
 
-The objective returns the image with the loss.  FIDE looks at both, every other optimizer at the
-loss; nothing else differs.  Writes nevergrad_voronoi.png (target, FIDE, CMA-ES).
+The objective returns the image with the loss.  FIDE uses both, every other optimizer only the loss;
+nothing else differs.  Writes nevergrad_voronoi.png (target, FIDE, CMA-ES).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Four worker processes on one study; one is killed in the middle of a trial, and nothing is lost.
+"""Four worker processes on one study; one is killed during a trial, and nothing is lost.
 
-Workers share a file and nothing else.  On several machines it would be the URL of a database.
+The workers share only a file.  On several machines, use the URL of a database instead.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ task = fide_tasks.make("voronoi", cells=4, size=64, seed=0)  # 20 parameters
 
 
 def open_study(path: str) -> tuple[optuna.Study, FIDESampler]:
-    sampler = FIDESampler(task.target, seed=0)  # the same settings for every worker
+    sampler = FIDESampler(task.target, seed=0)  # every worker needs the same options
     storage = JournalStorage(JournalFileBackend(path))
     study = optuna.create_study(
         study_name="voronoi", storage=storage, sampler=sampler, load_if_exists=True
@@ -56,7 +56,7 @@ def main() -> None:
             worker.start()
         for worker in workers:
             worker.join()
-        work(path)  # one more, who was not there: it catches up from the file
+        work(path)  # a new worker: it reads the study from the file
         states = [trial.state.name for trial in study.get_trials(deepcopy=False)]
         print({state: states.count(state) for state in sorted(set(states))})
         print(f"they counted as {sampler.counts(study)}; least loss {study.best_value:.4f}")

@@ -1,4 +1,4 @@
-"""Optuna finds eight Voronoi cells: one line of the study differs, and one of the objective."""
+"""Optuna finds eight Voronoi cells: FIDE changes one line of the study and one of the objective."""
 
 from __future__ import annotations
 

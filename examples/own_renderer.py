@@ -1,38 +1,44 @@
-"""Fit a renderer of your own: any function that turns numbers in [0, 1] into an image will do.
+"""Fit your own renderer: any function that maps parameters to an image.
 
 Three overlapping translucent disks, 18 parameters; writes own_renderer.png (target and result).
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from fide_plugins import FIDE
+from fide_plugins import Float, Group, Space, fit
 
 SIDE = 64
 yy, xx = np.mgrid[0:SIDE, 0:SIDE] / (SIDE - 1)
 
+disk = Group(
+    x=Float(0, 1), y=Float(0, 1), radius=Float(0.05, 0.35),
+    red=Float(0, 1), green=Float(0, 1), blue=Float(0, 1),
+)  # fmt: skip
+space = Space(disks=3 * disk)
 
-def render(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Image (SIDE, SIDE, 3) of three disks, each x, y, radius, red, green, blue."""
+
+def render(params: dict[str, Any]) -> NDArray[np.float64]:
+    """Image (SIDE, SIDE, 3) of three disks, the later ones above."""
     image = np.ones((SIDE, SIDE, 3))
-    for cx, cy, radius, *color in x.reshape(3, 6):
-        inside = 1 / (1 + np.exp((np.hypot(xx - cx, yy - cy) - 0.05 - 0.3 * radius) * SIDE))
-        image += 0.8 * inside[..., None] * (np.array(color) - image)
+    for p in params["disks"]:
+        edge = np.hypot(xx - p["x"], yy - p["y"]) - p["radius"]
+        inside = 1 / (1 + np.exp(edge * SIDE))
+        color = np.array([p["red"], p["green"], p["blue"]])
+        image += 0.8 * inside[..., None] * (color - image)
     return image
 
 
 def main() -> None:
-    target = render(np.random.default_rng(4).random(18))
-    opt = FIDE(18, target, seed=0)
-    while opt.evaluations < 1500:
-        X = opt.ask()
-        opt.tell(X, [render(x) for x in X])
-    assert opt.best is not None
-    print(f"MSE {opt.best.loss:.2e} after {opt.best.evaluation + 1} renders")
-    pair = np.concatenate([target, render(opt.best.x)], axis=1)
+    target = render(space.decode(np.random.default_rng(4).random(space.dim)))
+    result = fit(render, target, space, budget=1500, workers=2, seed=0)
+    print(result)
+    pair = np.concatenate([target, render(result.params)], axis=1)
     Image.fromarray(np.rint(pair * 255).astype(np.uint8)).save("own_renderer.png")
 
 

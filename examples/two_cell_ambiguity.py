@@ -1,13 +1,13 @@
 """Two cells, one image, two answers: a regression averages them, diffusion finds both.
 
-The image is the distance from the nearest of two centers, so swapping the centers changes
-nothing (the paper's Fig. 2).  One network learns from random scenes which parameters made an
-image.  Asked for the mean answer it puts both cells on top of each other, halfway between;
-asked for samples, it gives one order of the cells or the other.
+The image is the distance from the nearest of two centers, so swapping the centers changes nothing
+(the paper's Fig. 2).  One network learns from random scenes which parameters produced an image.
+Its mean answer puts both cells on top of each other, halfway between.  Its samples have one order
+of the cells or the other.
 
     python examples/two_cell_ambiguity.py [--out two_cells.png]
 
-About half a minute on two cores.
+Takes about half a minute on two cores.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_plugins import encoders
-from fide_plugins.proposers.inverse import InversePredictor
+from fide_plugins.baselines.posterior_sampler import PosteriorSampler
 from fide_tasks.base import Task
 
 Floats = NDArray[np.float64]
-NEAR = 0.1  # a sample is at a mode if each coordinate is within this share of the image's side
+NEAR = 0.1  # a sample is at a mode if each coordinate is within this fraction of the image side
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the network answered for the task's target."""
+    """The network's answers for the task's target."""
 
     task: Task
     samples: Floats  # (n, 4): x and y of the first cell, then of the second
     regression: Floats  # (4,)
 
     def modes(self) -> Floats:
-        """Return the two parameter vectors that make the target, (2, 4)."""
+        """Return the two parameter vectors that produce the target, (2, 4)."""
         assert self.task.x_star is not None
         return np.stack([self.task.x_star, np.roll(self.task.x_star, 2)])
 
     def shares(self) -> Floats:
-        """Return the share of samples at each mode, (2,)."""
+        """Return the fraction of samples at each mode, (2,)."""
         distance = np.abs(self.samples[:, None] - self.modes()).max(axis=2)  # (n, 2)
         share: Floats = (distance < NEAR).mean(axis=0)
         return share
@@ -55,12 +55,12 @@ class Outcome:
 
 
 def run(scenes: int = 16_000, size: int = 32, epochs: int = 14, seed: int = 0) -> Outcome:
-    """Train on random scenes, then answer for the task's target."""
+    """Train on random scenes, then predict for the task's target."""
     task = fide_tasks.make("voronoi", size=size, seed=0, variant="distance")
     encode = encoders.make("patch")
     x = np.random.default_rng(seed).random((scenes, task.dim))
     tokens = encode(task.render(x))
-    predictor = InversePredictor(task.dim, seed=seed, batch_size=100, width=32, blocks=2)
+    predictor = PosteriorSampler(task.dim, seed=seed, batch_size=100, width=32, blocks=2)
     predictor.fit(x, tokens, epochs)
     target = encode(task.target[None])[0]
     return Outcome(task, predictor.sample(200, target), predictor.regress(target))
@@ -98,9 +98,9 @@ def draw(outcome: Outcome, path: Path) -> None:
 
 
 def main() -> None:
-    """Run the experiment, print its numbers, draw its picture."""
+    """Run the experiment, print its numbers, write its picture."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("two_cells.png"), help="the picture")
+    parser.add_argument("--out", type=Path, default=Path("two_cells.png"), help="output image")
     out: Path = parser.parse_args().out
     outcome = run()
     first, second = outcome.shares()

@@ -1,4 +1,4 @@
-"""Continue a study that another sampler began; its pictures are in an artifact store."""
+"""Continue a study that another sampler began; its images are in an artifact store."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = FileSystemArtifactStore(folder)
 
-        def objective(trial: optuna.Trial) -> float:  # as it was before anybody knew of FIDE
+        def objective(trial: optuna.Trial) -> float:  # the original objective, without FIDE
             image = render(trial)
             path = Path(folder, "image.png")
             Image.fromarray(np.round(image * 255).astype(np.uint8)).save(path)

@@ -1,4 +1,4 @@
-"""Which setting for how much time? A small sweep, read back from its folder.
+"""Which preset for a given time?  Run a small sweep and read it back from its folder.
 
     python examples/which_setting.py
 
@@ -10,9 +10,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fide_plugins import compare
-from fide_plugins.tradeoff import Grid, best_within, front, read
-from fide_plugins.tradeoff.show import write
+from fide_plugins.experiments import compare
+from fide_plugins.experiments.sweep import Grid, best_within, front, read
+from fide_plugins.experiments.sweep.tables import write
 
 
 def main() -> None:
@@ -26,12 +26,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, plan in grid.plans():
             compare.run(plan, Path(folder, name))
-        settings = read(Path(folder))
-        print(write(Path(folder), settings))
-    for point in front(settings, "renders"):
-        print(f"{point.cost:5.0f} renders: {point.loss:.5f} with {point.setting.label}")
-    best = best_within(settings, "seconds", 60.0)
-    print(f"for a minute: {best.setting.label if best else 'nothing is known'}")
+        combinations = read(Path(folder))
+        print(write(Path(folder), combinations))
+    for point in front(combinations, "renders"):
+        print(f"{point.cost:5.0f} renders: {point.loss:.5f} with {point.combination.label}")
+    best = best_within(combinations, "seconds", 60.0)
+    print(f"for a minute: {best.combination.label if best else 'nothing is known'}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """FIDE: fit a black-box renderer to a picture.
 
-    from fide_plugins import FIDE, encoders, losses
+    from fide_plugins import FIDE, encoders, fit, losses
 
 Everything here is loaded when it is first used, so that importing the package takes milliseconds
 and loads no PyTorch.
@@ -16,50 +16,71 @@ if TYPE_CHECKING:
 
     from . import (
         baselines as baselines,
-        checkpoint as checkpoint,
-        compare as compare,
         encoders as encoders,
         errors as errors,
-        harness as harness,
-        images as images,
         losses as losses,
         optimizers as optimizers,
-        report as report,
     )
+    from .experiments import compare as compare, report as report, run as harness
     from .fide import FIDE as FIDE
-    from .solution import Solution as Solution
+    from .fitting.one_call import fit as fit
+    from .learning import learn as learn
+    from .runtime import checkpoint as checkpoint
+    from .space import (
+        Choice as Choice,
+        Float as Float,
+        Group as Group,
+        Int as Int,
+        Space as Space,
+    )
+    from .types import Solution as Solution
+    from .validation import images as images
 
 __version__ = "0.1.0"
 
-_SUBMODULES = (
-    "baselines",
-    "checkpoint",
-    "compare",
-    "encoders",
-    "errors",
-    "harness",
-    "images",
-    "losses",
-    "optimizers",
-    "report",
-)
+_SUBMODULES = {
+    "baselines": ".baselines",
+    "checkpoint": ".runtime.checkpoint",
+    "compare": ".experiments.compare",
+    "encoders": ".encoders",
+    "errors": ".errors",
+    "harness": ".experiments.run",
+    "images": ".validation.images",
+    "losses": ".losses",
+    "optimizers": ".optimizers",
+    "report": ".experiments.report",
+}
 _ATTRIBUTES = {
+    "Choice": ".space",
     "FIDE": ".fide",
     "FIDESampler": "fide_adapters.optuna",  # needs Optuna, so it is not in __all__
-    "Solution": ".solution",
+    "Float": ".space",
+    "Group": ".space",
+    "Int": ".space",
+    "Solution": ".types",
+    "Space": ".space",
+    "fit": ".fitting.one_call",
+    "learn": ".learning",
 }
 
 __all__ = [
     "FIDE",
+    "Choice",
+    "Float",
+    "Group",
+    "Int",
     "Solution",
+    "Space",
     "__version__",
     "baselines",
     "checkpoint",
     "compare",
     "encoders",
     "errors",
+    "fit",
     "harness",
     "images",
+    "learn",
     "losses",
     "optimizers",
     "report",
@@ -71,7 +92,7 @@ if not TYPE_CHECKING:  # a type checker would take every name for one that exist
     def __getattr__(name: str) -> Any:
         """Import the submodule or class `name` the first time somebody asks for it (PEP 562)."""
         if name in _SUBMODULES:
-            return import_module(f".{name}", __name__)
+            return import_module(_SUBMODULES[name], __name__)
         if name in _ATTRIBUTES:
             value = getattr(import_module(_ATTRIBUTES[name], __name__), name)
             globals()[name] = value

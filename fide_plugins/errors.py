@@ -24,6 +24,7 @@ __all__ = [
     "PointsError",
     "ProtocolError",
     "RenderError",
+    "SpaceError",
     "UnknownNameError",
     "WeightsError",
     "WeightsMismatchError",
@@ -57,6 +58,10 @@ class LossError(FideError, ValueError):
 
 class OptionError(FideError, ValueError):
     """An option is unknown, out of its range, or contradicts another."""
+
+
+class SpaceError(OptionError):
+    """A parameter, or a value given for one, is not what it must be."""
 
 
 class UnknownNameError(OptionError):

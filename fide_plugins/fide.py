@@ -5,87 +5,86 @@ Algorithm 1                            here
 =====================================  ======================================================
 line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `proposers.diffusion`
-lines 4 and 5, sample and denoise      `FIDE._draw_generation`
+lines 4 and 5, sample and denoise      `FIDE.draw_generation`
 line 6, render                         the user, between `ask` and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
-line 8, train                          `FIDE._finish_generation`
+line 8, train                          `FIDE._train`
 line 9, costs                          `FIDE.tell`, by a loss or the user
-line 10, mu and Sigma                  `FIDE._finish_generation`
-after the last line, begin again       `FIDE._finish_search`, `search.relocate`
+line 10, mu and Sigma                  `FIDE._update_search`
+after the last line, begin again       `State.finish_search`, `search.moves`
 =====================================  ======================================================
 
 What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
 (``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
-proposer without evolution (`proposers.inverse`).
+proposer without evolution (`baselines.posterior_sampler`).
+
+All that changes while an optimizer runs is its `state` (`fide_plugins.state`).
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, Self, TypeAlias
+from typing import Any
 
 import numpy as np
-import torch
 
-from fide_plugins import checkpoint, encoders, fide_state, losses as losses_module
-from fide_plugins.devices import resolve_device
-from fide_plugins.encoders import has_network
-from fide_plugins.errors import CheckpointError, FeaturesError, LossError
-from fide_plugins.features import as_features
-from fide_plugins.images import Float32, as_batch, as_target, warn_clipped
-from fide_plugins.ledger import Candidate, Ledger, Propose
-from fide_plugins.locks import Lock, one_at_a_time
-from fide_plugins.losses.base import as_losses
-from fide_plugins.points import (
-    Float64,
+from fide_plugins import encoders
+from fide_plugins.learning.hypotheses import hypotheses_of
+from fide_plugins.options import make_options
+from fide_plugins.population import Candidate, Makers, Population
+from fide_plugins.proposers import make_proposer
+from fide_plugins.proposers.image_gate import ImageGate
+from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
+from fide_plugins.retargeting import Retargeting
+from fide_plugins.runtime.locks import Lock, one_at_a_time
+from fide_plugins.runtime.threads import one_thread
+from fide_plugins.runtime.timing import timed
+from fide_plugins.search.cma_es import default_popsize
+from fide_plugins.search.descent import Descent, Setting
+from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.space import Space
+from fide_plugins.state import State
+from fide_plugins.types import Float64
+from fide_plugins.validation.evaluation import Evaluator, Result
+from fide_plugins.validation.points import (
     as_points,
     new_seed,
     standard_deviations,
     starting_point,
     whole_number,
 )
-from fide_plugins.presets import make_options
-from fide_plugins.proposers import Proposer, make_proposer
-from fide_plugins.proposers.trust import Trust
-from fide_plugins.rendered import Rendered, columns
-from fide_plugins.search import box
-from fide_plugins.search.cma_es import CMAES, default_popsize
-from fide_plugins.search.guest import with_guest
-from fide_plugins.search.progress import Progress, default_patience, patience_alone
-from fide_plugins.search.relocate import Relocation, Stage
-from fide_plugins.solution import Solution
-from fide_plugins.state_form import IMPOSSIBLE
-from fide_plugins.timing import timed
 
 __all__ = ["FIDE"]
 
-Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None]
-
-_KIND = "fide"
-_MOST_GUESTS = 1000  # points never asked that are remembered until a generation is complete
+_MOVES = ("moves", "parts")  # the second is its name in version 0.1
 
 
-class FIDE:
+class FIDE(Retargeting):
     """Find parameters in [0, 1]^dim whose image is the target.
 
     Parameters
     ----------
     dim
-        number of parameters, at least 1.
+        number of parameters, at least 1; or a `Space` of named parameters.
     target
         picture to find: (H, W, 3) or (H, W), uint8 in [0, 255] or float in [0, 1]; also a path, a
-        PIL image or a torch tensor.
+        PIL image or a torch tensor; or a list of them, one for each view (`fide_plugins.views`).
     loss
         name in `fide_plugins.losses`, or a callable from images to (n,) numbers; None: "mse".
         Used where `tell` gets images without losses.
     encoder
-        name in `fide_plugins.encoders`; None: the preset's own.
+        name in `fide_plugins.encoders`, an encoder that `encoders.make` made, or a callable from
+        images to (n, T, C) features; None: the preset's own.
+    mask, weights
+        which pixels count: (H, W) in [0, 1], or any gray picture; "alpha": that of the target; for
+        views a list of them, None for a view without; both: their product (`fide_plugins.views`).
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0
-        (dim,), around which a search begins that knows nothing; None: 0.5 in each parameter.
+        (dim,), around which the first search begins; None: 0.5 in each parameter.
     sigma0
         its standard deviation there: one number, or one for each parameter.
     preset
@@ -95,8 +94,11 @@ class FIDE:
     device
         of encoder, proposer and a named loss: "auto" takes CUDA where there is some for those that
         are networks; with none of them, an encoder and its tokens stay where the images are.
+    learned
+        model of this renderer, or its file, see `fide_plugins.learn`: its hypotheses of the target
+        are rendered first, and the best are where the first searches begin.
     **options
-        any other field of `fide_plugins.presets.Options`.
+        any other option, see `fide_plugins.options`.
 
     Any number of threads may ask and tell the same optimizer.
 
@@ -110,105 +112,114 @@ class FIDE:
 
     def __init__(
         self,
-        dim: int,
+        dim: int | Space,
         target: object,
         *,
         loss: str | Callable[..., object] | None = None,
-        encoder: str | None = None,
+        encoder: str | Callable[..., object] | None = None,
+        mask: object = None,
+        weights: object = None,
         popsize: int | None = None,
         x0: object = None,
         sigma0: float | Float64 = 1 / 6,
         preset: str = "balanced",
         seed: int | None = None,
         device: str = "auto",
+        learned: Any = None,
         **options: Any,
     ) -> None:
-        self.dim = whole_number("dim", dim, 1)
-        self.target = as_target(target)
-        self.options = make_options(preset, {"encoder": encoder, "popsize": popsize, **options})
+        self.space = dim if isinstance(dim, Space) else None
+        self.dim = dim.dim if isinstance(dim, Space) else whole_number("dim", dim, 1)
+        named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
+        self.options = o = make_options(preset, {**named, **options})
         self.x0 = starting_point(x0, self.dim)
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
-        self.popsize = self.options.popsize or max(4, default_popsize(self.dim))
-        self._loss = losses_module.resolve(loss, self.target, device=device)
-        self._loss_name = "mse" if loss is None else loss if isinstance(loss, str) else None
-        network = self.options.proposer == "diffusion" or has_network(self.options.encoder)
-        where = resolve_device(device, for_network=network)
-        self._encoder = encoders.make(self.options.encoder, device=where)
-        self._target_tokens = self._encoder.compute(self.target[None])[0]  # (T, C)
-        self.evaluations = 0
-        self.not_finite = 0
-        """Points told so far whose loss was NaN or infinite."""
-        self.times = {"encode": 0.0, "train": 0.0, "search": 0.0}  # seconds
-        self._best: Solution | None = None
-        self._best_index = 0  # number of the candidate that is the best
-        self._clipped = False  # whether the user was warned
-        self._lock = Lock()
-        self._begin()
-
-    def _begin(self) -> None:
-        """Lines 1 and 2."""
-        o = self.options
-        self._rng = np.random.default_rng(self.seed)
-        self._proposer: Proposer | None = make_proposer(
-            o, self.dim, self.popsize, self.seed, self._encoder
+        self.popsize = o.popsize or max(4, default_popsize(self.dim))
+        self.evaluator = Evaluator(
+            target,
+            loss,
+            o.encoder if encoder is None else encoder,
+            mask=mask,
+            weights=weights,
+            device=device,
+            for_network=o.proposer == "diffusion",
         )
-        views = o.views or self._encoder.views
-        self._relocation = Relocation(self.dim, self.sigma0, self.popsize, views[0])
-        self._trust = Trust(o, views)
-        self._ledger = Ledger()
-        self._lessons: list[Rendered] = []  # told, not yet learned from
-        self._guest: tuple[Float64, float] | None = None  # best of the points never asked
-        self._found: Rendered | None = None  # best since the last search was over
-        self._over_at = 0  # evaluations when the last search was over
-        self._searches = 0  # begun so far
-        self._begin_search(*self._nothing_known())
-        self._best_mean = self._search.mean
-        self._best_search = 1  # the search that found the best point; 0 for none
-        self._decided: bool | None = None  # by others, whether the search is over; see `replica`
+        self.target, self.target_tokens = self.views.targets, self.evaluator.target_tokens
+        self.encoder, self._lock = self.evaluator.encoder, Lock()
+        self.search_over: bool | None = None
+        """Whether the present search is over, where others decide that; see `distributed`."""
+        self.search_guided: bool | None = None
+        """Whether images say where the next one begins, where others decide that."""
+        space = self.space or self.dim
+        self.state = self._initial_state(hypotheses_of(learned, space, self.target, self.seed))
+
+    def _initial_state(self, hypotheses: Float64 | None = None) -> State:
+        """Lines 1 and 2; hypotheses: (n, d), of a learned model, where the search begins."""
+        o, k = self.options, self.popsize
+        subsets = o.proposal.channel_subsets or self.encoder.channel_subsets
+        cells = None if self.space is None else self.space.layout
+        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, cells)
+        groups: Sequence[Sequence[int]] | None = o.groups
+        if groups is None and self.space is not None:
+            groups = self.space.largest_family or None  # if there is none, they are tested for
+        about = self.x0, setting.sigma0, k, self.target_tokens, subsets[0], self.seed
+        moves = MovePolicy(*about, groups, cells, hypotheses)
+        return State(
+            rng=np.random.default_rng(self.seed),
+            population=Population(),
+            descent=Descent(moves.start, moves.goal, setting),
+            moves=moves,
+            gate=ImageGate(o, subsets),
+            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder),
+            memory=Memory(o.memory_mb),
+        )
 
     # -- ask and tell ------------------------------------------------------------------------------
 
-    @property
-    def best(self) -> Solution | None:
-        """Best point told so far; None before the first with a finite loss."""
-        return self._best
-
     @one_at_a_time
+    @one_thread
     def ask(self, n: int | None = None) -> Float64:
         """Candidates to render, float64 (n, dim) in [0, 1].
 
-        None: what is left of the present generation, or, if all of it is out and not all told,
-        another of its size from the same distribution, for users with more workers than that.
-        A generation has `popsize` candidates; after a search has stalled there may be one that
-        probes (`dim` candidates, see `search.relocate`) and one that scouts.
+        None: what is left of the present generation, or, if all of it is pending, another of its
+        size from the same distribution, for users with more workers than that.
+        A generation has `popsize` candidates.  After a search has stalled there may be one of
+        sensitivity samples and the like (see `search.moves`) and one of restart candidates.
         """
         n = None if n is None else whole_number("n", n, 1)
+        population = self.state.population
         with timed(self.times, "search"):
-            if not self._ledger.left:
-                self._draw_generation()
-            n = n or self._ledger.left
-            if n > self._ledger.at_hand:
-                self._ledger.make_proposals()  # which may fail, before anything is handed out
+            if not population.remaining:
+                self.draw_generation()
+            n = n or population.remaining
+            population.expect(n)
+            if n > population.remaining - population.unmade:
+                self._train_early()
+                population.make_proposals(n)  # which may fail, before anything is handed out
             X = np.empty((n, self.dim))
-            for row in X:
-                if not self._ledger.left:
-                    self._draw_generation()
-                row[:] = self._ledger.hand_out()
+            for i, row in enumerate(X):
+                if not population.remaining:
+                    self.draw_generation()
+                    population.make_proposals(n - i)
+                row[:] = population.hand_out().x
         return X
 
     @one_at_a_time
+    @one_thread
     def ask_ready(self) -> Float64:
         """As `ask`, but for proposals that wait for training: those come with the next call.
 
-        While these are rendered the network trains, see `proposers.beside`.
+        While these are rendered the network trains, see `proposers.background`.
         """
+        population = self.state.population
         with timed(self.times, "search"):
-            if not self._ledger.left:
-                self._draw_generation()
-        return self.ask(self._ledger.at_hand)
+            if not population.remaining:
+                self.draw_generation()
+        return self.ask(population.ready)
 
     @one_at_a_time
+    @one_thread
     def tell(
         self,
         X: object,
@@ -217,16 +228,17 @@ class FIDE:
         *,
         features: object = None,
         version: str | None = None,
-    ) -> None:
-        """Report results, in any order and any number of pieces.
+    ) -> Float64:
+        """Report results, in any order and any number of pieces; returns their losses (n,).
 
         Parameters
         ----------
         X
             (n, dim), points in [0, 1]: those that were asked, or any others.
         images
-            (n, H, W, C) or a list of n images, of the target's size; None: only losses are known,
-            and the proposer does not learn from these points.
+            (n, H, W, C) or a list of n images, of the target's size; for a list of targets a list
+            of these, one for each view; None: only losses are known, and the proposer does not
+            learn from these points.
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.
         features
@@ -237,8 +249,9 @@ class FIDE:
 
         Points that were never asked (a warm start, a guess) are welcome: the proposer learns from
         them, they can become `best`, and the best of those told during a generation of a search (or
-        before one) takes the place of its worst candidate if it is better than that, its step cut
-        to what a sample's may be.  A point that was asked may come back in single precision.
+        before one) is injected: it takes the place of the worst candidate if it is better than
+        that, its step cut to what a sample's may be.  A point that was asked may come back in
+        single precision.
 
         Losses that are NaN or infinite rank last and are counted in `not_finite`.
 
@@ -248,251 +261,131 @@ class FIDE:
             all ValueErrors, before anything changes.
         """
         points = as_points(X, self.dim)
-        if images is None and losses is None:
-            raise LossError("tell needs images, losses, or both; got neither")
-        if images is not None and features is not None:
-            raise FeaturesError("tell takes images or their features, not both")
-        batch = None
-        if images is not None:
-            batch = as_batch(images, self.target.shape, n=len(points), on_clip=self._warn_clipped)
+        n, judge = len(points), self.evaluator
+        batch = judge.as_batch(n, images, losses, features, self.state.warn_clipped)
         with timed(self.times, "encode"):
-            values = as_losses(losses, len(points)) if losses is not None else self._cost(batch)
-            tokens = self._encode(batch)  # line 7
-            if features is not None:
-                tokens = self._take(features, len(points), version)
-            nothing = [None] * len(points)
-            kept = nothing if tokens is None else [each.clone() for each in tokens]
-        pictures = nothing if batch is None else batch
+            encode = self.state.proposer is not None
+            results = judge.evaluate(n, batch, losses, features, version=version, encode=encode)
         with timed(self.times, "search"):
-            self._enter(zip(points, values.tolist(), pictures, kept, strict=True))
-
-    @one_at_a_time
-    def withdraw(self, X: object) -> None:
-        """Say that candidates (n, dim) that were asked will not be told, so nobody waits for them.
-
-        Others count in their place.  Points that are not out are ignored.  Raises PointsError.
-        """
-        for x in as_points(X, self.dim):
-            self._ledger.withdraw(x)
-
-    @property
-    def features_shape(self) -> tuple[int, int]:
-        """(T, C) of the features of an image, see `tell`."""
-        tokens, channels = self._target_tokens.shape
-        return tokens, channels
-
-    def recommend(self) -> Float64:
-        """Mean (dim,) of the search distribution that found the best point (line 12).
-
-        The best point itself if no search found it: a probe, a scout, a guess of the user's.
-        """
-        return box.into(self._best_mean)
-
-    @property
-    def training(self) -> bool:
-        """Whether the network learns in the background; saving and proposals would wait for it."""
-        return bool(getattr(self._proposer, "busy", False))
-
-    # -- Algorithm 1 -------------------------------------------------------------------------------
-
-    def _draw_generation(self) -> None:
-        """Sample candidates (line 4) and put proposals in the place of some (line 5)."""
-        self._ledger.draw(*self._draw(self._rng))
-        if self._proposer is None or not self._proposer.beside:
-            self._ledger.make_proposals()
-
-    def _draw(self, rng: np.random.Generator) -> tuple[Float64, Float64, int, Propose]:
-        """Candidates x, z (n, d), how many proposals follow them, and what makes these."""
-        if self._stage is not Stage.SEARCH:
-            x = z = self._relocation.draw(self._stage, rng)
-        else:
-            z = self._search.sample(self.popsize, rng)  # (k, d) ~ N(m, Sigma)
-            x = box.into(z)
-        ready = self._stage is Stage.SEARCH and self._proposer is not None and self._proposer.ready
-        m = self._trust.number(self.popsize, rng) if ready else 0
-        n = len(z) - m
-        about = z[n:], self._search.mean, self._search.std, rng
-        return x[:n], z[:n], m, partial(self._propose, *about)
-
-    def _propose(
-        self, z: Float64, mean: Float64, std: Float64, rng: np.random.Generator
-    ) -> tuple[Float64, Float64]:
-        """Line 5: proposals x and their z, (m, d) each, from samples z of N(mean, Sigma)."""
-        assert self._proposer is not None
-        with timed(self.times, "train"):
-            denoised = self._proposer.propose(z, self._target_tokens, mean, std, rng)
-        x = np.clip(denoised, 0.0, 1.0)
-        return x, box.near(x, mean)
-
-    def _cost(self, batch: Float32 | None) -> Float64:
-        """Line 9."""
-        if batch is None:
-            raise LossError("a loss of images needs images; got none")
-        return self._loss.compute(batch)
-
-    def _encode(self, batch: Float32 | None) -> torch.Tensor | None:
-        """Line 7: tokens (n, T, C)."""
-        return None if batch is None or self._proposer is None else self._encoder.compute(batch)
-
-    def _take(self, features: object, n: int, version: str | None) -> torch.Tensor | None:
-        """Line 7, done elsewhere."""
-        tokens = as_features(features, (n, *self.features_shape), self._encoder, version=version)
-        return tokens if self._proposer is not None else None
+            self._enter(results.of(points))
+        return results.losses
 
     def _enter(self, results: Iterator[Result]) -> None:
-        """Enter results in the books; each generation that becomes complete is finished."""
+        """Enter results; each generation that becomes complete is finished."""
         for result in results:
-            self._note(*result)
-            if self._ledger.complete:
+            self.state.record(*result)
+            if self.state.population.complete:
                 try:
                     self._finish_generation()
                 except BaseException:  # of training; all else goes on as if it had trained
                     self._enter(results)
                     raise
 
-    def _note(
-        self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
-    ) -> None:
-        """One of them."""
-        finite = bool(np.isfinite(loss))
-        self.not_finite += not finite
-        loss = loss if finite else np.inf
-        index = self._ledger.take_back(x, loss)
-        number = self._ledger.drawn if index is None else index
-        if finite and tokens is not None:
-            self._learn_later(Rendered(number, x.copy(), tokens, loss))
-        if finite and index is None and (self._guest is None or loss < self._guest[1]):
-            self._guest = (x, loss)
-        if finite and self._is_better(loss, number):
-            copy = None if image is None else image.copy()
-            self._best = Solution(x.copy(), loss, self.evaluations, copy)
-            self._best_index = number
-            if index is not None and self._stage is Stage.SEARCH:
-                self._best_mean, self._best_search = self._search.mean, self._searches
-            else:  # no search found it
-                self._best_mean, self._best_search = x.copy(), 0
-        self.evaluations += 1
+    @one_at_a_time
+    def withdraw(self, X: object) -> None:
+        """Say that candidates (n, dim) that were asked will not be told, so nobody waits for them.
 
-    def _learn_later(self, rendered: Rendered) -> None:
-        self._lessons.append(rendered)
-        if len(self._lessons) > _MOST_GUESTS + 2 * self._ledger.size:
-            del self._lessons[0]
-        found = self._found
-        if found is None or (rendered.loss, rendered.index) < (found.loss, found.index):
-            self._found = rendered
+        Others count in their place.  Points that are not pending are ignored.  Raises PointsError.
+        """
+        for x in as_points(X, self.dim):
+            self.state.population.withdraw(x)
 
-    def _is_better(self, loss: float, number: int) -> bool:
-        """Whether a candidate is the best; of equals the one that was asked first is."""
-        best = self._best
-        return best is None or (loss, number) < (best.loss, self._best_index)
+    @one_at_a_time
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        super().load_state_dict(state)
+        self._propose_with(self.state.population, self.state.rng)
+
+    # -- Algorithm 1 -------------------------------------------------------------------------------
+
+    def draw_generation(self) -> None:
+        """Sample candidates (line 4), and say which become proposals (line 5)."""
+        state = self.state
+        self.draw(state.population, state.rng)
+        if state.proposer is None or not state.proposer.background:
+            state.population.settle()
+
+    def draw(self, population: Population, rng: np.random.Generator) -> None:
+        """Draw a generation of the present stage into a population; changes nothing else."""
+        state = self.state
+        if state.stage is not Stage.SEARCH:
+            x = state.descent.place(state.moves.draw(rng))
+            if state.population.pending:  # they are out already, and some are always the same
+                x, _ = state.descent.sample(len(x), rng)
+            population.draw(x, x)
+            return
+        k = state.descent.popsize
+        x, z = state.descent.sample(k, rng)  # (k, d), z ~ N(m, Sigma)
+        ready = state.proposer is not None and state.proposer.ready
+        n = k - state.gate.number(k, rng) if ready else k
+        population.draw(x[:n], z[:n], z[n:], pair=state.search.draws_pair)
+        self._propose_with(population, rng)
+
+    def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
+        """Say how the population makes proposals."""
+        proposer = self.state.proposer
+        if proposer is not None:
+            propose = partial(self._propose, descent=self.state.descent, rng=rng)
+            population.propose_by(propose, singly=proposer.singly)
+
+    def _propose(
+        self, z: Float64, descent: Descent, rng: np.random.Generator
+    ) -> tuple[Float64, Float64, Makers]:
+        """Line 5: proposals x, their z, (m, d) each, and makers, from samples of N(m, Sigma)."""
+        proposer, target = self.state.proposer, self.target_tokens
+        assert proposer is not None
+        with timed(self.times, "train"):
+            made = proposer.proposals(descent.rendered(z), target, descent.mean, descent.std, rng)
+        x = descent.place_proposals(made.x)
+        return x, descent.near(x), made.makers
 
     def _finish_generation(self) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
-        members, losses = self._ledger.close_generation()
-        lessons = sorted(self._lessons, key=lambda lesson: lesson.index)
-        self._lessons = []
-        if self._stage is Stage.PROBE:
-            self._finish_probe(lessons)
-        elif self._stage is Stage.SCOUT:
-            self._begin_search(*self._relocation.begin_at(members[int(np.argmin(losses))].x))
-        else:
-            try:
-                with timed(self.times, "train"):
-                    self._teach(lessons)  # line 8
-            finally:  # a generation that taught nothing is not lost
-                self._evolve(members, losses)  # line 10
-
-    def _teach(self, lessons: list[Rendered]) -> None:
-        """Line 8: the proposer learns from what was told since the last time."""
-        if self._proposer is not None and lessons:
-            x, tokens, losses = columns(lessons)  # (n, d), (n, T, C), (n,)
-            self._trust.note_images(tokens, self._target_tokens, losses)
-            self._proposer.update(x, tokens, losses, self._search.std)
-
-    def _evolve(self, members: list[Candidate], losses: Float64) -> None:
-        """Line 10."""
-        self._trust.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
-        z = np.array([candidate.z for candidate in members])
-        foreign = np.array([candidate.proposed or candidate.late for candidate in members])
-        self._progress.note(losses)
-        guest, self._guest = self._guest, None
-        z, losses, foreign = with_guest(guest, self._search.mean, z, losses, foreign)
-        self._search.tell(z, losses, foreign & self.options.guard_search)
-        if self._best_search == self._searches:
-            self._best_mean = self._search.mean
-        over = self._progress.is_over(self._search.std, guided=self._trust.guided)
-        over = over and self.options.restarts != "none"
-        if over if self._decided is None else self._decided:
-            self._finish_search()
-
-    def _finish_search(self) -> None:
-        """Go on elsewhere; what the best of all searches found is kept."""
-        relocate = self.options.restarts == "parts" and self._trust.guided
-        found = self._found if relocate else None
-        self._stage = self._relocation.after_search(found, self.evaluations - self._over_at)
-        self._found, self._over_at = None, self.evaluations
-        self._ledger.close_search()
-        if self._stage is Stage.SEARCH:
-            self._begin_search(*self._nothing_known())
-
-    def _finish_probe(self, lessons: list[Rendered]) -> None:
-        self._relocation.learn_parts(lessons)
-        self._ledger.close_search()
-        self._stage = Stage.SCOUT
-
-    def _nothing_known(self) -> tuple[Float64, Float64]:
-        """Mean and standard deviation, (d,) each, of the first search."""
-        return self.x0, np.broadcast_to(self.sigma0, self.dim)
-
-    def _begin_search(self, mean: Float64, std: Float64) -> None:
-        """Lines 1 and 2, of the first search or another."""
-        o = self.options
-        self._stage = Stage.SEARCH
-        self._searches += 1
-        self._search = CMAES(mean, std, self.popsize, limit_std=o.guard_search)
-        patience = o.patience or default_patience(self.dim, self.popsize)
-        alone = patience_alone(self.dim, self.popsize)
-        goal = self._relocation.goal
-        self._progress = Progress(self.sigma0, patience, o.improvement, goal, alone)
-        self._ledger.close_search()
-        if self._proposer is not None:
-            self._proposer.forget()
-
-    # -- saving ------------------------------------------------------------------------------------
-
-    @one_at_a_time
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint from which `load` goes on bit for bit; no pickle.
-
-        Raises OSError if it cannot be written; a file that was there before is then intact.
-        """
-        checkpoint.write(path, _KIND, fide_state.pack(self))
-
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        *,
-        loss: str | Callable[..., object] | None = None,
-        device: str = "auto",
-    ) -> Self:
-        """Optimizer that goes on where the one saved at `path` stood.
-
-        A loss that was not a name cannot be stored: give it again as `loss`, or tell losses.
-        Raises OSError, or CheckpointError (a ValueError) if the file is cut short, damaged, of
-        another version, or not of FIDE; as the constructor if `loss` or `device` is wrong.
-        """
-        state = checkpoint.read(path, _KIND)
-        resolve_device(device)
-        if loss is not None:
-            losses_module.resolve(loss, state.get("target"), device=device)
+        state = self.state
+        members, losses = state.population.close_generation()
+        samples = state.take_samples()
+        if state.stage is not Stage.SEARCH:
+            state.finish_stage(members, losses, samples)
+            return
         try:
-            return fide_state.remake(cls, state, loss, device)
-        except IMPOSSIBLE as error:
-            why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
-            raise CheckpointError(f"{why}; start again, or use an earlier copy") from error
+            with timed(self.times, "train"):
+                self._train(samples)  # line 8
+        finally:  # a generation that taught nothing is not lost
+            self._update_search(members, losses)  # line 10
 
-    def _warn_clipped(self, message: str) -> None:
-        if not self._clipped:
-            self._clipped = True
-            warn_clipped(message)
+    def _train_early(self) -> None:
+        """Line 8, before the generation is complete, where each proposal is made when asked for."""
+        state, proposer = self.state, self.state.proposer
+        if proposer is None or not proposer.singly:
+            return
+        if state.population.unmade and state.samples:
+            samples = state.take_samples()
+            state.learned += samples
+            with timed(self.times, "train"):
+                proposer.update(*columns(samples), state.descent.std)
+
+    def _train(self, samples: list[TrainingSample]) -> None:
+        """Line 8: the proposer learns from what was evaluated since the last time."""
+        state = self.state
+        learned, state.learned = state.learned, []
+        if state.proposer is None or not (samples or learned):
+            return
+        _, tokens, losses = columns(in_order(samples + learned))  # (n, T, C), (n,)
+        state.gate.note_images(tokens, self.target_tokens, losses)
+        if samples:
+            state.proposer.update(*columns(samples), state.descent.std)
+
+    def _update_search(self, members: list[Candidate], losses: Float64) -> None:
+        """Line 10."""
+        state = self.state
+        state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
+        if state.proposer is not None:
+            state.proposer.note_ranks(losses, np.array([one.maker for one in members]))
+        point, state.injected = state.injected, None
+        state.descent.tell(members, losses, point)
+        if state.best is not None and state.best.search == state.searches:
+            state.best = replace(state.best, mean=state.search.mean)
+        guided = state.gate.guided if self.search_guided is None else self.search_guided
+        over = state.descent.is_over(guided=guided) and self.options.restarts != "none"
+        if over if self.search_over is None else self.search_over:
+            state.finish_search(guided=self.options.restarts in _MOVES and guided)

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 from fide_plugins.errors import OptionError, UnknownNameError
 
 if TYPE_CHECKING:
-    from fide_plugins.protocols import Optimizer
+    from fide_plugins.space import Space
+    from fide_plugins.types import Optimizer
 
 __all__ = ["load", "make", "names", "options", "register"]
 
@@ -38,6 +39,8 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "random": "fide_plugins.baselines.random:Random",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
 }
+_WITH_SPACE = ("fide",)
+"""Those that handle integers, choices and periodic parameters as such."""
 _FAMILIES = {
     "nevergrad": "fide_plugins.baselines.frameworks:nevergrad",
     "optuna": "fide_plugins.baselines.frameworks:optuna",
@@ -56,8 +59,10 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     _CLASSES[name] = cls
 
 
-def make(name: str, dim: int, target: object = None, **settings: Any) -> Optimizer:
+def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
+
+    dim: number of parameters; or a space, of which most optimizers see the number only.
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
     """
@@ -67,13 +72,30 @@ def make(name: str, dim: int, target: object = None, **settings: Any) -> Optimiz
     if unknown:
         listed = ", ".join(known)
         raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
-    optimizer: Optimizer = cls(dim, target, **settings)
+    space = dim if name in _WITH_SPACE else getattr(dim, "dim", dim)
+    optimizer: Optimizer = cls(space, target, **settings)
     return optimizer
 
 
-def load(name: str, path: str | os.PathLike[str]) -> Optimizer:
-    """Optimizer `name` as it was saved at `path`."""
-    loaded: Optimizer = _resolve(name).load(path)
+def load(
+    name: str,
+    path: str | os.PathLike[str],
+    *,
+    device: str | None = None,
+    loss: object = None,
+) -> Optimizer:
+    """Optimizer `name` as it was saved at `path`.
+
+    device: on which it goes on; a checkpoint fits any.  None: as its class chooses.  Classes whose
+        `load` has no such option choose themselves.
+    loss: a user's own, which a checkpoint cannot hold; None: it holds its name.
+    """
+    cls = _resolve(name)
+    takes_device = "device" in inspect.signature(cls.load).parameters
+    chosen: dict[str, Any] = {"device": device} if takes_device and device is not None else {}
+    if loss is not None:
+        chosen["loss"] = loss
+    loaded: Optimizer = cls.load(path, **chosen)
     return loaded
 
 

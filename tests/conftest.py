@@ -1,16 +1,22 @@
-"""What tests share: how cases are generated, and random weights as the real ones are published."""
+"""What tests share: how cases are generated, a small renderer, weights as they are published."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+import signal
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import hypothesis
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
+
+from fide_plugins.types import Float32, Float64
 
 # The same cases every time, so that a change is judged by what it changes; a longer run, see
 # docs/extremes.md, looks for new ones.
@@ -51,6 +57,85 @@ CHANNELS = {
     "vgg": (64, 128, 256, 512, 512),
     "squeeze": (64, 128, 256, 384, 384, 512, 512),
 }
+
+
+SIDE = 16  # pixels of the small renderer's images
+
+
+def soft_disk(X: Float64) -> Float32:
+    """Disks (n, SIDE, SIDE, 3) at x, y = X[:, 0:2], of radius and color by the other columns.
+
+    Columns beyond the sixth have no effect; missing ones are 0.5.
+    """
+    p = np.full((len(X), 6), 0.5)
+    p[:, : X.shape[1]] = X[:, :6]
+    grid = (np.arange(SIDE) + 0.5) / SIDE
+    x, y, radius = (p[:, i, None, None] for i in range(3))
+    distance = np.hypot(grid[None, None, :] - x, grid[None, :, None] - y)
+    inside = 1 / (1 + np.exp((distance - 0.1 - 0.3 * radius) * 15))
+    images: Float32 = (inside[..., None] * p[:, None, None, 3:]).astype(np.float32)
+    return images
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A real browser, driven by Playwright."""
+    names = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip(f"needs a browser, one of {', '.join(names)}")
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def render() -> Callable[[Float64], Float32]:
+    return soft_disk
+
+
+@pytest.fixture
+def answer() -> Float64:
+    return np.array([0.7, 0.35, 0.6, 0.9, 0.4, 0.2])
+
+
+@pytest.fixture
+def target(answer: Float64) -> Float32:
+    image: Float32 = soft_disk(answer[None])[0]
+    return image
+
+
+@pytest.fixture
+def forked() -> Callable[[Callable[[], object]], str]:
+    """What a function returns in a forked process, or its error, in words.
+
+    A child that takes a minute is ended, and the test fails.
+    """
+    if not hasattr(os, "fork"):
+        pytest.skip("no fork here")
+    return in_child
+
+
+def in_child(work: Callable[[], object]) -> str:
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # forks with threads
+        child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        try:
+            answer = repr(work())
+        except BaseException as error:
+            answer = repr(error)
+        os.write(writing, answer.encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        answer = pipe.read()
+    assert os.waitpid(child, 0)[1] == 0, "the child hung"
+    return answer
 
 
 def random_network(shapes: Mapping[Any, tuple[int, int, int]], seed: int) -> State:

@@ -1,12 +1,13 @@
-"""What an objective may give back in place of a bare loss: the loss and the picture it is of.
+"""What an objective may return in place of a bare loss: the loss together with its image.
 
     return ImageLoss(loss, image)                         # any image that `FIDE.tell` takes
     return ImageLoss(loss, image=ImageRef("/shared/17.png"))  # a file that the optimizer can read
-    return ImageLoss(loss, features=tokens)               # (T, C), encoded where it was rendered
+    return ImageLoss(loss, features=tokens)               # (T, C), encoded by the worker
+    return ImageLoss(loss, [front, side])                 # for a list of targets
 
-An `ImageLoss` is a float, so that every framework and every other optimizer can use it; the
-picture goes wherever the float itself goes, also through pickle to and from worker processes, and
-is lost where the float is copied into another one.
+An `ImageLoss` is a float, so every framework and every other optimizer can use it.  The image
+stays attached to this float, also through pickle to and from worker processes.  Arithmetic and
+`float()` give plain floats without the image.
 """
 
 from __future__ import annotations
@@ -17,10 +18,20 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from fide_plugins import images
 from fide_plugins.errors import ImageError, ImageNotFoundError, LossError
+from fide_plugins.types import Float32
+from fide_plugins.validation import images
+from fide_plugins.views import Views
 
-__all__ = ["ImageLoss", "ImageRef", "Result", "is_image", "read_result", "resolve_image"]
+__all__ = [
+    "ImageLoss",
+    "ImageReader",
+    "ImageRef",
+    "Result",
+    "is_image",
+    "read_result",
+    "resolve_image",
+]
 
 
 class ImageLoss(float):
@@ -31,19 +42,20 @@ class ImageLoss(float):
     loss
         one real number, the lower the better; NaN and infinity are allowed.
     image
-        whatever `fide_plugins.images.as_target` takes, or an `ImageRef`.  It is neither copied nor
-        looked at before the optimizer is told.
+        anything that `fide_plugins.validation.images.as_target` takes, or an `ImageRef`; for a
+        list of targets a list of them.  It is
+        neither copied nor checked before the optimizer gets it.
     features
-        in place of an image: its tokens (T, C) by the optimizer's own encoder.  A NumPy array is
-        what travels best.
+        in place of an image: its tokens (T, C), computed with the optimizer's own encoder.  Prefer
+        a NumPy array, which can be sent between processes cheaply.
     version
-        of the encoder that made the features, its attribute `version`, which must be that of the
-        optimizer's; None: you vouch for it.
+        attribute `version` of the encoder that made the features.  It must equal that of the
+        optimizer's encoder; None: it is not compared.
 
     Raises
     ------
     LossError
-        the loss is no real number, or both image and features are given (also a ValueError).
+        the loss is not a real number, or both image and features are given (also a ValueError).
     """
 
     image: object
@@ -60,7 +72,7 @@ class ImageLoss(float):
     ) -> Self:
         """Make the float."""
         if not hasattr(loss, "__float__") or np.shape(loss) != ():
-            raise LossError(f"the loss of an ImageLoss is one real number, not {loss!r}")
+            raise LossError(f"the loss of an ImageLoss must be one real number, not {loss!r}")
         if image is not None and features is not None:
             raise LossError("an ImageLoss has an image or its features, not both")
         self = super().__new__(cls, loss)
@@ -72,10 +84,10 @@ class ImageRef:
     """An image by the name of its file, for workers that share a disk with the optimizer.
 
     path: an image file, or a `.npy` file of one array (H, W) or (H, W, C), uint8 in [0, 255] or
-        float in [0, 1], which keeps every bit.  It is made absolute at once: the optimizer may have
-        another working folder.
+        float in [0, 1], which is read without loss.  It is made absolute at once, because the
+        optimizer may run in another working folder.
 
-    The file is read when the optimizer is told, not before, and is not needed afterwards.
+    The optimizer reads the file when it gets the result, and does not need it afterwards.
     """
 
     __slots__ = ("path",)
@@ -95,7 +107,7 @@ class ImageRef:
     def load(self) -> Any:
         """Array (H, W) or (H, W, C).
 
-        Raises `ImageNotFoundError`, or `ImageError` for a file that is no image.
+        Raises `ImageNotFoundError`, or `ImageError` for a file that is not an image.
         """
         if not self.path.endswith(".npy"):
             return images.load(self.path)
@@ -108,17 +120,43 @@ class ImageRef:
 
 
 def resolve_image(image: object) -> object:
-    """Load `image` if it is a reference, leave it alone otherwise.  Raises as `ImageRef.load`."""
+    """Load `image`, or what is in a list, if it is a reference.  Raises as `ImageRef.load`."""
+    if isinstance(image, list | tuple):
+        return [resolve_image(one) for one in image]
     return image.load() if isinstance(image, ImageRef) else image
 
 
-class Result(NamedTuple):
-    """What an objective gave back, taken apart.
+class ImageReader:
+    """Reads the images that objectives give, one at a time, for one target.
 
-    loss: None: the optimizer's own, of the image.  Not checked.
+    views: of the target.
+    """
+
+    def __init__(self, views: Views) -> None:
+        self._views = views
+        self._warned = False  # of values that had to be clipped
+
+    def __call__(self, image: object) -> Float32:
+        """Canonical batch (1, H, W, 3) of an image or an `ImageRef`, or a list of them, packed.
+
+        Not always a copy.  Warns once of values outside [0, 1].  Raises `ImageError`, or as
+        `ImageRef.load`.
+        """
+        return self._views.batch_of_one(resolve_image(image), self._warn_clipped)
+
+    def _warn_clipped(self, message: str) -> None:
+        if not self._warned:
+            self._warned = True
+            images.warn_clipped(message)
+
+
+class Result(NamedTuple):
+    """The parts of what an objective returned.
+
+    loss: not checked; None: the optimizer's own loss of the image.
     image: None if there is none.
-    features: (T, C), None if there are none.
-    version: of the encoder that made them, None if that is not known.
+    features: (T, C); None if there are none.
+    version: of the encoder that made the features; None if it is not known.
     """
 
     loss: Any
@@ -128,9 +166,9 @@ class Result(NamedTuple):
 
 
 def read_result(result: object) -> Result:
-    """Take apart an `ImageLoss`, an image, a pair (loss, image), or (loss, None).
+    """Parts of an `ImageLoss`, an image, a pair (loss, image), or (loss, None).
 
-    Anything else is taken for a loss.
+    Anything else is regarded as a loss.
     """
     if isinstance(result, ImageLoss):
         return Result(float(result), result.image, result.features, result.version)
@@ -144,10 +182,13 @@ def read_result(result: object) -> Result:
 
 
 def is_image(value: object) -> bool:
-    """Whether that is an image and no number or list of numbers; its contents are not checked.
+    """Whether a value is an image, and not a number or a list of numbers.
 
-    Images are `ImageRef`, PIL images, and arrays and torch tensors of two or more axes.
+    Images are `ImageRef`, PIL images, arrays and torch tensors of two or more axes, and lists of
+    these, which are views.  Their contents are not checked.
     """
+    if isinstance(value, list | tuple):
+        return len(value) > 0 and all(is_image(one) for one in value)
     if isinstance(value, ImageRef):
         return True
     pil, torch = sys.modules.get("PIL.Image"), sys.modules.get("torch")

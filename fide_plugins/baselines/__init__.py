@@ -1,4 +1,4 @@
-"""Rivals behind the same ask/tell protocol as FIDE.
+"""Other optimizers with the ask/tell protocol of FIDE, for comparison.
 
     >>> from fide_plugins import baselines
     >>> opt = baselines.CMA(dim=3, seed=0)

@@ -1,62 +1,67 @@
-"""What all baselines share: the ask/tell protocol and its bookkeeping.
+"""What all baselines share: ask and tell, generations, the best point, saving.
 
-A baseline says how it draws candidates (`_sample`), what it learns from a full generation
-(`_update`), and where its search stands (`recommend`).  The rest is here:
+A baseline says how it draws candidates (`_sample`), what it learns from a complete generation
+(`_update`), and where its search stands (`recommend`).
 
-*Generations.*  Candidates are drawn `popsize` at a time.  The generation is complete, and `_update`
-called, as soon as `popsize` of the points that were asked have been told, in whatever order and
-pieces; they reach `_update` in the order in which they were asked.  Asking for more than is left
-of a generation draws more candidates from the same distribution; their results, and any that
-come late, count for the generation in which they arrive.
+*Generations* are kept by `fide_plugins.population`, as FIDE's are: a generation is complete as soon
+as `popsize` pending candidates are evaluated, in whatever order and pieces.  `_update` receives
+the candidates exactly as they were drawn, in the order in which they were asked.
 
-*Foreign points.*  Points that were never asked (or were told twice) are counted and can become
-`best`; they do not move the search.  The same holds for points asked before a restart.
+*Injected candidates* were never asked, were told before, or were asked before a restart.  They are
+counted and can become `best`; they do not move the search.
 
 *Losses that are NaN or infinite* are counted, rank last, and never become `best`.
 
-Saving comes in two kinds: `replayed.Replayed` runs the baseline again, `stateful.Stateful` stores
+A baseline is saved in one of two ways: `replay.Replayed` runs it again, `stateful.Stateful` stores
 what it knows.
 """
 
 from __future__ import annotations
 
-import os
-from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Callable
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import LossError, OptionError
-from fide_plugins.images import Float32, as_batch, as_target
-from fide_plugins.losses.base import ImageLoss, as_losses
-from fide_plugins.points import Float64, as_points, new_seed, whole_number
-from fide_plugins.solution import Solution
-from fide_plugins.timing import timed
+from fide_plugins.losses.base import as_losses
+from fide_plugins.population import Candidate, Population
+from fide_plugins.runtime.locks import Lock, one_at_a_time
+from fide_plugins.runtime.saving import Saved
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe, real, whole
+from fide_plugins.runtime.threads import one_thread
+from fide_plugins.runtime.timing import timed
+from fide_plugins.types import Float32, Float64, Solution
+from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.points import as_points, new_seed, whole_number
 
-__all__ = ["FOREIGN", "Baseline", "not_stored", "positive"]
-
-FOREIGN = -1
-"""Index of a point that was never asked."""
+__all__ = ["Baseline", "positive"]
 
 
-class Baseline(ABC):
+class Baseline(Saved):
     """An optimizer over [0, 1]^dim.
 
     dim: number of parameters.
     target: image to fit; needed only where `tell` is to compute losses from images.
     loss: name, callable, or None for "mse"; see `fide_plugins.losses`.
-    popsize: candidates a generation; None for the baseline's own default.
+    popsize: candidates a generation; None: the baseline's own default.
     sigma0: initial standard deviation, for those that have one.
     seed: same seed, same run; None draws one.
+    device: of a named loss and of an encoder; "auto" takes CUDA where there is some for those that
+        are networks.
 
-    Raises OptionError (a ValueError) for options out of range, ImageError for a bad target.
+    Any number of threads may ask and tell the same baseline.
+
+    Raises OptionError (a ValueError) for options out of range, ImageError for a bad target,
+    DeviceError for a device that this machine does not have.
     """
 
-    name: ClassVar[str]
+    training = False
+    status = None
+    """No baseline trains in the background."""
 
     def __init__(
         self,
@@ -67,6 +72,7 @@ class Baseline(ABC):
         popsize: int | None = None,
         sigma0: float = 1 / 6,
         seed: int | None = None,
+        device: str = "auto",
     ) -> None:
         self.dim = whole_number("dim", dim, 1)
         if popsize is not None:
@@ -74,44 +80,45 @@ class Baseline(ABC):
         self.popsize = self._default_popsize() if popsize is None else popsize
         self.sigma0 = positive("sigma0", sigma0)
         self.seed = new_seed(seed)
+        self.device = _checked_device(device)
         self.target = None if target is None else as_target(target)
-        self._loss = _resolve(loss, self.target)
+        self._loss = losses_module.resolve(loss, self.target, device=device)
         self.evaluations = 0
         self.times = {"encode": 0.0, "train": 0.0, "search": 0.0}  # seconds
+        self._lock = Lock()
         self._best: Solution | None = None
-        self._asked = 0  # index of the next candidate
-        self._queue: deque[tuple[int, Float64]] = deque()  # drawn, not yet handed out
-        self._pending: dict[bytes, list[int]] = {}  # handed out, not yet told
-        self._told: list[tuple[int, Float64, float, Float32 | None]] = []  # of this generation
-        self._valid_from = 0  # candidates of lower index are foreign: they predate a restart
+        self._population = Population()
+        self._told_features: dict[int, Float32] = {}  # (f,) each, of this generation, by candidate
 
-    # -- the protocol ------------------------------------------------------------------------------
+    # -- ask and tell ------------------------------------------------------------------------------
 
     @property
     def best(self) -> Solution | None:
         """Best point told so far; None before the first with a finite loss."""
         return self._best
 
+    @one_at_a_time
+    @one_thread
     def ask(self, n: int | None = None) -> Float64:
         """Candidates, float64 (n, dim) in [0, 1]; None: what is left of the generation.
 
-        If all of it has been handed out and not all is told, another `popsize` is drawn.
+        If all of it is pending, another `popsize` candidates are drawn.
         """
+        n = None if n is None else whole_number("n", n, 1)
         with self._timed("search"):
-            n = (len(self._queue) or self.popsize) if n is None else whole_number("n", n, 1)
-            X = np.empty((n, self.dim))
-            for row in X:
-                if not self._queue:
-                    self._draw()
-                index, row[:] = self._queue.popleft()
-                self._pending.setdefault(row.tobytes(), []).append(index)
-        return X
+            return np.array([candidate.x for candidate in self._hand_out(n)])
 
+    def ask_ready(self) -> Float64:
+        """As `ask`: no candidate of a baseline waits for training."""
+        return self.ask()
+
+    @one_at_a_time
+    @one_thread
     def tell(self, X: object, images: object = None, losses: object = None) -> None:
         """Report results: points (n, dim), and their losses (n,) or images to compute them of.
 
-        Everything is checked before anything changes.  Raises PointsError, ImageError or LossError
-        (all ValueErrors).
+        A point that was asked may come back in single precision.  Everything is checked before
+        anything changes.  Raises PointsError, ImageError or LossError (all ValueErrors).
         """
         points = as_points(X, self.dim)
         if images is None and losses is None:
@@ -119,45 +126,51 @@ class Baseline(ABC):
         batch = self._as_batch(images, len(points))
         with self._timed("encode"):
             values = self._compute(batch) if losses is None else as_losses(losses, len(points))
-            seen = self._look(batch)
+            features = self._encode(batch)
         with self._timed("search"):
-            for i, (x, value) in enumerate(zip(points, values.tolist(), strict=True)):
+            for i, (x, loss) in enumerate(zip(points, values.tolist(), strict=True)):
                 image = None if batch is None else batch[i]
-                self._learn(x, value, image, None if seen is None else seen[i])
+                self._record(x, loss, image, None if features is None else features[i])
 
     def recommend(self) -> Float64:
         """Point (dim,) that the search believes in; by default the best, or the center."""
         return np.full(self.dim, 0.5) if self._best is None else self._best.x.copy()
 
-    @abstractmethod
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint from which `load` goes on bit for bit."""
-
-    @classmethod
-    @abstractmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Baseline that continues where the one that was saved at `path` stood."""
-
     # -- for subclasses ----------------------------------------------------------------------------
 
     @abstractmethod
     def _sample(self) -> Float64:
-        """Draw candidates, (popsize, dim) in [0, 1], without side effect on the search."""
+        """Draw candidates, (popsize, dim) in [0, 1]."""
 
     @abstractmethod
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         """Learn from a generation, (popsize, dim) and (popsize,); losses are finite or +inf.
 
-        seen: (popsize, f), what `_look` made of its images.
+        features: (popsize, f), what `_encode` made of its images.
         """
 
-    def _look(self, batch: Float32 | None) -> Float32 | None:
-        """What `_update` needs of images (n, H, W, 3), one row (n, f) each; None: nothing."""
+    def _encode(self, batch: Float32 | None) -> Float32 | None:
+        """Features (n, f) of images (n, H, W, 3) that `_update` needs; None: it needs none."""
         return None
 
-    def _own_options(self) -> dict[str, Any]:
-        """Options of the subclass, by keyword, for its checkpoint."""
+    def _own_settings(self) -> dict[str, Any]:
+        """Arguments of the subclass's constructor, by name."""
         return {}
+
+    @abstractmethod
+    def _search_state(self) -> dict[str, Any]:
+        """What the search knows, see `Saved.state_dict`."""
+
+    @abstractmethod
+    def _load_search_state(self, state: dict[str, Any]) -> None:
+        """Put back what `_search_state` gave; ValueError if it is impossible."""
+
+    def _sides(self) -> Sides:
+        """Sides of the arrays in a saved state."""
+        sides = {"d": self.dim, "k": self.popsize}
+        if self.target is not None:
+            sides["H"], sides["W"], _ = self.target.shape
+        return sides
 
     def _default_popsize(self) -> int:
         """Hansen's 4 + 3 ln d."""
@@ -166,86 +179,91 @@ class Baseline(ABC):
     def _smallest_popsize(self) -> int:
         return 1
 
-    def _forget_pending(self) -> None:
-        """After a restart: whatever was drawn before no longer tells about the new search."""
-        self._valid_from = self._asked
-        self._told.clear()
-
     def _timed(self, part: str) -> AbstractContextManager[None]:
         return timed(self.times, part)
 
     # -- bookkeeping -------------------------------------------------------------------------------
 
-    def _options(self) -> dict[str, Any]:
-        """All options, by keyword, for a checkpoint."""
-        common = {"dim": self.dim, "popsize": self.popsize, "sigma0": self.sigma0}
-        return {**common, "seed": self.seed, **self._own_options()}
+    def _hand_out(self, n: int | None) -> list[Candidate]:
+        """The next n candidates; None: those that remain of a generation."""
+        population = self._population
+        n = n or population.remaining or self.popsize
+        population.expect(n)
+        handed_out: list[Candidate] = []
+        while len(handed_out) < n:
+            if not population.remaining:
+                X = self._sample()
+                population.draw(X, X)
+            handed_out.append(population.hand_out())
+        return handed_out
 
-    def _loss_name(self) -> str:
-        return self._loss if isinstance(self._loss, str) else str(getattr(self._loss, "name", ""))
+    def _record(
+        self, x: Float64, loss: float, image: Float32 | None, features: Float32 | None
+    ) -> int | None:
+        """Enter one result; finish the generation if that completes it.
 
-    def _draw(self) -> None:
-        for x in self._sample():
-            self._queue.append((self._asked, x))
-            self._asked += 1
-
-    def _learn(self, x: Float64, value: float, image: Float32 | None, seen: Float32 | None) -> int:
-        """Count one result, keep it if it is the best, and finish the generation if it fills it.
-
-        Returns its index.
+        Returns the candidate's index, None if it is injected.
         """
-        indices = self._pending.get(x.tobytes())
-        index = indices.pop(0) if indices else FOREIGN
-        if indices is not None and not indices:
-            del self._pending[x.tobytes()]
-        if np.isfinite(value) and (self._best is None or value < self._best.loss):
-            copy = None if image is None else image.copy()
-            self._best = Solution(x.copy(), value, self.evaluations, copy)
+        finite = bool(np.isfinite(loss))
+        candidate = self._population.record(x, loss if finite else np.inf)
+        index = None if candidate is None else candidate.index
+        if index is not None and features is not None:
+            self._told_features[index] = features
+        if finite and (self._best is None or loss < self._best.loss):
+            image = None if image is None else image.copy()
+            self._best = Solution(x.copy(), loss, self.evaluations, image)
         self.evaluations += 1
-        if index >= self._valid_from:
-            self._told.append((index, x, value if np.isfinite(value) else np.inf, seen))
-            if len(self._told) == self.popsize:
-                self._finish_generation()
+        if self._population.complete:
+            self._finish_generation()
         return index
 
     def _finish_generation(self) -> None:
-        told = sorted(self._told, key=lambda entry: entry[0])
-        self._told = []
-        self._queue.clear()
-        _, points, values, rows = zip(*told, strict=True)
-        seen = None if rows[0] is None else np.array(rows)
-        self._update(np.array(points), np.array(values), seen)
+        members, losses = self._population.close_generation()
+        told, self._told_features = self._told_features, {}
+        features = np.array([told[member.index] for member in members]) if told else None
+        self._update(np.array([member.x for member in members]), losses, features)
 
     def _as_batch(self, images: object, n: int) -> Float32 | None:
         if images is None:
             return None
-        shape = None if self.target is None else self.target.shape
-        return as_batch(images, shape, n=n)
+        return as_batch(images, None if self.target is None else self.target.shape, n=n)
 
     def _compute(self, batch: Float32 | None) -> Float64:
-        if batch is None or isinstance(self._loss, str):
-            raise LossError(f"{self.name} has no target to compare images with; tell losses")
+        if batch is None:
+            raise LossError("a loss of images needs images; got none")
         return self._loss.compute(batch)
 
+    # -- saving: see `runtime.saving` --------------------------------------------------------------
 
-def _resolve(loss: str | Callable[..., object] | None, target: Float32 | None) -> ImageLoss | str:
-    """Loss for the target; without one, its name, checked, to be remembered only."""
-    if target is not None:
-        return losses_module.resolve(loss, target)
-    if loss is None or isinstance(loss, str):
-        name = loss or "mse"
-        if not losses_module.knows(name):
-            losses_module.make(name, None)  # raises the error that lists the known names
-        return name
-    return str(getattr(loss, "__name__", type(loss).__name__))
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`."""
+        common = {"dim": self.dim, "target": self.target, "popsize": self.popsize}
+        return {**common, "sigma0": self.sigma0, "seed": self.seed, **self._own_settings()}
+
+    @property
+    def loss_name(self) -> str | None:
+        """Name by which the loss can be made again; None for a user's own."""
+        return self._loss.spec
+
+    def state_dict(self) -> dict[str, Any]:
+        """The best point, the counts, and what the search knows."""
+        return {
+            "evaluations": self.evaluations,
+            "best": None if self._best is None else _pack(self._best),
+            "times": self.times,
+            "search": self._search_state(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was called; ValueError if `state` is impossible."""
+        check(state, _SCHEMA, self._sides())
+        self._load_search_state(state["search"])
+        self.evaluations, self.times = state["evaluations"], dict(state["times"])
+        self._best = None if state["best"] is None else Solution(**state["best"])
 
 
-def not_stored(images: Float32) -> Float64:
-    """Loss of a baseline that was loaded and whose own was a callable."""
-    raise LossError(
-        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
-        "give it again, load(path, loss=...), or tell losses"
-    )
+def _pack(best: Solution) -> dict[str, Any]:
+    return {name: getattr(best, name) for name in ("x", "loss", "evaluation", "image")}
 
 
 def positive(name: str, value: object) -> float:
@@ -253,3 +271,27 @@ def positive(name: str, value: object) -> float:
     if not isinstance(value, int | float | np.number) or not 0 < float(value) < np.inf:
         raise OptionError(f"{name} must be a positive number, not {value!r}")
     return float(value)
+
+
+def _checked_device(device: str) -> str:
+    """The device's name; DeviceError unless this machine has it."""
+    if device != "auto":
+        from fide_plugins.runtime.devices import resolve_device  # PyTorch takes a second
+
+        resolve_device(device)
+    return device
+
+
+_SCHEMA: Schema = {
+    "evaluations": whole(),
+    "best": maybe(
+        {
+            "x": array("d", low=0.0, high=1.0),
+            "loss": real(),
+            "evaluation": whole(),
+            "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+        }
+    ),
+    "times": {"encode": real(), "train": real(), "search": real()},
+    "search": anything,  # the subclass checks its own
+}

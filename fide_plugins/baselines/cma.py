@@ -12,10 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.replayed import Replayed
+from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["CMA"]
 
@@ -23,7 +22,7 @@ RESTARTS = ("same", "ipop", "none")
 
 
 class CMA(Replayed):
-    """The strongest of the classical rivals, at the population you choose.
+    """CMA-ES of the library `cma`, at the population you choose.
 
     popsize: candidates a generation, at least 3; None: the library's default, 4 + 3 ln d.
     restarts: "same" starts again with the same population, "ipop" doubles it each time
@@ -80,7 +79,7 @@ class CMA(Replayed):
             X = np.array(self._es.ask(self.popsize), np.float64)
         return np.clip(X, 0.0, 1.0)  # the transformation can be off by one rounding
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on flat losses, which here are no error
             self._es.tell(list(X), _finite(losses).tolist())
@@ -89,13 +88,13 @@ class CMA(Replayed):
             self._ended = min(self._ended, self._present(), key=lambda search: search[0])
             if self.restarts == "ipop":
                 self.popsize *= 2
-            self._forget_pending()
+            self._population.forget_pending()
             self._start(self._rng.random(self.dim))
 
     def _smallest_popsize(self) -> int:
         return 3
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         return {"restarts": self.restarts, "popsize": self._first_popsize}
 
 

@@ -1,4 +1,4 @@
-"""DFO-LS: derivative-free least squares on what is wrong with the image.
+"""DFO-LS: derivative-free least squares on the residuals of image features.
 
 Cartis, Fiala, Marteau and Roberts (2019) fit a linear model of the residual vector, here the
 features of an image minus those of the target, within a trust region (Gauss-Newton without
@@ -17,20 +17,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.callback import Search
 from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.looking import Looking
+from fide_plugins.baselines.image_features import ImageBased
+from fide_plugins.baselines.reverse_communication import Search
 from fide_plugins.baselines.sequential import Sequential, quietly
 from fide_plugins.errors import DependencyError, OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["DFOLS", "least_squares"]
 
 LONGEST = 100_000  # evaluations of one search; DFO-LS makes a list of that length
 
 
-class DFOLS(Looking, Sequential):
+class DFOLS(ImageBased, Sequential):
     """Least squares by DFO-LS from near the center of the box; at its end again, from elsewhere.
 
     sigma0: standard deviation of the first start around the center.  The center itself can be a
@@ -39,13 +38,13 @@ class DFOLS(Looking, Sequential):
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     radius: of the first trust region, at most 0.5.
     noisy: whether DFO-LS is told that the function is noisy, which makes its radius shrink slowly;
-        the default, because images change by leaps where edges pass over pixels.
+        the default, because an image changes in steps where an edge passes a pixel.
     soft_restarts: whether a search that has converged goes on by DFO-LS's own restarts, from its
         best point with a new radius, before it begins elsewhere.
 
     Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
-    loss plays no part in the search; it decides which point is `best`.  The other options are those
-    of `Looking` and `Baseline`; popsize is 1.
+    search does not use the loss, which only decides which point is `best`.  The other options are
+    those of `ImageBased` and `Baseline`; popsize is 1.
     """
 
     name: ClassVar[str] = "dfols"
@@ -87,18 +86,18 @@ class DFOLS(Looking, Sequential):
             least_squares, x0=x0, radius=self.radius, noisy=self.noisy, settings=settings
         )
 
-    def _answer(self, loss: float, seen: Float32 | None) -> Float64:
-        assert seen is not None
-        wrong = seen.astype(np.float64) - self.target_row
+    def _answer(self, loss: float, features: Float32 | None) -> Float64:
+        assert features is not None
+        wrong = features.astype(np.float64) - self.target_features
         residuals: Float64 = wrong / np.sqrt(len(wrong))
         return residuals
 
     def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
         return partial(_with_random_numbers, self._global_random)
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         switches = {"noisy": self.noisy, "soft_restarts": self.soft_restarts}
-        return {**super()._own_options(), "radius": self.radius, **switches}
+        return {**super()._own_settings(), "radius": self.radius, **switches}
 
 
 @contextmanager

@@ -6,8 +6,8 @@ dim + 1 evaluations counts.  It starts at the center of the box, with SciPy's de
 would return (after 1,000 iterations), another search starts from a random point.
 
 SciPy's finite differences are 1e-8 long.  An image of 32-bit numbers does not change by so little,
-and its edges move by whole pixels: there most of what the gradients cost is wasted.  With `step` of
-0.001 the same search is a much stronger rival; `docs/baselines.md` has both.
+and its edges move by whole pixels: there most evaluations for gradients are wasted.  With `step` of
+0.001 the same search is much stronger; `docs/baselines.md` has both.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_plugins.baselines.base import positive
-from fide_plugins.baselines.callback import Search
+from fide_plugins.baselines.reverse_communication import Search
 from fide_plugins.baselines.sequential import Sequential
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 __all__ = ["DualAnnealing", "anneal", "descent"]
 
@@ -31,7 +31,7 @@ class DualAnnealing(Sequential):
     step: of the finite differences; None: SciPy's own, 1e-8.
 
     Without a step the points are those that SciPy evaluates with ``x0=np.full(dim, 0.5)`` and
-    ``rng=np.random.default_rng(seed)``.  `sigma0` plays no part.
+    ``rng=np.random.default_rng(seed)``.  `sigma0` is not used.
     """
 
     name: ClassVar[str] = "dual-annealing"
@@ -50,7 +50,7 @@ class DualAnnealing(Sequential):
         local = descent(self.dim, self.step)
         return partial(anneal, x0=x0, rng=self._rng, minimizer_kwargs=local)
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         return {"step": self.step}
 
 

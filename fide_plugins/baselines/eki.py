@@ -30,10 +30,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.looking import Looking
+from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.runtime.schema import GENERATOR, Schema, array, real, whole
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["EKI", "kalman_update"]
 
@@ -42,14 +42,21 @@ LEAST_NOISE = 1e-12  # variance; an ensemble that has collapsed on the answer is
 STALLED = 20  # generations without a better loss after which it is given up
 
 
-class EKI(Looking, Stateful):
-    """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `Looking` and `Baseline`.
+class EKI(ImageBased, Stateful):
+    """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `ImageBased` and `Baseline`.
 
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
     """
 
     name: ClassVar[str] = "eki"
+    own_schema: ClassVar[dict[str, Schema]] = {
+        "members": array("k", "d", low=0.0, high=1.0),
+        "lowest": real(high=np.inf),
+        "stalled": whole(),
+        "starts": whole(),
+        "rng": GENERATOR,
+    }
 
     def __init__(
         self, dim: int, target: object = None, *, channels: int | None = 3, **options: Any
@@ -73,12 +80,12 @@ class EKI(Looking, Stateful):
     def _sample(self) -> Float64:
         return self._members
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
-        assert seen is not None
-        self._forget_pending()  # a member is evaluated once
-        misfit = self.target_row.astype(np.float64) - seen  # (k, f)
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        assert features is not None
+        self._population.forget_pending()  # a member is evaluated once
+        misfit = self.target_features.astype(np.float64) - features  # (k, f)
         gamma = float(np.square(misfit).mean())
-        updated = kalman_update(X, seen.astype(np.float64), misfit, gamma, self._rng)
+        updated = kalman_update(X, features.astype(np.float64), misfit, gamma, self._rng)
         self._members = np.clip(updated, 0.0, 1.0)
         self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
         self._lowest = min(self._lowest, float(losses.min()))
@@ -91,17 +98,18 @@ class EKI(Looking, Stateful):
     def _smallest_popsize(self) -> int:
         return 2
 
-    def _state(self) -> dict[str, Any]:
+    def _own_state(self) -> dict[str, Any]:
         return {
             "members": self._members,
             "lowest": self._lowest,
-            "counts": [self._stalled, self.starts],
+            "stalled": self._stalled,
+            "starts": self.starts,
             "rng": self._rng.bit_generator.state,
         }
 
-    def _set_state(self, state: dict[str, Any]) -> None:
-        self._members, self._lowest = state["members"], float(state["lowest"])
-        self._stalled, self.starts = map(int, state["counts"])
+    def _load_own_state(self, state: dict[str, Any]) -> None:
+        self._members, self._lowest = state["members"], state["lowest"]
+        self._stalled, self.starts = state["stalled"], state["starts"]
         self._rng.bit_generator.state = state["rng"]
 
 

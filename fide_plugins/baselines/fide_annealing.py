@@ -23,12 +23,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from fide_plugins.baselines.base import positive
-from fide_plugins.baselines.callback import Search
 from fide_plugins.baselines.dual_annealing import anneal, descent
-from fide_plugins.baselines.looking import Looking
+from fide_plugins.baselines.image_features import ImageBased
+from fide_plugins.baselines.reverse_communication import Search
 from fide_plugins.baselines.sequential import Sequential
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64, whole_number
+from fide_plugins.runtime.schema import Schema, anything, array, check
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.points import whole_number
 
 if TYPE_CHECKING:
     from fide_plugins.proposers.diffusion import DiffusionProposer
@@ -37,9 +38,16 @@ __all__ = ["FIDEAnnealing"]
 
 SMALLEST_STD = 1e-8
 
+_SCHEMA: Schema = {
+    "history": anything,  # `Replayed` checks it
+    "proposals": array("p", "d", low=0.0, high=1.0),
+    "proposer": anything,  # checks its own
+    "collected": array("n", "f"),
+}
+
 
 class Visits:
-    """What the annealing's thread and the optimizer share; it knows neither."""
+    """State shared by the annealing's thread and the optimizer; it refers to neither."""
 
     def __init__(self, denoise: Callable[[Float64, Float64], Float64]) -> None:
         self.denoise = denoise
@@ -59,19 +67,19 @@ class Visits:
         x[:] = proposal
 
 
-class FIDEAnnealing(Looking, Sequential):
+class FIDEAnnealing(ImageBased, Sequential):
     """Dual annealing, half of whose points are denoised towards the target.
 
     samples: k, points before each training; 500 in the paper.
     epochs: of a training.
-    encoder, channels: of the images, see `Looking`; the paper's simplest by default.
+    encoder, channels: of the images, see `ImageBased`; the paper's simplest by default.
     step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
-    The other options are those of `Baseline`; popsize is 1, and `sigma0` plays no part.
+    The other options are those of `Baseline`; popsize is 1, and `sigma0` is not used.
     """
 
     name: ClassVar[str] = "fide-annealing"
-    keeps_rows: ClassVar[bool] = False  # images play no part in the replay, denoised points do
+    keeps_features: ClassVar[bool] = False  # the replay uses denoised points, not images
 
     def __init__(
         self,
@@ -94,49 +102,52 @@ class FIDEAnnealing(Looking, Sequential):
         self._proposer = DiffusionProposer(self.dim, seed=self.seed, epochs=self.epochs)
         self._visits = Visits(partial(_denoise, self._proposer, self.target_tokens))
         self._x: list[Float64] = []  # collected since the last training
-        self._rows: list[Float32] = []
+        self._features: list[Float32] = []  # of their images
 
     def _search(self) -> Search:
         x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
         return partial(_anneal, visits=self._visits, x0=x0, rng=self._rng, step=self.step)
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         if not self._visits.descending:
-            self._collect(X[0], None if seen is None else seen[0])
-        super()._update(X, losses, seen)
+            self._collect(X[0], None if features is None else features[0])
+        super()._update(X, losses, features)
 
-    def _collect(self, x: Float64, row: Float32 | None) -> None:
-        """Keep a visited point; row: its image's features, None in a replay."""
+    def _collect(self, x: Float64, features: Float32 | None) -> None:
+        """Keep a visited point; features (f,) of its image, None in a replay."""
         self._x.append(x)
-        if row is not None:
-            self._rows.append(row)
+        if features is not None:
+            self._features.append(features)
         if len(self._x) < self.samples:
             return
         points = np.array(self._x)
         self._visits.std = np.maximum(points.std(axis=0), SMALLEST_STD)
-        if row is not None:
+        if features is not None:
             with self._timed("train"):
-                tokens = self.tokens_of(np.array(self._rows))
+                tokens = self.tokens_of(np.array(self._features))
                 self._proposer.update(points, tokens, None, self._visits.std)
-        self._x, self._rows = [], []
+        self._x, self._features = [], []
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         own = {"samples": self.samples, "epochs": self.epochs, "step": self.step}
-        return {**super()._own_options(), **own}
+        return {**super()._own_settings(), **own}
 
-    def _pack(self) -> dict[str, Any]:
-        own = {
+    def _search_state(self) -> dict[str, Any]:
+        return {
+            "history": super()._search_state(),
             "proposals": np.array(self._visits.proposals).reshape(-1, self.dim),
             "proposer": self._proposer.state_dict(),
-            "rows_collected": list(self._rows),
+            "collected": np.array(self._features, np.float32).reshape(-1, self._sides()["f"]),
         }
-        return {**super()._pack(), **own}
 
-    def _restore(self, state: dict[str, Any]) -> None:
+    def _load_search_state(self, state: dict[str, Any]) -> None:
+        check(state, _SCHEMA, self._sides(), "search")
         self._visits.recorded.extend(state["proposals"])
-        super()._restore(state)
+        super()._load_search_state(state["history"])
         self._visits.recorded.clear()
-        self._rows = list(state["rows_collected"])
+        self._features = list(state["collected"])
+        if len(self._features) != len(self._x):
+            raise ValueError(f"features of {len(self._features)} points, not {len(self._x)}")
         self._proposer.load_state_dict(state["proposer"])
 
 

@@ -14,23 +14,23 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.replayed import Replayed
+from fide_plugins.baselines.replay import Replayed
 from fide_plugins.baselines.sequential import Penalty, quietly
 from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64, whole_number
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.points import whole_number
 
 __all__ = ["Framework", "Nevergrad", "Optuna", "nevergrad", "optuna"]
 
 
 class Framework(Replayed):
-    """What the two have in common: their own candidates, to be given back to them.
+    """An optimizer of a framework, whose own candidate objects are told back to it.
 
     popsize: points that are evaluated at the same time, 1 by default; the population is the
         library's own affair.
     budget: evaluations that are planned, which some optimizers count on.
 
-    The other options are those of `Baseline`; `sigma0` plays no part, and failed evaluations are
+    The other options are those of `Baseline`; `sigma0` is not used, and failed evaluations are
     told as worse than all others.
     """
 
@@ -68,7 +68,7 @@ class Framework(Replayed):
                 self._candidates.setdefault(X[i].tobytes(), []).append(candidate)
         return X
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         with self._guarded():
             for x, loss in zip(X, losses.tolist(), strict=True):
                 several = self._candidates[x.tobytes()]
@@ -94,7 +94,7 @@ class Framework(Replayed):
     def _default_popsize(self) -> int:
         return 1
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         return {"budget": self.budget}
 
 

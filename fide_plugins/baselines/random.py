@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.replayed import Replayed
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.baselines.replay import Replayed
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["Random"]
 
@@ -25,5 +24,5 @@ class Random(Replayed):
     def _sample(self) -> Float64:
         return self._rng.random((self.popsize, self.dim))  # ~ U(0, 1)
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         pass

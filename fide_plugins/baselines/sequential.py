@@ -1,4 +1,4 @@
-"""What baselines share whose library evaluates one point after the other."""
+"""Baselines whose library evaluates one point after the other."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.baselines.callback import Caller, Search
-from fide_plugins.baselines.replayed import Replayed
+from fide_plugins.baselines.replay import Replayed
+from fide_plugins.baselines.reverse_communication import ReverseCommunication, Search
 from fide_plugins.errors import OptionError, ProtocolError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["Penalty", "Sequential", "quietly"]
 
@@ -44,8 +43,8 @@ def quietly() -> Iterator[None]:
 class Sequential(Replayed):
     """A library's search, one evaluation at a time: its population is 1.
 
-    Asked for more before the result is told, it gives the same point again; the results of those
-    are counted, and not used.  When a search is over, the next one begins.
+    If more is asked before the result is told, the same point is given again.  Only the first
+    result of it is used; the others are counted.  When a search is over, the next one begins.
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
@@ -57,20 +56,20 @@ class Sequential(Replayed):
             )
         self.starts = 0  # searches begun so far
         self._penalty = Penalty()
-        self._caller: Caller | None = None
+        self._library: ReverseCommunication | None = None
         self._closed = False
 
     def close(self) -> None:
         """End the library's thread, as happens to an optimizer that is no longer referred to."""
         self._closed = True
-        if self._caller is not None:
-            self._caller.close()
+        if self._library is not None:
+            self._library.close()
 
     def _search(self) -> Search:
         """The next search, of which `starts` were begun before; it must not refer to self."""
         raise NotImplementedError
 
-    def _answer(self, loss: float, seen: Float32 | None) -> Any:
+    def _answer(self, loss: float, features: Float32 | None) -> Any:
         """What the library's function returns."""
         return self._penalty(loss)
 
@@ -79,18 +78,19 @@ class Sequential(Replayed):
         if self._closed:
             raise ProtocolError(f"this {self.name} was closed; make or load another one")
         for _ in range(2):  # a search that is over is followed by another, which has a point
-            if self._caller is None or self._caller.over:
-                self._caller = Caller(self._search(), self._surroundings())
+            if self._library is None or self._library.over:
+                self._library = ReverseCommunication(self._search(), self._surroundings())
                 self.starts += 1
-            point = self._caller.point()
+            point = self._library.point()
             if point is not None:
                 return np.clip(point, 0.0, 1.0)[None]
         raise ProtocolError(f"{self.name} ended without evaluating a point; start a new one")
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
-        self._forget_pending()
-        if self._caller is not None:
-            self._caller.answer(self._answer(float(losses[0]), None if seen is None else seen[0]))
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        self._population.forget_pending()
+        if self._library is not None:
+            of_image = None if features is None else features[0]
+            self._library.answer(self._answer(float(losses[0]), of_image))
 
     def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
         """What to enter whenever the search goes on; like it, it must not refer to self."""

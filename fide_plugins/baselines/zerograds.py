@@ -34,8 +34,18 @@ from fide_plugins.baselines.networks import load_weights, make
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.denoiser.training import adam_state, load_adam_state
 from fide_plugins.errors import OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64, whole_number
+from fide_plugins.runtime.schema import (
+    GENERATOR,
+    Schema,
+    anything,
+    array,
+    numbers,
+    real,
+    row,
+    table,
+)
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.points import whole_number
 
 __all__ = ["Proxy", "ZeroGrads"]
 
@@ -78,6 +88,15 @@ class ZeroGrads(Stateful):
     """
 
     name: ClassVar[str] = "zerograds"
+    own_schema: ClassVar[dict[str, Schema]] = {
+        "theta": array("d", low=0.0, high=1.0),
+        "weights": table(numbers),
+        "adam": row(anything, anything),  # `load_adam_state` checks them
+        "scale": real(low=0.0),
+        "rendered": array("points", "d", low=0.0, high=1.0),
+        "unshifted": array("points", "d", low=0.0, high=1.0),
+        "rng": GENERATOR,
+    }
 
     def __init__(
         self,
@@ -125,8 +144,8 @@ class ZeroGrads(Stateful):
         self._unshifted |= {y.tobytes(): x for x, y in zip(points, rendered, strict=True)}
         return np.concatenate([rendered, theta[None]])
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
-        self._forget_pending()  # the network learns from the points of one step only
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        self._population.forget_pending()  # the network learns from the points of one step only
         learned = [x.tobytes() in self._unshifted for x in X] & np.isfinite(losses)
         points = [self._unshifted[x.tobytes()] for x in X[learned]]
         self._unshifted.clear()
@@ -154,11 +173,11 @@ class ZeroGrads(Stateful):
     def _default_popsize(self) -> int:
         return 2 * self.batch + 1
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         rates = {"learning_rate": self.learning_rate, "proxy_rate": self.proxy_rate}
         return {"batch": self.batch, "smooth": self.smooth, **rates}
 
-    def _state(self) -> dict[str, Any]:
+    def _own_state(self) -> dict[str, Any]:
         pairs = self._unshifted.items()
         return {
             "theta": self._theta,
@@ -170,12 +189,12 @@ class ZeroGrads(Stateful):
             "rng": self._rng.bit_generator.state,
         }
 
-    def _set_state(self, state: dict[str, Any]) -> None:
+    def _load_own_state(self, state: dict[str, Any]) -> None:
         self._theta.copy_(torch.as_tensor(state["theta"]))
         load_weights(self._proxy, state["weights"])
         load_adam_state(self._theta_adam, state["adam"][0])
         load_adam_state(self._proxy_adam, state["adam"][1])
-        self._scale = float(state["scale"])
+        self._scale = state["scale"]
         pairs = zip(state["rendered"], state["unshifted"], strict=True)
         self._unshifted = {y.tobytes(): x for y, x in pairs}
         self._rng.bit_generator.state = state["rng"]

@@ -1,7 +1,16 @@
-"""The command ``fide``: one module for each of its commands.
+"""The command ``fide``.
 
-Exit codes: 0 done; 1 a run failed; 2 wrong usage, one line on standard error says which; 130 and
-143 stopped by Ctrl-C and SIGTERM, with everything saved.
+Exit codes: 0 done; 1 a run failed; 2 wrong usage, with one line on standard error; 130 and 143
+stopped by Ctrl-C and SIGTERM, with everything saved.
+
+===================  ===================================================================
+`NAME_command`       one module for each command: its arguments and its execution
+`arguments`          arguments that commands share
+`running`            executes runs and comparisons, with messages and exit codes
+`progress`           progress of a run: a bar in a terminal, lines elsewhere
+`availability`       which tasks, optimizers, encoders and losses can be used here
+`messages`           text for a terminal
+===================  ===================================================================
 """
 
 from __future__ import annotations
@@ -18,13 +27,16 @@ from fide_plugins.cli.messages import complain
 __all__ = ["main"]
 
 COMMANDS = {
-    "run": "fit a built-in task",
-    "fit": "fit a picture of your own",
-    "compare": "compare optimizers on built-in tasks",
-    "report": "the page, tables and figures of a comparison",
-    "tradeoff": "speed against accuracy, and which setting to use",
-    "list": "names of tasks, optimizers, encoders, losses",
-    "doctor": "what can be used on this machine",
+    "run": "fit a built-in task, or a test of your renderer",
+    "fit": "fit a picture of your own, with your renderer or a model",
+    "learn": "learn a renderer once, for every later picture",
+    "solutions": "show several good answers of a run, side by side",
+    "compare": "compare optimizers on tasks",
+    "watch": "show a run in the browser while it goes on",
+    "report": "write the page, tables and figures of a comparison",
+    "tradeoff": "sweep options that trade speed for accuracy",
+    "list": "list tasks, optimizers, encoders, losses",
+    "doctor": "check what can be used on this machine",
 }
 
 
@@ -36,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not argv:
             parser.print_help(sys.stderr)
             return 2
-        # Two steps, so that only the module of the command that was asked for is imported.
+        # Two steps, so that only the module of the given command is imported.
         name = parser.parse_args(argv[:1]).command
         module = import_module(f"fide_plugins.cli.{name}_command")
         own = _Parser(f"fide {name}", module.__doc__ or "")
@@ -48,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _Done as done:
         return int(done.args[0])
     except MemoryError as error:
-        return complain("fide", f"there is not enough memory ({error}); take smaller images")
+        return complain("fide", f"there is not enough memory ({error}); use smaller images")
     except KeyboardInterrupt:
         complain("fide", "stopped")
         return 130
@@ -64,11 +76,11 @@ class _Usage(Exception):
 
 
 class _Done(Exception):
-    """Argparse has printed a help or a version."""
+    """Argparse has printed the help or the version."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Raises instead of leaving the process, and complains in one line."""
+    """Parser that raises exceptions instead of ending the process."""
 
     def __init__(self, prog: str, description: str, usage: str | None = None) -> None:
         super().__init__(
@@ -91,7 +103,7 @@ def _parser() -> _Parser:
     listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in COMMANDS.items())
     description = (
         f"Fit a black-box renderer to a picture.\n\n{listing}\n\n"
-        "fide COMMAND --help explains each. A good start: fide run voronoi --size 112"
+        "See fide COMMAND --help for each. A good start: fide run voronoi --size 112"
     )
     parser = _Parser("fide", description, "fide COMMAND ...")
     parser.add_argument("--version", action="version", version=f"fide {__version__}")

@@ -8,11 +8,13 @@ import re
 from pathlib import Path
 from typing import Any
 
-from fide_plugins import settings
 from fide_plugins.errors import OptionError
+from fide_plugins.validation import key_value
 
 __all__ = [
+    "add_grid_arguments",
     "add_run_arguments",
+    "add_space_argument",
     "free_directory",
     "names",
     "optimizer_options",
@@ -23,7 +25,7 @@ __all__ = [
 
 
 def whole(minimum: int) -> Any:
-    """Type of an argument that is a whole number >= `minimum`."""
+    """Parser of an argument: a whole number >= `minimum`."""
 
     def parse(text: str) -> int:
         try:
@@ -38,15 +40,15 @@ def whole(minimum: int) -> Any:
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """``key=value`` with the value as int, float, bool or str, whichever fits first."""
+    """Parse ``key=value``; the value is a bool, int, float or str, whichever fits first."""
     try:
-        return settings.parse(text)
+        return key_value.parse(text)
     except OptionError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def names(text: str) -> list[str]:
-    """Names that are separated by commas."""
+    """Parse names separated by commas."""
     found = [name.strip() for name in text.split(",")]
     if not all(found):
         raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
@@ -54,7 +56,7 @@ def names(text: str) -> list[str]:
 
 
 def thresholds(text: str) -> tuple[str, float]:
-    """``loss=value`` or ``task/loss=value`` with a finite value."""
+    """Parse ``loss=value`` or ``task/loss=value`` with a finite value."""
     key, _, value = text.rpartition("=")
     try:
         number = float(value)
@@ -65,15 +67,48 @@ def thresholds(text: str) -> tuple[str, float]:
     return key, number
 
 
-def add_run_arguments(parser: argparse.ArgumentParser, *, size: str) -> None:
-    """Add what `fide run` and `fide fit` have in common; `size` explains --size."""
+def add_grid_arguments(
+    parser: argparse.ArgumentParser, *, what: str, seeds: int, budget: int
+) -> Any:
+    """Add the arguments that `fide compare` and `fide tradeoff` share; seeds, budget: defaults.
+
+    Returns the group of --jobs, for arguments that exclude it.
+    """
     add = parser.add_argument
-    add("--optimizer", default="fide", metavar="NAME", help="see: fide list optimizers")
+    add("--seeds", type=whole(1), default=seeds, metavar="N", help=f"runs of each ({seeds})")
+    add("--budget", type=whole(1), default=budget, metavar="N",
+        help=f"renders of each run ({budget})")  # fmt: skip
+    add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
+    add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+        help="any option of the tasks, such as cells=12; may be repeated")  # fmt: skip
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--jobs", type=whole(1), default=1, metavar="J", help="processes (1)")
+    add("--out", type=Path, required=True, metavar="DIR", help=f"directory of the {what}")
+    add("--resume", action="store_true", help=f"continue or extend the {what} in that directory")
+    return where
+
+
+def add_run_arguments(
+    parser: argparse.ArgumentParser,
+    *,
+    size: str,
+    optimizer: str | None = "fide",
+    budget: int | None = 5000,
+    side: int | None = 224,
+) -> None:
+    """Add the arguments that `fide run` and `fide fit` share.
+
+    size: explanation of --size.  optimizer, budget, side: defaults, None where they depend on
+    other arguments.
+    """
+    add = parser.add_argument
+    add("--optimizer", default=optimizer, metavar="NAME", help="see: fide list optimizers")
     add("--loss", default="mse", metavar="NAME", help="see: fide list losses")
-    add("--budget", type=whole(1), default=5000, metavar="N", help="number of renders (5000)")
-    add("--size", type=whole(1), default=224, metavar="PX", help=f"{size} (224)")
-    add("--seed", type=whole(0), default=0, metavar="N", help="of the optimizer (0)")
-    add("--preset", metavar="NAME", help="of fide: fast, balanced, accurate, paper")
+    add("--budget", type=whole(1), default=budget, metavar="N",
+        help=f"number of renders{_shown(budget)}")  # fmt: skip
+    add("--size", type=whole(1), default=side, metavar="PX", help=f"{size}{_shown(side)}")
+    add("--seed", type=whole(0), default=0, metavar="N", help="seed of the optimizer (0)")
+    add("--preset", metavar="NAME", help="preset of fide: fast, balanced, accurate, paper")
     add("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", dest="options",
         help="any option of the optimizer, such as popsize=50; may be repeated")  # fmt: skip
     add("--out", type=Path, metavar="DIR", help="run directory (a new one in runs/)")
@@ -81,17 +116,27 @@ def add_run_arguments(parser: argparse.ArgumentParser, *, size: str) -> None:
     add("--json", action="store_true", help="end with one line of JSON on standard output")
 
 
+def _shown(default: int | None) -> str:
+    return "" if default is None else f" ({default})"
+
+
+def add_space_argument(parser: Any) -> None:
+    """Add --space, the parameters of a user's renderer."""
+    parser.add_argument("--space", metavar="FILE.toml",
+                        help="parameters of your renderer (the space beside it)")  # fmt: skip
+
+
 def optimizer_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Options for the optimizer from --set and --preset."""
+    """Options of the optimizer from --set and --preset."""
     preset = {} if args.preset is None else {"preset": args.preset}
     return {**preset, **dict(args.options)}
 
 
 def free_directory(args: argparse.Namespace, what: str) -> Path:
-    """Run directory: --out, or one in runs/ that says what it holds.
+    """Run directory: --out, or a directory in runs/ with a descriptive name.
 
-    Without --out a run never meets another one: its directory gets a number.  With --resume it is
-    the last of that name.
+    Without --out the directory is new; a number makes its name unique.  With --resume it is the
+    last one with that name.
     """
     if args.out is not None:
         return Path(args.out)

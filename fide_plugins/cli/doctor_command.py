@@ -1,17 +1,18 @@
-"""Say what can be used on this machine, and what is missing for the rest."""
+"""Say what is installed here; with --verbose, try every task, optimizer, encoder and loss."""
 
 from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
 
+from fide_plugins.cli.availability import KINDS, names, problems
 from fide_plugins.cli.messages import plain
-from fide_plugins.cli.trials import KINDS, problems
 
 __all__ = ["add_arguments", "execute"]
 
-_EXTRAS = {  # extra: distribution that it brings
+_EXTRAS = {  # extra: a distribution that it installs
     "nevergrad": "nevergrad",
     "optuna": "optuna",
     "robot": "mujoco",
@@ -24,21 +25,53 @@ _EXTRAS = {  # extra: distribution that it brings
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide doctor``."""
-    parser.add_argument("--json", action="store_true", help="one line of JSON instead of text")
+    parser.add_argument("--verbose", action="store_true", help="try everything (10 to 40 seconds)")
+    parser.add_argument("--json", action="store_true", help="as --verbose, in one line of JSON")
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
-    """Run it; returns the exit code."""
+    """Execute the command; returns the exit code."""
+    if not (args.verbose or args.json):
+        print(_summary())
+        return 0
     facts = examine()
     print(json.dumps(facts) if args.json else _text(facts))
     return 0
 
 
-def examine() -> dict[str, Any]:
-    """Versions, machine, and for each thing that has a name None or what is wrong with it."""
-    import torch  # noqa: F401  so that the machine's devices are known
+def _summary() -> str:
+    """What is installed, without importing any of it."""
+    from fide_plugins.experiments.run import machine
 
-    from fide_plugins.harness import machine
+    versions, computer = machine.versions(), machine.machine()
+    first = ("fide-plugins", "python", "torch", "numpy")
+    extras = {extra: machine.version_of(package) for extra, package in _EXTRAS.items()}
+    missing = [extra for extra, version in extras.items() if not version]
+    lines = [
+        ", ".join(f"{name} {versions[name]}" for name in first if name in versions),
+        f"{computer['cpu']}, {computer['cores']} cores; {_gpu(str(versions.get('torch')))}",
+        f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
+    ]
+    if missing:
+        lines.append(f"missing: pip install 'fide-plugins[{','.join(missing)}]'")
+    lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
+    lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
+    return "\n".join(lines)
+
+
+def _gpu(torch_version: str) -> str:
+    """Whether a GPU can be expected; PyTorch, which knows, takes a second to import."""
+    if torch_version.endswith("+cpu"):
+        return "this PyTorch has no CUDA, everything runs on the CPU"
+    driver = any(Path(path).exists() for path in ("/dev/nvidiactl", "/dev/dxg"))
+    return "an NVIDIA driver is there" if driver else "no GPU, everything runs on the CPU"
+
+
+def examine() -> dict[str, Any]:
+    """Versions, machine, and for each name None or the reason why it cannot be used."""
+    import torch  # noqa: F401  `machine` reports devices only if it is imported
+
+    from fide_plugins.experiments.run import machine
 
     return {
         "versions": machine.versions(),
@@ -50,7 +83,7 @@ def examine() -> dict[str, Any]:
 
 
 def _try_mitsuba() -> dict[str, str]:
-    """What there is to say of each variant of Mitsuba."""
+    """State of each variant of Mitsuba."""
     from fide_tasks import mitsuba_variant
 
     if mitsuba_variant.problem_with("scalar"):
@@ -70,8 +103,8 @@ def _text(facts: dict[str, Any]) -> str:
     versions, machine = facts["versions"], facts["machine"]
     lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
     lines.append(f"{machine['cpu']}, {machine['cores']} cores, {machine['threads']} threads")
-    lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the processor'}")
-    lines.append("\nMitsuba's variants; the first that runs is the default")
+    lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the CPU'}")
+    lines.append("\nvariants of Mitsuba; the first one that runs is the default")
     width = max(map(len, facts["mitsuba"]))
     lines += [f"  {name:{width}}  {text}" for name, text in facts["mitsuba"].items()]
     for kind in KINDS:

@@ -1,81 +1,98 @@
-"""Fit a picture of your own (PNG, JPEG, ... of any size) with a model that can draw it.
+r"""Fit your own picture: with a renderer of your own, or with a model that draws it.
 
+    fide fit target.png --renderer scene.py:render --space space.toml --workers 8 --out runs/scene
+    fide fit target.png --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
+    fide fit front.png side.png --renderer scene.py:render --time 10m --until-stalled
     fide fit photo.jpg --model voronoi --cells 60
-    fide fit letter.png --model spline --control-points 6 --budget 8000
 
-The picture is reduced until its longer side has --size pixels; what is transparent becomes white.
+--renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
+an image, or a list of images for several targets. The parameters are `space = Space(...)` in that
+file, or --space. --command runs a program for each image, without a shell: {out} is the name of the
+image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For several targets, give
+--command several times.
+
+Several targets are views of one scene: give --mask once for each, too. --live opens a page in the
+browser that shows how far the fit is; `fide watch DIR` does so for a fit that runs already.
+
+With --resume and a larger --budget or --time a finished fit goes on. docs/own_renderer.md has more.
+
+With --model, FIDE begins near parameters that are read off the picture: cells at its superpixels, a
+stroke through its dark pixels. --start center begins at the center of the box.
 """
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import Any
 
-from fide_plugins.cli.arguments import (
-    add_run_arguments,
-    free_directory,
-    optimizer_options,
-    setting,
-    whole,
-)
+from fide_plugins.cli import fit_model, fit_renderer
+from fide_plugins.cli.arguments import add_run_arguments, add_space_argument, setting, whole
+from fide_plugins.cli.messages import complain
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
-
-_COUNTS = {"voronoi": "cells", "spline": "control_points"}
-"""Models, and the option of each that says how much it can draw."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide fit``."""
     add = parser.add_argument
-    add("image", metavar="IMAGE", help="picture to fit")
-    add("--model", required=True, choices=_COUNTS, help="what draws it")
-    add("--cells", type=whole(1), metavar="N", help="of voronoi (8)")
-    add("--control-points", type=whole(2), metavar="N", help="of spline (7)")
-    add("--model-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+    add("targets", nargs="+", metavar="TARGET", help="picture to fit, or one for each view")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--renderer", metavar="FILE.py:NAME", help="your function")
+    what.add_argument("--command", action="append", metavar="'PROGRAM ...'", dest="templates",
+                      help="your program; once for each target")  # fmt: skip
+    what.add_argument("--model", choices=fit_model.COUNTS, help="model that draws the picture")
+    add_run_arguments(
+        parser,
+        size="longer side of the picture, at most (as it is; with --model 224)",
+        optimizer=None,
+        budget=None,
+        side=None,
+    )
+
+    parser.add_argument("--live", action="store_true", help="watch the fit in the browser")
+    own = parser.add_argument_group("your renderer")
+    add_space_argument(own)
+    add = own.add_argument
+    add("--workers", type=whole(0), metavar="N", help="renders at a time (8)")
+    add("--timeout", metavar="TIME", help="of a render, such as 60 or 2m (none; for --command 60)")
+    add("--mask", action="append", metavar="FILE",
+        help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
+    add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")
+    add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
+    add("--stop-at", type=float, metavar="LOSS", help="loss at which to stop")
+    add("--until-stalled", action="store_true", default=None,
+        help="stop when nothing more is to be expected")  # fmt: skip
+    add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
+    add("--learned", metavar="MODEL", help="model of: fide learn")
+
+    model = parser.add_argument_group("a model that draws")
+    add = model.add_argument
+    add("--cells", type=whole(1), metavar="N", help="number of cells of voronoi (8)")
+    add("--control-points", type=whole(2), metavar="N", help="number of points of spline (7)")
+    add("--model-set", type=setting, action="append", metavar="KEY=VALUE",
         help="any other option of the model")  # fmt: skip
-    add_run_arguments(parser, size="longer side of the picture, at most")
+    add("--start", choices=("picture", "center"),
+        help="where fide begins (picture; other optimizers: center)")  # fmt: skip
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
-    """Run it; returns the exit code."""
-    from fide_plugins import harness
-    from fide_plugins.cli.running import execute_run
-
-    stem = Path(args.image).stem
-
-    def prepare() -> harness.Run:
-        import fide_tasks
-        from fide_plugins import images
-
-        options = _model_options(args)
-        picture = images.load(args.image, max_side=args.size)
-        return harness.prepare(
-            fide_tasks.make(args.model, target=picture, **options),
-            args.optimizer,
-            args.loss,
-            args.budget,
-            args.seed,
-            task_options=options,
-            options=optimizer_options(args),
-            out=free_directory(args, f"{stem}-{args.model}"),
-            resume=args.resume,
-            command=command,
-        )
-
-    return execute_run(args, command, prepare, args.model)
+    """Execute the command; returns the exit code."""
+    try:
+        _refuse(args, fit_renderer.OWN if args.model else fit_model.OWN, f"--{_kind(args)}")
+    except OptionError as error:
+        return complain("fide fit", error)
+    if args.model:
+        return fit_model.execute(args, command)
+    return fit_renderer.execute(args, command)
 
 
-def _model_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the model; OptionError for one that belongs to another."""
-    options = dict(args.model_set)
-    for model, option in _COUNTS.items():
-        value = getattr(args, option)
-        if value is not None:
-            if model != args.model:
-                flag = "--" + option.replace("_", "-")
-                raise OptionError(f"{flag} belongs to --model {model}, not {args.model}")
-            options[option] = value
-    return options
+def _kind(args: argparse.Namespace) -> str:
+    return "model" if args.model else "renderer" if args.renderer else "command"
+
+
+def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> None:
+    """Raise OptionError for an argument that has no meaning beside `given`."""
+    for name in names:
+        if getattr(args, name) is not None:
+            flag = "--" + name.replace("_", "-")
+            raise OptionError(f"{flag} has no meaning with {given}; leave it out")

@@ -1,14 +1,14 @@
-"""List names, one a line; of encoders and losses with what those need that cannot be used here."""
+"""List names, one per line; encoders and losses that cannot be used here with the reason."""
 
 from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli.trials import KINDS, names, problems
+from fide_plugins.cli.availability import KINDS, names, problems
 
 __all__ = ["add_arguments", "execute"]
 
-_WITH_WEIGHTS = ("encoders", "losses")  # may lack some
+_WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,12 +17,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
-    """Run it; returns the exit code."""
+    """Execute the command; returns the exit code."""
     if args.kind not in _WITH_WEIGHTS:
         print("\n".join(names(args.kind)))
+        if args.kind == "tasks":
+            print("\n".join(["", "more scenes, not of the paper:", *_more_tasks()]))
         return 0
     found = problems(args.kind)
     width = max(map(len, found))
     for name, problem in found.items():
         print(name if problem is None else f"{name:{width}}  not here: {problem}")
     return 0
+
+
+def _more_tasks() -> list[str]:
+    """Names of the tasks that are not of the paper."""
+    import fide_tasks
+
+    return [name for name in fide_tasks.names("all") if name not in fide_tasks.names()]

@@ -1,4 +1,4 @@
-"""Text for a terminal: one line a message, and nothing that could control the terminal."""
+"""Text for a terminal: one line per message, without control characters."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["complain", "duration", "note", "notices", "number", "plain"]
+__all__ = ["complain", "duration", "note", "notices", "number", "paragraph", "plain"]
 
 
 def plain(text: object) -> str:
-    """`text` on one line, with everything unprintable (such as escapes) written out."""
+    """`text` on one line, with unprintable characters (such as escapes) written out."""
     words = " ".join(str(text).split())
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)
+    return "".join(c if c.isprintable() else _escaped(c) for c in words)
+
+
+def paragraph(text: object) -> str:
+    """`text` with its lines and their indentation, other unprintable characters written out."""
+    kept = (c if c.isprintable() or c == "\n" else _escaped(c) for c in str(text).expandtabs())
+    return "".join(kept).rstrip()
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode()
 
 
 def complain(who: str, message: object) -> int:
-    """Say on standard error, in one line, what was wrong with the usage; returns 2."""
+    """Print a usage error on standard error, in one line; returns 2."""
     note(f"{who}: {plain(message)}")
     return 2
 
@@ -29,7 +39,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def notices(logger: str) -> Iterator[None]:
-    """Within this block, print what that logger is told to standard error."""
+    """Within this block, print the messages of a logger to standard error."""
 
     class Notes(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -49,12 +59,12 @@ def notices(logger: str) -> Iterator[None]:
 
 
 def number(value: float | None) -> str:
-    """A loss, for people."""
+    """Format a loss."""
     return "none" if value is None else f"{value:.4g}"
 
 
 def duration(seconds: float) -> str:
-    """Seconds, for people."""
+    """Format a duration in seconds."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)

@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar in a terminal, a line now and then elsewhere."""
+"""Progress of a run on standard error: a bar in a terminal, lines elsewhere."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from fide_plugins.cli.messages import duration, note, number
-from fide_plugins.harness import Progress
-from fide_plugins.harness.record import PARTS
+from fide_plugins.experiments.run import Progress
+from fide_plugins.experiments.run.record import PARTS
 
-__all__ = ["reporting", "shares"]
+__all__ = ["lines", "reporting", "shares"]
 
 _EVERY = 5.0  # seconds between lines
 
@@ -20,7 +20,7 @@ Report = Callable[[Progress], None]
 
 @contextmanager
 def reporting(what: str) -> Iterator[Report]:
-    """Give a function that shows the progress of `what`."""
+    """Context that gives a function which shows the progress of `what`."""
     if sys.stderr.isatty():
         with _bar(what) as report:
             yield report
@@ -28,14 +28,19 @@ def reporting(what: str) -> Iterator[Report]:
         yield _Lines(what)
 
 
+def lines(what: str) -> Report:
+    """Function that prints a line about the progress of `what` every few seconds."""
+    return _Lines(what)
+
+
 def shares(progress: Progress) -> str:
-    """Share of the time that each part takes."""
+    """Percentage of the time of each part."""
     total = max(progress.wall_s, 1e-9)
     return "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
 
 
 class _Speed:
-    """Renders per second since the first look, which after resuming is not the beginning."""
+    """Renders per second since the first call, which after resuming is not the start of the run."""
 
     def __init__(self) -> None:
         self._first: tuple[int, float] | None = None
@@ -53,11 +58,13 @@ class _Lines:
 
     def __call__(self, progress: Progress) -> None:
         speed, now = self._speed(progress), time.monotonic()
-        if now - self._last < _EVERY and progress.evaluations < progress.budget:
+        at_end = 0 < progress.budget <= progress.evaluations
+        if now - self._last < _EVERY and not at_end:
             return
         self._last = now
+        of = f"/{progress.budget}" if progress.budget else ""
         note(
-            f"{self._what}  {progress.evaluations}/{progress.budget}  "
+            f"{self._what}  {progress.evaluations}{of}  "
             f"best {number(progress.best_loss)}  {speed:.0f} renders/s  {shares(progress)}"
         )
 
@@ -69,7 +76,7 @@ def _bar(what: str) -> Iterator[Report]:
     from rich.text import Text
 
     class TwoLines(Bar):
-        """A bar and, below it, the shares of the time, so that both fit a narrow terminal."""
+        """A bar and, below it, the time split, so that both fit a narrow terminal."""
 
         below = ""
 

@@ -1,11 +1,11 @@
-"""Make the report of a comparison: one page, tables, and figures.
+"""Write the report of a comparison: one page, tables and figures.
 
     fide report runs/first
     fide report runs/first -o comparison.html --threshold mse=0.001 --threshold spline/mse=0.05
 
-It writes one self-contained page, which needs no network, and beside it report.md, results.csv,
-curves.csv and the folder figures/ with PNG and SVG; comparison.md, comparison-results.csv and so on
-beside a page that is called comparison.html.
+The command writes one self-contained page, which needs no network. The same folder gets report.md,
+results.csv, curves.csv and figures/ (PNG and SVG). If the page is called comparison.html, the files
+are comparison.md, comparison-results.csv, and so on.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
-    """Run it; returns the exit code."""
+    """Execute the command; returns the exit code."""
     return make(args.directory, args.output, dict(args.threshold), "fide report")
 
 
@@ -39,12 +39,12 @@ def make(directory: Path, page: Path | None, threshold: dict[str, float], who: s
     from fide_plugins.cli.running import USAGE_ERRORS
 
     try:
-        from fide_plugins import compare, report
+        from fide_plugins.experiments import compare, report
 
         results = compare.read(directory)
-        for cell in results.cells:
-            if cell.status == "damaged":
-                note(f"{cell.cell} is damaged and left out: {plain(cell.why)}")
+        for stored in results.runs:
+            if stored.status == "damaged":
+                note(f"{stored.key} is damaged and left out: {plain(stored.why)}")
         written = report.write(results, page or directory / "report.html", threshold)
     except USAGE_ERRORS as error:
         return complain(who, error)

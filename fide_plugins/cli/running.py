@@ -1,10 +1,11 @@
-"""A run from the command line: messages and exit codes around the harness."""
+"""Executes runs and comparisons for the command line, with messages and exit codes."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
+import os
 import shlex
 import traceback
 from collections.abc import Callable
@@ -13,52 +14,107 @@ from typing import Any
 from fide_plugins.cli.messages import complain, duration, note, notices, number, plain
 from fide_plugins.errors import FideError, RenderError
 
-__all__ = ["USAGE_ERRORS", "execute_run"]
+__all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_run"]
 
 USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
-"""What can be wrong with the arguments or the installation, before anything is rendered."""
+"""Errors of the arguments or the installation, raised before anything is rendered."""
 
 
 def execute_run(
-    args: argparse.Namespace, command: list[str], prepare: Callable[[], Any], what: str
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
+    what: str,
+    more: Callable[[Any, Any], dict[str, Any]] | None = None,
 ) -> int:
-    """Prepare a harness.Run, execute it, report; returns the exit code."""
+    """Prepare a `Run`, execute it, and print the result; returns the exit code.
+
+    more: further totals of a run and its result, for --json.
+    """
     from fide_plugins.cli.progress import reporting
-    from fide_plugins.harness import Interrupted
+    from fide_plugins.experiments.run import Interrupted
+
+    def execute(run: Any) -> int:
+        out, done = plain(run.out), run.progress.evaluations
+        if done:
+            finished = done >= run.progress.budget
+            note(f"{out} is finished" if finished else f"continuing {out} after {done} renders")
+        try:
+            with reporting(what) as report:
+                result = run.execute(report)
+        except (Interrupted, FideError, OSError):
+            raise
+        except Exception:
+            traceback.print_exc()
+            note(f"fide {command[1]}: the run failed; its results so far are in {out}")
+            return 1
+        if args.json:
+            summary = result.summary() | ({} if more is None else more(run, result))
+            print(json.dumps(summary, allow_nan=False), flush=True)
+        else:
+            _report(result, out)
+        return 0
+
+    def stopped(run: Any) -> tuple[str, str]:
+        saved = f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"
+        return saved, continuation(command, str(run.out))
+
+    return _execute(command, prepare, execute, stopped, "the run failed")
+
+
+def execute_comparisons(
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
+    execute: Callable[[Any], int],
+) -> int:
+    """Prepare comparisons, and execute them; returns the exit code.
+
+    execute: executes what `prepare` gave, and returns the exit code.
+    """
+    # Before NumPy is loaded: one thread per process, so that seconds depend little on --jobs.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+    def stopped(prepared: Any) -> tuple[str, str]:
+        words = command if "--resume" in command else [*command, "--resume"]
+        return f", everything is saved in {plain(args.out)}", plain(shlex.join(words))
+
+    return _execute(command, prepare, execute, stopped, "it stopped")
+
+
+def _execute(
+    command: list[str],
+    prepare: Callable[[], Any],
+    execute: Callable[[Any], int],
+    stopped: Callable[[Any], tuple[str, str]],
+    failed: str,
+) -> int:
+    """Prepare and execute; whatever goes wrong becomes messages and an exit code.
+
+    stopped: what is saved where, and the command that continues, after an interrupt.
+    failed: begins the message where rendering or saving fails.
+    """
+    from fide_plugins.experiments.run import Interrupted
 
     who = f"fide {command[1]}"
     try:
         with notices("fide_tasks"):
-            run = prepare()
+            prepared = prepare()
     except RenderError as error:
-        note(f"{who}: the run failed: {plain(error)}")
+        note(f"{who}: {failed}: {plain(error)}")
         return 1
     except USAGE_ERRORS as error:
         return complain(who, error)
-    out = plain(run.out)
-    done = run.progress.evaluations
-    if done:
-        finished = done >= run.progress.budget
-        note(f"{out} is finished" if finished else f"continuing {out} after {done} renders")
     try:
-        with reporting(what) as report:
-            result = run.execute(report)
+        return execute(prepared)
     except Interrupted as stop:
-        note(f"{who}: {stop} after {run.progress.evaluations} renders, saved in {out}")
-        note(f"continue with: {_continuation(command, str(run.out))}")
+        saved, again = stopped(prepared)
+        note(f"{who}: {stop}{saved}")
+        note(f"continue with: {again}")
         return 128 + stop.signum
     except (FideError, OSError) as error:
-        note(f"{who}: the run failed: {plain(error)}")
+        note(f"{who}: {failed}: {plain(error)}")
         return 1
-    except Exception:
-        traceback.print_exc()
-        note(f"{who}: the run failed; what it had found is in {out}")
-        return 1
-    if args.json:
-        print(json.dumps(result.summary(), allow_nan=False), flush=True)
-    else:
-        _report(result, out)
-    return 0
 
 
 def _report(result: Any, out: str) -> None:
@@ -71,10 +127,12 @@ def _report(result: Any, out: str) -> None:
             f"the recommended candidate {number(result.recommended_loss)}"
         )
     print(f"{duration(result.wall_s)}: {parts}")
+    if result.status is not None:
+        print(plain(result.status))
     print(f"look at {out}/summary.png")
 
 
-def _continuation(command: list[str], out: str) -> str:
+def continuation(command: list[str], out: str) -> str:
     """The same command line, made to resume in `out`."""
     words = [word for word in command if word != "--resume"]
     if not any(word == "--out" or word.startswith("--out=") for word in words):

@@ -1,11 +1,14 @@
-"""The conditional denoiser: it guesses which parameters made an image.
+"""The conditional denoiser: it estimates the parameters that made an image.
 
-Four concerns, one file each, that know each other only as callables:
+The files know each other only as callables:
 
-- `network.py`: the transformer of supplement S1, image tokens in, parameters out;
-- `preconditioning.py`: what the network's number means (`x` itself, or a scaled remainder);
-- `training.py`: the objective, and Adam over the pairs of a population;
-- `sampling.py`: Euler's method on the reverse-time ODE.
+=================  ================================================================
+`network`          the transformer of supplement S1: image tokens in, parameters out
+`preconditioning`  meaning of the network's output: `x` itself, or a scaled remainder
+`training`         the objective, and Adam on the pairs of a population
+`sampling`         Euler's method on the reverse-time ODE
+`precision`        float32 or bfloat16
+=================  ================================================================
 
 Notation
 --------

@@ -2,23 +2,23 @@
 
 Image tokens are projected to the network's width and get learned positions.  (With the `patch`
 encoder, whose tokens are the raw pixels of a patch, this projection *is* the paper's learnable
-patch embedding.)  One linear layer turns the noisy parameters into one token each.  Four blocks
+patch embedding.)  A linear layer turns the noisy parameters into one token each.  Four blocks
 follow: self-attention among the parameter tokens, cross-attention to the image tokens, and a
 two-layer perceptron, each scaled and shifted (FiLM) by the noise level of its own parameter.
 The tokens are concatenated and projected to the parameters.
 
-Choices where the paper is silent
----------------------------------
+Choices that the paper leaves open
+----------------------------------
 - Width 64, 4 heads: small enough for 500 examples and a CPU.
 - Number of parameter tokens: d ("quadratic self-attention over the parameters").  The linear
-  layer is full, so token i may look at all of z, and is told the noise of parameter i.
-  With n < d tokens (`parameter_tokens`) a token stands for d / n neighbors, and is told their mean
-  noise: the cost of a block then grows with n, no longer with d.
+  layer is dense, so token i depends on all of z; it also gets the noise of parameter i.
+  With n < d tokens (`parameter_tokens`) a token represents d / n neighboring parameters and gets
+  their mean noise; the cost of a block then grows with n instead of d.
 - "Four self-attention blocks followed by cross-attention": each block has both.
 - Perceptron: S1 names none, but the transformer blocks it builds on have one, and without it
-  nothing between the tokens' mixing is non-linear; hidden width = 2 * width, `mlp_ratio=0`
-  leaves it out.
-- Pre-normalization, the LayerNorm's own gain and offset being FiLM's.
+  nothing between the attention layers is non-linear.  Hidden width = 2 * width; `mlp_ratio=0`
+  removes it.
+- Pre-normalization; FiLM replaces gain and offset of the LayerNorm.
 - Noise enters as ln(s) / 4 (Karras et al. 2022) and s, through one hidden layer.
 """
 
@@ -159,7 +159,7 @@ class ParameterTransformer(nn.Module):
     def encode_context(self, tokens: Tensor) -> Context:
         """Image tokens (B, T, C) -> keys and values of every block.
 
-        Of a single image (B = 1) the result serves any number of z, at the cost of one.
+        The result for a single image (B = 1) serves any number of z.
         """
         image = self.image_in(tokens) + self.position  # (B, T, width)
         return [block.keys_values(image) for block in self._blocks()]
@@ -167,7 +167,7 @@ class ParameterTransformer(nn.Module):
     def forward(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
         """Noisy parameters z (B, d), their noise s (B, d), an image's context -> (B, d)."""
         level = torch.stack([s.clamp_min(SMALLEST_NOISE).log() / 4, s], dim=-1)  # (B, d, 2)
-        if self.parameter_tokens < self.dim:  # each is told the mean noise of its parameters
+        if self.parameter_tokens < self.dim:  # each token gets the mean noise of its parameters
             means = F.adaptive_avg_pool1d(level.transpose(1, 2), self.parameter_tokens)
             level = means.transpose(1, 2)  # (B, n, 2)
         noise = F.silu(self.noise_in(level))  # (B, n, noise_width)
@@ -175,7 +175,7 @@ class ParameterTransformer(nn.Module):
         for block, key_value in zip(self._blocks(), context, strict=True):
             h = block(h, noise, key_value)
         out: Tensor = self.parameter_out(h.flatten(1))
-        return out.to(z.dtype)  # from here on in single precision, whatever the products were in
+        return out.to(z.dtype)  # back to single precision if the products were in bfloat16
 
     def _blocks(self) -> list[Block]:
         return [block for block in self.blocks if isinstance(block, Block)]

@@ -1,4 +1,4 @@
-"""In which precision the network computes; its weights are always float32."""
+"""Precision of the network's products; its weights are always float32."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from contextlib import AbstractContextManager
 
 import torch
 
-from fide_plugins.bfloat16 import has_bfloat16
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.devices import has_bfloat16
 
 __all__ = ["PRECISIONS", "autocast", "check_precision"]
 
@@ -16,16 +16,16 @@ PRECISIONS = ("float32", "bfloat16")
 
 
 def check_precision(precision: str, device: torch.device) -> str:
-    """The precision that is used there: float32, with a RuntimeWarning, where there is no other.
+    """Precision for the device: float32, with a RuntimeWarning, if it does not support bfloat16.
 
-    Raises OptionError for a name that is none of `PRECISIONS`.
+    Raises OptionError for a name that is not in `PRECISIONS`.
     """
     if precision not in PRECISIONS:
         raise OptionError(f"precision must be one of {', '.join(PRECISIONS)}, not {precision!r}")
     if precision == "bfloat16" and not has_bfloat16(device):
         warnings.warn(
-            f"precision='bfloat16' is not for this {device.type}, whose processor has no products "
-            "of such numbers; float32 is used instead",
+            f"this {device.type} does not support precision='bfloat16' in hardware; float32 is "
+            "used instead",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -34,10 +34,10 @@ def check_precision(precision: str, device: torch.device) -> str:
 
 
 def autocast(precision: str, device: torch.device) -> AbstractContextManager[object]:
-    """Within this block products are computed so, and sums that need it in float32.
+    """Context that computes products in this precision, and sensitive sums in float32.
 
-    Whatever the caller's thread computes in: another thread would know nothing of that.  No copies
-    of weights are kept, which would outlast a step of training in a block around this one.
+    It does not depend on the autocast state of the calling thread, which other threads do not
+    share.  It caches no copies of weights, which would outlive a training step in an outer block.
     """
     low = precision == "bfloat16"
     return torch.autocast(device.type, torch.bfloat16, enabled=low, cache_enabled=False)

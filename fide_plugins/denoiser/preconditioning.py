@@ -1,10 +1,10 @@
-"""What the number that leaves the network means.
+"""Preconditioners: the meaning of the network's output.
 
-A preconditioner turns a `Network` into a `Denoise`.  Two are here.
+A preconditioner turns a `Network` into a `Denoise`:
 
 - `x_prediction`: the output is x itself (the published method, after Li and He 2025).
-- `whitened`: the parameters are brought to mean 0 and variance 1 first, and the network gives
-  what the best Gaussian guess without an image, z / (1 + s^2), leaves over (Karras et al. 2022).
+- `whitened`: the parameters are scaled to mean 0 and variance 1, and the output is the scaled
+  remainder after the best Gaussian estimate without an image, z / (1 + s^2) (Karras et al. 2022).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CENTER = 0.5  # the start of every search; Algorithm 1 counts parameters from th
 
 
 def x_prediction(network: Network) -> Denoise:
-    """x_hat = network(z, s), both counted from the center of the unit cube."""
+    """x_hat = network(z, s), both relative to the center of the unit cube."""
 
     def denoise(z: Tensor, s: Tensor) -> Tensor:
         return CENTER + network(z - CENTER, s)

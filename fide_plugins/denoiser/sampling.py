@@ -1,11 +1,11 @@
 """Sampling: Euler's method on the reverse-time ODE.
 
 With noise s = t * std the probability-flow ODE is dz/dt = (z - x_hat(z, s)) / t (Karras et al.
-2022, eq. 3 with sigma(t) = t).  An Euler step from t to t' keeps the share t'/t of the noise:
+2022, eq. 3 with sigma(t) = t).  An Euler step from t to t' keeps the fraction t'/t of the noise:
 
     z' = z + (t' - t) * (z - x_hat) / t = x_hat + (t' / t) * (z - x_hat)
 
-The step is the same number for every parameter, though each has its own noise.
+All parameters have the same step in t, but each has its own noise.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PAPER_SCHEDULE = (0.3, 0.2, 0.1)
 
 
 def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
-    """Return `schedule` as a tuple; times must be finite, positive and falling."""
+    """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
     try:
         times = tuple(float(t) for t in schedule)
     except (TypeError, ValueError):
@@ -34,14 +34,14 @@ def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
     positive = bool(times) and all(0 < t < float("inf") for t in times)
     if not positive or any(later >= t for t, later in pairwise(times)):
         raise OptionError(
-            f"a schedule is a falling sequence of positive times, such as {PAPER_SCHEDULE}; "
+            f"a schedule is a decreasing sequence of positive times, such as {PAPER_SCHEDULE}; "
             f"got {schedule!r}"
         )
     return times
 
 
 def evenly(steps: int) -> tuple[float, ...]:
-    """The published schedule in another number of steps: from 0.3 on, evenly; 3 are its own.
+    """Schedule of evenly spaced times from 0.3; 3 steps give the published schedule.
 
     >>> evenly(2), evenly(3) == PAPER_SCHEDULE
     ((0.3, 0.15), True)
@@ -51,10 +51,9 @@ def evenly(steps: int) -> tuple[float, ...]:
 
 @torch.no_grad()
 def euler(denoise: Denoise, z: Tensor, std: Tensor, schedule: Sequence[float]) -> Tensor:
-    """Carry `z` [B, d] from time schedule[0] to time 0.
+    """Integrate `z` [B, d] from time schedule[0] to time 0.
 
-    `std` [d] is the noise at time 1.  Parameters with std = 0 are certain, and stay to within
-    what `denoise` says of them.
+    std: [d], noise at time 1.  Parameters with std = 0 become the estimate of `denoise`.
     """
     for t, later in pairwise([*check_schedule(schedule), 0.0]):
         x_hat = denoise(z, (t * std).expand_as(z))

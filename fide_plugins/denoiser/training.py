@@ -1,17 +1,16 @@
 """Training: Adam on pairs of parameters and images (Algorithm 1, line 8; supplement S1).
 
-How the noise of S1 is read here
---------------------------------
-S1: the timestep differs from parameter to parameter, and "the square root of the diagonal of the
-covariance matrix" is the timestep "at the end of the diffusion process".  So time 1 has noise
-std = sqrt(diag Sigma), time t has s = t * std, training draws one t ~ U(0, 1) for each example,
-and the network is told the vector s.  The schedule [0.3, 0.2, 0.1] then counts in the same unit:
-a candidate of the search distribution is taken to lie 0.3 std from an answer.
+Interpretation of the noise of S1
+---------------------------------
+S1: the timestep differs between parameters, and "the square root of the diagonal of the covariance
+matrix" is the timestep "at the end of the diffusion process".  So the noise is std = sqrt(diag
+Sigma) at time 1 and s = t * std at time t; training draws one t ~ U(0, 1) for each example, and the
+network gets the vector s.  The schedule [0.3, 0.2, 0.1] has the same unit: a candidate of the
+search distribution is taken to lie 0.3 std from an answer.
 
-Other readings, within reach of the same code: s as an absolute number, the same for every
-parameter (pass std = 1 and levels up to 0.36); a start at time 1, where a CMA-ES sample really
-lies (schedule 1.0, 0.6, 0.3); noise eps ~ N(0, Sigma) with all its correlations, of which the
-paper says that the diagonal was enough.
+Other interpretations that the code allows: an absolute s, the same for all parameters (std = 1 and
+levels up to 0.36); a start at time 1, the noise of a CMA-ES sample (schedule 1.0, 0.6, 0.3).  Noise
+eps ~ N(0, Sigma) with all correlations would need a change; the paper finds the diagonal enough.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from torch import Tensor, nn
 
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import Context
-from fide_plugins.memory import Room
+from fide_plugins.runtime.batch_size import BatchSize
 
 __all__ = [
     "Backup",
@@ -45,10 +44,10 @@ Preconditioner = Callable[[Network], Denoise]
 
 
 class Conditional(Protocol):
-    """A network whose image is encoded once and then serves many noisy parameters."""
+    """A network that encodes an image once, and uses it for many noisy parameters."""
 
     def encode_context(self, tokens: Tensor) -> Context:
-        """Image tokens (B, T, C) to what the network needs of them."""
+        """Context of the network for image tokens (B, T, C)."""
         ...
 
     def __call__(self, z: Tensor, s: Tensor, context: Context) -> Tensor:
@@ -57,7 +56,7 @@ class Conditional(Protocol):
 
 
 class Objective(Protocol):
-    """What training minimizes."""
+    """Training objective."""
 
     def __call__(
         self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
@@ -67,7 +66,7 @@ class Objective(Protocol):
 
 
 class XLoss:
-    """The paper's: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1)."""
+    """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1)."""
 
     def __call__(
         self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
@@ -80,10 +79,10 @@ class XLoss:
 
 
 class WhitenedLoss:
-    """For data spread as `std` says, with `preconditioning.whitened`: Karras et al. 2022, Table 1.
+    """Objective for `preconditioning.whitened` and data with standard deviation `std`.
 
-    ln t ~ N(log_mean, log_std^2), and the weight (1 + t^2) / (t std)^2 makes the loss of a network
-    that gives nothing 1 at every noise level.
+    Karras et al. 2022, Table 1: ln t ~ N(log_mean, log_std^2).  With the weight
+    (1 + t^2) / (t std)^2, a network with output zero has loss 1 at every noise level.
     """
 
     def __init__(self, log_mean: float = 0.0, log_std: float = 1.5) -> None:
@@ -111,18 +110,18 @@ def fit(
     std: Tensor,
     *,
     epochs: int,
-    room: Room,
+    batch_size: BatchSize,
     generator: torch.Generator,
     computing: Callable[[], AbstractContextManager[object]] = nullcontext,
 ) -> Tensor:
-    """Pass `epochs` times over the pairs (x [n, d], tokens [n, T, C]), in random order.
+    """Train for `epochs` passes over the pairs (x [n, d], tokens [n, T, C]), in random order.
 
-    tokens: may lie on another device than x, if all of them have no room there.
-    room: the size of a minibatch; the last one of an epoch holds what is left.
-    computing: context of the forward pass alone; a gradient is computed as its product was.
+    tokens: may be on another device than x, if that has too little memory for all of them.
+    batch_size: size of a minibatch; the last one of an epoch may be smaller.
+    computing: context of the forward pass only; a gradient has the precision of its product.
 
-    Returns the mean loss of each epoch, [epochs], on the device: reading it is up to the caller,
-    who may not want to wait.
+    Returns the mean loss of each epoch, [epochs], on the device: reading it would wait for the
+    device.
     """
     losses = torch.zeros(epochs, device=x.device)
     for epoch in range(epochs):
@@ -131,8 +130,7 @@ def fit(
         def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
             batch = order[piece]
             with computing():
-                seen = tokens[batch.to(tokens.device)].to(x)
-                context = network.encode_context(seen)
+                context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
                 denoise = precondition(partial(network, context=context))
                 loss = objective(denoise, x[batch], std, generator)
             optimizer.zero_grad()
@@ -140,12 +138,12 @@ def fit(
             optimizer.step()
             total += loss.detach() * (len(batch) / len(x))
 
-        room.each(step, len(order))
+        batch_size.each(step, len(order))
     return losses
 
 
 class Backup:
-    """Weights and moments of Adam as they are now, kept on their device."""
+    """Copy of weights and Adam's moments, on their device."""
 
     def __init__(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> None:
         self._optimizer = optimizer
@@ -156,7 +154,7 @@ class Backup:
 
     @torch.no_grad()
     def restore(self) -> None:
-        """Put them back; needs no memory."""
+        """Restore weights and moments; allocates no memory."""
         self._optimizer.zero_grad()
         for tensor, copy in self._pairs:
             tensor.copy_(copy)
@@ -165,7 +163,7 @@ class Backup:
 
 
 def all_finite(network: nn.Module) -> bool:
-    """Whether all weights are; of a GPU, one question."""
+    """Whether all weights are finite; waits for a GPU only once."""
     finite = [weight.detach().isfinite().all() for weight in network.parameters()]
     return bool(torch.stack(finite).all())
 
@@ -180,9 +178,9 @@ def adam_state(optimizer: torch.optim.Optimizer) -> dict[str, Any]:
 
 
 def load_adam_state(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> None:
-    """Put back what `adam_state` gave; numpy arrays are welcome.
+    """Restore the state that `adam_state` returned; accepts NumPy arrays.
 
-    Raises ValueError unless all moments are there and like their weights: Adam does not look.
+    Raises ValueError unless all moments are present and match their weights; Adam does not check.
     """
     weights = [weight for group in optimizer.param_groups for weight in group["params"]]
     if sorted(map(int, state)) not in ([], list(range(len(weights)))):

@@ -1,32 +1,44 @@
 """Encoders: images to tokens.
 
 An encoder turns n images into a float32 tensor (n, T, C): T tokens, each the C features of one
-patch.  T and C depend on the image size alone.
+patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
     ['dense', 'dinov3', 'patch', 'vgg19']
 
-`make` gives an object that is called with a batch of images (anything that
-:func:`fide_plugins.images.as_batch` takes) and has the attributes `name` and `version`; features
-may be compared if both are equal.  Nothing heavy is imported before `make`.
+`make` returns an object to call with a batch of images (any input of
+:func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
+comparable if both are equal.  No large package is imported before `make`.
+
+===============  ================================================================
+`base`           what all encoders share
+`dense`          encoder `dense`: hand-made features of a grid of patches
+`patch`          encoder `patch`: raw pixels of patches
+`own`            a user's own encoder: any callable of a batch
+`pretrained/`    encoders with pretrained networks: `dinov3`, `vgg19`
+`whole_patches`  resizes images to whole patches
+`despeckle`      removes single bright or dark pixels
+`noise_level`    estimates the noise of an image
+`cache`          cache of tokens by image content
+===============  ================================================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from fide_plugins.registry import Registry
+from fide_plugins.runtime.registry import Registry
 
 if TYPE_CHECKING:
     import torch
 
     from fide_plugins.encoders.base import PatchEncoder
 
-__all__ = ["has_network", "make", "names", "register"]
+__all__ = ["make", "name_of", "names", "register", "uses_network"]
 
-_REGISTRY: Registry[PatchEncoder] = Registry("encoder")
+_REGISTRY: Registry[Any] = Registry("encoder")
 
 
 def names() -> list[str]:
@@ -35,27 +47,47 @@ def names() -> list[str]:
 
 
 def make(name: str, *, device: str | torch.device = "cpu", **options: object) -> PatchEncoder:
-    """Encoder of that name, on that device (``"auto"``: CUDA where there is some).
+    """Encoder of that name, on that device (``"auto"``: CUDA if it is available).
 
     The name may be followed by a variant, ``"vgg19:relu4_1"`` or ``"dinov3:FOLDER"``.
 
     Raises `UnknownNameError`, which lists the known names, `DeviceError`, or what the encoder
     itself raises, such as `WeightsNotFoundError`.
     """
-    return _REGISTRY.make(name, device=device, **options)
+    from fide_plugins.encoders.base import PatchEncoder
+
+    made = _REGISTRY.make(name, device=device, **options)
+    if isinstance(made, PatchEncoder):
+        return made
+    from fide_plugins.encoders.own import OwnEncoder
+
+    return OwnEncoder(made, name=name, device=device)
 
 
-def has_network(name: str) -> bool:
-    """Whether a GPU makes that encoder faster: as far as is known, all but the hand-made do."""
-    return name.partition(":")[0] not in ("dense", "patch")
+def name_of(encoder: Any) -> str | None:
+    """Name of an encoder, of a callable that is one, or of a name itself."""
+    if encoder is None or isinstance(encoder, str):
+        return encoder
+    name = getattr(encoder, "name", None) or getattr(encoder, "__name__", None)
+    return str(name or type(encoder).__name__)
 
 
-def register(name: str, factory: Callable[..., PatchEncoder] | str) -> None:
-    """Make `factory(device=..., **options)`, or the one at ``"module:attribute"``, known."""
+def uses_network(name: str) -> bool:
+    """Whether a GPU makes that encoder faster: its class says so; of a function it is assumed."""
+    factory = _REGISTRY.resolve(name.partition(":")[0])
+    return bool(getattr(factory, "uses_network", True))
+
+
+def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> None:
+    """Register `factory(device=..., **options)`, or the factory at ``"module:attribute"``.
+
+    It returns a `PatchEncoder`, or any callable of a batch of images, see `encoders.own`.  A
+    checkpoint holds the encoder by its name.
+    """
     _REGISTRY.register(name, factory)
 
 
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
-register("dinov3", "fide_plugins.encoders.dinov3:DinoEncoder")
+register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
-register("vgg19", "fide_plugins.encoders.vgg19:VGG19Encoder")
+register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")

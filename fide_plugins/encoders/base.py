@@ -1,32 +1,39 @@
-"""What all encoders share: validation, batches of bounded size, the device."""
+"""Base class of encoders: validation, batches of bounded size, the device."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager
 
 import torch
 
-from fide_plugins.devices import on_device, resolve_device
-from fide_plugins.images import Float32, as_batch
+from fide_plugins.runtime.devices import on_device, resolve_device
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float32
+from fide_plugins.validation.images import as_batch
 
 __all__ = ["PatchEncoder"]
 
-CHUNK = 2**21  # values of the images that are encoded at a time: 8 MB, which a cache can hold
+CHUNK = 2**21  # values of the images encoded at a time: 8 MB, which fit a CPU's cache
 
 
 class PatchEncoder(ABC):
-    """Images to tokens of patches.
+    """Turns images into tokens of patches.
 
-    A subclass gives `name`, `version` and `_encode`.  Features of one image do not depend on the
-    other images of a batch.
+    A subclass defines `name`, `version`, `shape` and `_encode`.  The features of an image must not
+    depend on the other images of a batch.
     """
 
     name: str
     """Name in `fide_plugins.encoders`."""
+    uses_network: bool = True
+    """Whether a GPU makes it faster."""
     version: str
-    """Changes whenever the features of an image do."""
-    views: tuple[int | None, ...] = (None,)
+    """Changes whenever the features of an image change."""
+    channel_subsets: tuple[int | None, ...] = (None,)
     """Sets of features for linear models: so many leading channels; None: all."""
+    threads: AbstractContextManager[None] = user_threads
+    """In which it computes; `one_thread` for those that do little with each pixel."""
 
     def __init__(self, *, device: str | torch.device = "cpu") -> None:
         self.device = resolve_device(device)
@@ -37,7 +44,7 @@ class PatchEncoder(ABC):
         Parameters
         ----------
         images
-            (n, H, W, C) or whatever else `as_batch` takes; `ImageError` otherwise.
+            (n, H, W, C) or any other input of `as_batch`; `ImageError` otherwise.
 
         Returns
         -------
@@ -47,14 +54,15 @@ class PatchEncoder(ABC):
 
     @torch.no_grad()
     def compute(self, batch: Float32) -> torch.Tensor:
-        """Tokens (n, T, C) of a canonical batch, which is not checked again."""
+        """Tokens (n, T, C) of a canonical batch, without further checks."""
         n, height, width, _ = batch.shape
         tokens, channels = self.shape(height, width)
         out = torch.empty((n, tokens, channels), dtype=torch.float32, device=self.device)
         step = max(1, CHUNK // (height * width * 3))
-        for start in range(0, n, step):
-            chunk = on_device(self._prepare(batch[start : start + step]), self.device)
-            out[start : start + step] = self._encode(chunk)
+        with self.threads:
+            for start in range(0, n, step):
+                chunk = on_device(self._prepare(batch[start : start + step]), self.device)
+                out[start : start + step] = self._encode(chunk)
         return out
 
     @abstractmethod
@@ -62,9 +70,9 @@ class PatchEncoder(ABC):
         """(T, C) for images of that size; `ImageError` if they are too small."""
 
     def _prepare(self, batch: Float32) -> Float32:
-        """What `_encode` shall see of images (n, H, W, 3), still on the processor."""
+        """Input of `_encode` for images (n, H, W, 3), on the CPU; by default the images."""
         return batch
 
     @abstractmethod
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
-        """Tokens (n, T, C) of what `_prepare` made of images, (n, H, W, 3) by default."""
+        """Tokens (n, T, C) of the output of `_prepare`, by default (n, H, W, 3)."""

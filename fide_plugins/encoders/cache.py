@@ -1,8 +1,8 @@
-"""Tokens of images that were encoded before, found again by the images' content.
+"""A cache of tokens by the content of the image.
 
-Worth it for networks, which take several hundred times as long for an image as its digest does; the
-hand-made encoders are as fast as the digest and have none.  Since the tokens of an image do not
-depend on the others of its batch, a run is the same with a cache as without.
+Networks use it: to encode an image takes them several hundred times as long as its digest.  The
+hand-made encoders are as fast as the digest and have no cache.  Since the tokens of an image do not
+depend on the rest of its batch, a run is the same with and without a cache.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.images import Float32
-from fide_plugins.locks import Lock
+from fide_plugins.runtime.locks import Lock
+from fide_plugins.types import Float32
 
 __all__ = ["TokenCache"]
 
 
 class TokenCache:
-    """Tokens by content of the image; those that were longest of no use go first.
+    """Cache of tokens; evicts the least recently used tokens.
 
-    most_bytes: that the tokens may take.
+    most_bytes: largest size of all tokens together.
 
-    Any number of threads may use it.  They encode side by side, so an image that is new to two of
-    them at the same time is encoded by both.
+    Threads may share a cache.  They encode in parallel, so two threads may both encode an image
+    that is new to both.
     """
 
     def __init__(self, most_bytes: int = 2**28) -> None:
         self.most_bytes = most_bytes
         self._tokens: OrderedDict[bytes, Tensor] = OrderedDict()  # least recently used first
         self._bytes = 0
-        self._lock = Lock()  # of the two above
+        self._lock = Lock()  # guards the two attributes above
 
     def __len__(self) -> int:
         return len(self._tokens)
 
     def tokens(self, batch: Float32, encode: Callable[[Float32], Tensor]) -> Tensor:
-        """Tokens (n, T, C) of a canonical batch (n, H, W, 3); `encode` sees the unknown images.
+        """Tokens (n, T, C) of a canonical batch (n, H, W, 3).
 
-        Each of them once, also where several of the batch are the same.
+        encode: encodes the images that are not in the cache, each distinct image once.
         """
         keys = [_digest(image) for image in batch]
         with self._lock:
@@ -62,7 +62,7 @@ class TokenCache:
         if key in self._tokens:
             self._tokens.move_to_end(key)
             return
-        self._tokens[key] = tokens.clone()  # not a view, which would keep all of its batch
+        self._tokens[key] = tokens.clone()  # a view would keep the whole batch in memory
         self._bytes += tokens.nbytes
         while self._bytes > self.most_bytes:
             _, oldest = self._tokens.popitem(last=False)

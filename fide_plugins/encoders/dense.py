@@ -6,16 +6,16 @@ H, W     height and width of the image, pixels
 gh, gw   rows and columns of patches; T = gh gw <= 256
 S = 2    samples along the side of a patch; a sample is the mean color of its box of pixels
 
-The image is despeckled (see `despeckle`) and averaged to 2 gh x 2 gw samples, exactly, also where
-boxes cut through pixels; all features come from these, which makes them fast and averages out most
-of a renderer's noise.  A square image has 14 x 14 patches, whatever its resolution; other shapes
-get as many of the same area, `grid` gives the rule.
+The image is despeckled (see `despeckle`) and averaged to 2 gh x 2 gw samples, exactly, also if
+boxes cut through pixels.  All features are computed from these samples, which is fast and averages
+out most of a renderer's noise.  A square image has 14 x 14 patches at any resolution; other shapes
+have about as many square patches, see `grid`.
 
-What noise is left depends on the image, and so does what is done about it.  A second set of samples
-is made, of the image despeckled twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998),
-and the samples go a part w of the way to that set, which grows with the `noise_level` from 0, at
-half a step of 8 bits, to 1, at 0.015; paths in the teens a pixel have more.  Drawings and shaded
-scenes, which have no noise, have w = 0: there nothing changes.
+The remaining noise depends on the image.  A second set of samples is taken from the image
+despeckled twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use
+(1 - w) times the first set plus w times the second.  The weight w grows with the `noise_level` from
+0, at half a step of 8 bits, to 1, at 0.015, which images of 10 to 20 paths per pixel exceed.
+Drawings and shaded scenes have no noise and w = 0.
 
 Channels of a token (C = 16)
 
@@ -28,15 +28,16 @@ Channels of a token (C = 16)
         along the other
 ======  ======================================================================  ============
 
-Channels 0-2 are a promise: they stay the mean color of the patch, noise aside, in every version, so
-a linear model may rely on them.  Channels 0-11 together are the mean colors of the four quarters,
-and of an image without noise they are linear in it, once it is despeckled.  Edges: with g the
-gradient of the luminance and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split in
-positive and negative part and averaged over the patch, so opposite contrasts do not cancel, unlike
-in channels 3-11.  A constant image has zeros in 3-15.
+Channels 0-2 are the mean color of the patch, apart from noise, in every version, so a linear model
+may rely on them.  Channels 0-11 together give the mean colors of the four quarters; for an image
+without noise they are linear in the despeckled image.  Edges: with g the gradient of the luminance
+and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split into positive and negative
+part and averaged over the patch, so opposite contrasts do not cancel, unlike in channels 3-11.  A
+constant image has zeros in 3-15.
 
-`docs/encoders.md` says what else was tried.  Version 1 saw specks, and had four more channels,
-edges of half that scale; version 2 differs in the last digits, and version 3 where there is noise.
+`docs/encoders.md` lists the alternatives that were tried.  Version 1 did not despeckle, and had
+four more channels, edges of half that scale; version 2 differs in the last digits, version 3 in
+noisy images.
 """
 
 from __future__ import annotations
@@ -48,10 +49,11 @@ import cv2
 import numpy as np
 import torch
 
-from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.images import Float32
-from fide_plugins.noise_level import noise_level
+from fide_plugins.encoders.despeckle import despeckled
+from fide_plugins.encoders.noise_level import noise_level
+from fide_plugins.runtime.threads import one_thread
+from fide_plugins.types import Float32
 
 __all__ = ["DenseEncoder", "grid"]
 
@@ -60,17 +62,17 @@ MAX_TOKENS = 256
 SAMPLES = 2
 CHANNELS = 16
 LUMINANCE = (0.299, 0.587, 0.114)  # Rec. 601
-FAINT = 0.002  # noise level up to which samples are left as they are
-NOISY = 0.015  # noise level from which on they are wholly smoothed
-REACH = 7  # samples, 3.5 patches, across which they are smoothed
-TONES = 0.5  # difference of colors, R, G and B together, that is a standard deviation
+FAINT = 0.002  # noise level up to which samples are not smoothed (w = 0)
+NOISY = 0.015  # noise level above which samples are fully smoothed (w = 1)
+REACH = 7  # diameter of the bilateral filter: 7 samples, 3.5 patches
+TONES = 0.5  # its standard deviation for colors, R, G and B together
 
 
 def grid(height: int, width: int) -> tuple[int, int]:
     """Rows and columns of patches for an image of that size.
 
-    14 sqrt(H/W) rows and 14 sqrt(W/H) columns, rounded, which makes patches square; then at least
-    one and at most one per pixel; then the longer side is cut so that there are at most 256.
+    14 sqrt(H/W) rows and 14 sqrt(W/H) columns, rounded, so that patches are square; at least one,
+    at most one per pixel; the longer side is reduced until there are at most 256 patches.
 
     >>> grid(224, 224), grid(480, 640), grid(16, 4096), grid(1, 1)
     ((14, 14), (12, 16), (1, 224), (1, 1))
@@ -86,7 +88,7 @@ def grid(height: int, width: int) -> tuple[int, int]:
 def box_weights(pixels: int, boxes: int) -> Float32:
     """Weights (boxes, pixels) of the means over `boxes` equal parts of a row of pixels.
 
-    The weight of a pixel is the share of the box that it covers, so rows sum to 1.
+    The weight of a pixel is the fraction of the box that it covers, so rows sum to 1.
     """
     edges = np.arange(boxes + 1) * (pixels / boxes)
     left = np.arange(pixels)
@@ -107,23 +109,25 @@ def sampled(image: Float32, rows: int, columns: int) -> Float32:
 
 
 def less_noisy(image: Float32, rows: int, columns: int) -> Float32:
-    """Samples (rows, columns, 3) of an image (H, W, 3), smoothed as much as the image is noisy."""
+    """Samples (rows, columns, 3) of an image (H, W, 3), smoothed according to its noise level."""
     clean = despeckled(image)
     samples = sampled(clean, rows, columns)
-    share = min(1.0, (noise_level(image, clean) - FAINT) / (NOISY - FAINT))
-    if share <= 0.0:
+    w = min(1.0, (noise_level(image, clean) - FAINT) / (NOISY - FAINT))
+    if w <= 0.0:
         return samples
     cleaner = sampled(despeckled(clean), rows, columns)
     smooth = cv2.bilateralFilter(cleaner, REACH, TONES, REACH / 2)
-    return samples + np.float32(share) * (np.asarray(smooth, np.float32) - samples)
+    return samples + np.float32(w) * (np.asarray(smooth, np.float32) - samples)
 
 
 class DenseEncoder(PatchEncoder):
     """Mean color, color contrasts and edge energies of patches; see the module for the channels."""
 
     name = "dense"
+    uses_network = False
     version = "dense-4"
-    views = (3, None)  # colors alone, and with edges
+    channel_subsets = (3, None)  # colors alone, and with edges
+    threads = one_thread
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) = (gh gw, 16)."""

@@ -1,10 +1,10 @@
 """The `patch` encoder: the raw pixels of each 16 x 16 patch.
 
-It is the published "simple patch embedding" without its learnable layer, which belongs to whoever
-learns: the first linear layer after the tokens (768 -> width) is that embedding.
+It is the published "simple patch embedding" without its learnable layer: the first linear layer of
+the network that uses the tokens (768 -> width) is that embedding.
 
-A token holds the patch's pixels row by row, RGB of each; tokens go row by row over the image.
-Sides that are no multiple of 16 are resized, see `whole_patches`.
+A token holds the pixels of the patch row by row, RGB for each; tokens go row by row over the image.
+Images with sides that are no multiple of 16 are resized, see `whole_patches`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import torch
 
 from fide_plugins.encoders import whole_patches
 from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.runtime.threads import one_thread
 
 __all__ = ["RawPatchEncoder"]
 
@@ -23,7 +24,9 @@ class RawPatchEncoder(PatchEncoder):
     """Pixels of 16 x 16 patches: (n, T, 768) with T = round(H / 16) round(W / 16)."""
 
     name = "patch"
+    uses_network = False
     version = "patch-1"
+    threads = one_thread
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) = (number of patches, 768)."""

@@ -1,8 +1,7 @@
-"""Images whose sides are no multiple of a patch, by the one rule of all encoders with patches.
+"""Resizes images to whole patches, by one rule for all encoders with patches.
 
-Each side is brought to the nearest multiple of the patch, at least one of it (exactly between two:
-the larger), by antialiased bilinear resizing.  Images with a side of less than half a patch are
-refused.
+Antialiased bilinear resizing brings each side to the nearest positive multiple of the patch size
+(a tie goes to the larger one).  Images with a side of less than half a patch are refused.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ def count(name: str, patch: int, height: int, width: int) -> tuple[int, int]:
 
 
 def fit(images: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Images (n, H, W, 3) as (n, height, width, 3); the same tensor where it fits already."""
+    """Resize images (n, H, W, 3) to (n, height, width, 3); the same tensor if it fits already."""
     if images.shape[1:3] == (height, width):
         return images
     resized = torch.nn.functional.interpolate(

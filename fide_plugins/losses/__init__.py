@@ -1,8 +1,7 @@
-"""Losses: how far images are from the target.
+"""Losses: distances of images from the target.
 
-A loss is made for one target and called with images; it gives a float64 array (n,), which is
-zero where an image equals the target.  The value of an image does not depend on the others of
-its batch.
+A loss is made for one target and called with images; it returns a float64 array (n,), zero for an
+image that equals the target.  The value of an image does not depend on the rest of its batch.
 
     >>> import numpy as np
     >>> from fide_plugins import losses
@@ -12,25 +11,35 @@ its batch.
     >>> mse(np.full((2, 8, 8, 3), 0.5))
     array([0.25, 0.25])
 
-Any callable from images to n numbers is a loss as well, :func:`resolve` makes them alike.
+Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps it.
+
+=============  ==============================================================
+`base`         base classes, and the checks of a user's callable
+`mse`          loss `mse`: mean squared error
+`perceptual`   loss `perceptual`: multi-scale structure and color
+`loi`          loss `loi`: distance of locally orderless images
+`lpips`        loss `lpips`: LPIPS 0.1
+`own`          tries a user's own loss
+`scales`       Gaussian averages on coarser grids
+=============  ==============================================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from fide_plugins.errors import LossError
-from fide_plugins.registry import Registry
+from fide_plugins.runtime.registry import Registry
 
 if TYPE_CHECKING:
     import torch
 
     from fide_plugins.losses.base import ImageLoss, LossOfTarget
 
-__all__ = ["knows", "make", "names", "register", "resolve"]
+__all__ = ["knows", "make", "names", "register", "resolve", "takes_weights"]
 
-_REGISTRY: Registry[LossOfTarget] = Registry("loss")
+_REGISTRY: Registry[Any] = Registry("loss")
 
 
 def names() -> list[str]:
@@ -39,23 +48,39 @@ def names() -> list[str]:
 
 
 def knows(name: str) -> bool:
-    """Whether `make` knows that name, a variant aside."""
+    """Whether `make` knows that name, without its variant."""
     return _REGISTRY.knows(name)
 
 
-def make(name: str, target: object, **options: object) -> LossOfTarget:
-    """Loss of that name for `target`, which is anything that `as_target` takes.
+def takes_weights(name: str) -> bool:
+    """Whether `make` takes `weights` (H, W) of pixels for the loss of that name."""
+    return _REGISTRY.takes(name, "weights")
 
-    The name may be followed by a variant, ``"lpips:vgg"``.
+
+def make(name: str, target: object, **options: object) -> LossOfTarget:
+    """Loss of that name for `target`, any input of `as_target`.
+
+    The name may end with a variant, ``"lpips:vgg"``.
 
     Raises `UnknownNameError`, which lists the known names, `ImageError`, or what the loss itself
     raises, such as `WeightsNotFoundError`.
     """
-    return _REGISTRY.make(name, target, **options)
+    from fide_plugins.losses.base import CallableLoss, LossOfTarget
+
+    loss = _REGISTRY.make(name, target, **options)
+    spec = None if set(options) - {"device"} else name
+    if not isinstance(loss, LossOfTarget):  # a callable, with the same interface
+        return cast("LossOfTarget", CallableLoss(loss, target, spec))
+    loss.spec = spec
+    return loss
 
 
-def register(name: str, factory: Callable[..., LossOfTarget] | str) -> None:
-    """Make `factory(target, **options)`, or the one at ``"module:attribute"``, known."""
+def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> None:
+    """Register `factory(target, **options)`, or the factory at ``"module:attribute"``.
+
+    It returns a `LossOfTarget`, or any callable of a batch of images (n, H, W, 3) that returns (n,)
+    numbers.  A checkpoint holds the loss by its name.
+    """
     _REGISTRY.register(name, factory)
 
 
@@ -65,27 +90,33 @@ def resolve(
     *,
     device: str | torch.device | None = None,
 ) -> ImageLoss:
-    """Loss from what a user may give: a name, None for "mse", or a callable images -> (n,).
+    """Loss from a name, None for "mse", or a callable images -> (n,).
 
     A loss that is given by its name computes on the device, if it can; None: where it likes.
+    Without a target (None) the loss is checked and has its name, and raises LossError for images.
     A loss that was made by `make` must be one for this target's size.  The values of any other
     callable are checked each time: n real numbers, or `LossError`.  NaN and infinity are values.
     """
-    from fide_plugins.losses.base import CallableLoss, LossOfTarget
+    from fide_plugins.losses.base import CallableLoss, LossOfTarget, LossWithoutTarget
+    from fide_plugins.runtime.callables import name_of
 
     if loss is None or isinstance(loss, str):
         name = "mse" if loss is None else loss
+        if target is None and knows(name):
+            return LossWithoutTarget(name, name)
         on = {"device": device} if device is not None and _REGISTRY.takes(name, "device") else {}
         return make(name, target, **on)
-    if isinstance(loss, LossOfTarget):
+    if isinstance(loss, LossOfTarget) and target is not None:
         loss.check_target(target)
+        return loss
+    if isinstance(loss, CallableLoss):
         return loss
     if not callable(loss):
         raise LossError(
             f"a loss is a name ({', '.join(names())}), a callable images -> (n,), or None, "
             f"got {loss!r}"
         )
-    return CallableLoss(loss, target)
+    return LossWithoutTarget(name_of(loss)) if target is None else CallableLoss(loss, target)
 
 
 register("loi", "fide_plugins.losses.loi:LocallyOrderlessLoss")

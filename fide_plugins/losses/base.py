@@ -1,48 +1,58 @@
-"""What all losses share: the target, validation, one image at a time."""
+"""Base classes of losses: the target, validation, one image at a time."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.errors import LossError
-from fide_plugins.images import Float32, as_batch, as_target
+from fide_plugins.runtime.callables import name_of
+from fide_plugins.runtime.threads import one_thread, user_threads
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.images import as_batch, as_target
 
-__all__ = ["CallableLoss", "Float64", "ImageLoss", "LossOfTarget", "as_losses"]
-
-Float64: TypeAlias = npt.NDArray[np.float64]
+__all__ = ["CallableLoss", "ImageLoss", "LossOfTarget", "LossWithoutTarget", "as_losses"]
 
 
 class ImageLoss(Protocol):
-    """What the optimizer needs of a loss."""
+    """Interface of a loss for optimizers."""
 
     @property
     def name(self) -> str:
-        """Name for people."""
+        """Name, for messages and tables."""
+
+    @property
+    def version(self) -> str | None:
+        """Changes whenever the loss of an image changes; None: unknown."""
+
+    @property
+    def spec(self) -> str | None:
+        """Name from which `losses.make` makes the same loss; None if there is none."""
 
     def __call__(self, images: object) -> Float64:
-        """Losses (n,) of images, which are validated."""
+        """Losses (n,) of images, after validation."""
 
     def compute(self, batch: Float32) -> Float64:
-        """Losses (n,) of a canonical batch, which is not checked again."""
+        """Losses (n,) of a canonical batch, without further checks."""
 
 
 class LossOfTarget(ABC):
-    """Loss for one target.
+    """Base class of a loss for one target.
 
-    A subclass gives `name`, `version` and `_distance`, and prepares what it needs of `self.target`
-    once.  Images are looked at one by one, in float64 or with kernels of a fixed shape: the value
-    of an image is the same, bit for bit, whatever its batch, and memory does not grow with it.
+    A subclass defines `name`, `version` and `_distance`, and prepares `self.target` once.  Images
+    are processed one by one, in float64 or with kernels of a fixed shape.  So the value of an image
+    is the same, bit for bit, in every batch, and memory does not grow with the batch.
     """
 
     name: str
     """Name in `fide_plugins.losses`."""
     version: str
-    """Changes whenever the loss of an image does."""
+    """Changes whenever the loss of an image changes."""
+    spec: str | None = None
+    """Name from which `losses.make` makes the same loss; None if it was made with options."""
 
     def __init__(self, target: object) -> None:
         self.target = as_target(target)
@@ -54,27 +64,28 @@ class LossOfTarget(ABC):
         Parameters
         ----------
         images
-            (n, H, W, C) or whatever else `as_batch` takes, of the target's size; otherwise
-            `ImageError`.
+            (n, H, W, C) or any other input of `as_batch`, of the target's size; `ImageError`
+            otherwise.
 
         Returns
         -------
-        float64 (n,), >= 0, zero where an image equals the target.
+        float64 (n,), >= 0, zero for an image that equals the target.
         """
         return self.compute(as_batch(images, self.target.shape))
 
+    @one_thread
     def compute(self, batch: Float32) -> Float64:
-        """Losses (n,) of a canonical batch (n, H, W, 3), which is not checked again."""
+        """Losses (n,) of a canonical batch (n, H, W, 3), without further checks."""
         return np.fromiter((self._distance(image) for image in batch), np.float64, len(batch))
 
     def check_target(self, target: object) -> None:
-        """Raise `LossError` unless `target` is the one that this loss was made for."""
+        """Raise `LossError` unless this loss was made for `target`."""
         other = as_target(target)
         if not np.array_equal(other, self.target):
             raise LossError(
                 f"the loss {self.name!r} was made for another target, of shape "
-                f"{self.target.shape}, than the optimizer's, of shape {other.shape}; make it with "
-                f"losses.make({self.name!r}, target)"
+                f"{self.target.shape}, than that of the optimizer, of shape {other.shape}; make it "
+                f"with losses.make({self.name!r}, target)"
             )
 
     @abstractmethod
@@ -83,20 +94,50 @@ class LossOfTarget(ABC):
 
 
 class CallableLoss:
-    """A user's function of images, with its input and its values checked."""
+    """A user's function of images, with checks of its input and its values.
 
-    def __init__(self, function: Callable[..., object], target: object) -> None:
-        self.name = str(getattr(function, "__name__", type(function).__name__))
+    spec: name under which it is registered; None: it is not.
+    """
+
+    def __init__(
+        self, function: Callable[..., object], target: object, spec: str | None = None
+    ) -> None:
+        self.name, self.spec = name_of(function) if spec is None else spec, spec
+        version = getattr(function, "version", None)
+        self.version = None if version is None else str(version)
         self._function = function
         self._shape = as_target(target).shape
 
     def __call__(self, images: object) -> Float64:
-        """Losses (n,) of images, which are validated."""
+        """Losses (n,) of images, after validation."""
         return self.compute(as_batch(images, self._shape))
 
+    @user_threads
     def compute(self, batch: Float32) -> Float64:
-        """Losses (n,) of a canonical batch; the function may keep it and write to it."""
+        """Losses (n,) of a canonical batch; the function gets a copy, which it may modify."""
         return as_losses(self._function(batch.copy()), len(batch), f"the loss {self.name!r}")
+
+
+class LossWithoutTarget:
+    """The loss of an optimizer without a target: it has a name, and computes nothing.
+
+    spec: its name in `fide_plugins.losses`; None: it is a user's own.
+    """
+
+    version = None
+
+    def __init__(self, name: str, spec: str | None = None) -> None:
+        self.name, self.spec = name, spec
+
+    def __call__(self, images: object) -> Float64:
+        """Raise LossError."""
+        raise LossError(
+            f"there is no target to compare images with by the loss {self.name!r}; tell losses"
+        )
+
+    def compute(self, batch: Float32) -> Float64:
+        """Raise LossError."""
+        return self(batch)
 
 
 def as_losses(values: object, n: int, what: str = "losses") -> Float64:

@@ -1,21 +1,20 @@
 """The `loi` loss: distance of locally orderless images.
 
 A locally orderless image (Koenderink and van Doorn, "The structure of locally orderless images",
-IJCV 1999) keeps, at each place, the histogram of the values around it, and forgets their order
-within.  Images that differ by a small displacement, or by texture, then differ little, and an
-object that is far from its place in the target is felt over the extent of the histograms.  As a
-loss for inverse rendering, with the Wasserstein distance between the histograms: Mehta,
-Chandraker and Ramamoorthi, "Locally orderless images for optimization in differentiable
-rendering", CVPR 2025.
+IJCV 1999) keeps, at each place, the histogram of the values around it, but not their order.  So
+images that differ by a small displacement or by texture have a small distance, and a displaced
+object changes the loss over the whole extent of the histograms.  Mehta, Chandraker and
+Ramamoorthi, "Locally orderless images for optimization in differentiable rendering", CVPR 2025, use
+it as a loss for inverse rendering, with the Wasserstein distance between the histograms.
 
 Notation
 --------
 I            image, one color channel, (H, W)
-sigma        spatial scale, also called inner: I_sigma = G_sigma * I, as seen at a finite resolution
+sigma        spatial scale, also called inner: I_sigma = G_sigma * I, a finite resolution
 beta         tonal scale: width of the Gaussian that stands for one value in a histogram
 alpha        extent scale, also called outer: width of the Gaussian window of a histogram
 t_k          tones, K of them, equally spaced over [-beta, 1 + beta]
-F_k(x)       cumulative histogram around x: the share of values below the tone t_k
+F_k(x)       cumulative histogram around x: the fraction of values below the tone t_k
 
              F_k = G_alpha * Phi((t_k - I_sigma) / beta),      Phi the normal distribution function
 
@@ -24,10 +23,10 @@ Distance to the target's F', which is 0 if and only if all F are equal:
              mean over pairs (sigma, alpha), channels, places x, of   sum_k |F_k - F'_k| (t_2 - t_1)
 
 The sum is the 1-Wasserstein (earth mover's) distance of the two local histograms, in units of
-tones: 1 is the distance of black from white (up to what beta smears beyond the tones).
+tones: 1 is the distance between black and white (apart from the smoothing beta beyond the tones).
 
 Deviations from the definition, all for speed: I_sigma and F are evaluated on grids whose spacing
-is that of their own scale, not at every pixel; Phi is a formula that is right to 2e-4; windows are
+equals their scale, not at every pixel; Phi is a formula with an error of 2e-4; windows are
 cut off at the image's borders and renormalized.  Deviations from Mehta et al.: chosen pairs instead
 of all combinations, scales relative to the size of the image, cumulative histograms taken directly
 from Phi (no normalization of bins), beta-smeared tones just beyond [0, 1].
@@ -43,10 +42,10 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
-from fide_plugins.points import whole_number
+from fide_plugins.types import Float32
+from fide_plugins.validation.points import whole_number
 
 __all__ = ["LocallyOrderlessLoss"]
 
@@ -68,10 +67,10 @@ class LocallyOrderlessLoss(LossOfTarget):
     Parameters
     ----------
     target
-        anything that `as_target` takes.
+        any input of `as_target`.
     scales
         pairs (sigma, alpha) of spatial scale and extent, relative to sqrt(H W).  A spatial scale of
-        0 takes every pixel as it is; an infinite extent is the histogram of the whole image.
+        0 uses the pixels themselves; an infinite extent is the histogram of the whole image.
     tonal
         tonal scale beta, > 0, in units of values.
     tones

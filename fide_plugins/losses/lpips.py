@@ -6,9 +6,9 @@ unit length in the direction of the channels, and w_l >= 0 learned from people's
 
     loss = sum_l  mean over places of  sum_c w_lc (y_lc - y'_lc)^2.
 
-Two files of weights are needed: the network's, which torchvision publishes, and that of the w_l,
-which the package `lpips` contains; of that package only the file is used, so it can be installed
-without its dependencies, ``pip install --no-deps lpips``.
+The loss needs two files of weights: that of the network, which torchvision publishes, and that of
+the w_l, which is part of the package `lpips`.  Only that file of the package is used, so it can be
+installed without its dependencies: ``pip install --no-deps lpips``.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fide_plugins import backbones, weights as weights_module
-from fide_plugins.backbones import Architecture
-from fide_plugins.devices import on_device, resolve_device
+from fide_plugins.encoders.pretrained import backbones, weights as weights_module
+from fide_plugins.encoders.pretrained.backbones import Architecture
+from fide_plugins.encoders.pretrained.weights import Published
 from fide_plugins.errors import ImageError, OptionError, WeightsMismatchError
-from fide_plugins.fixed_batches import batch_size, in_batches
-from fide_plugins.images import Float32
-from fide_plugins.losses.base import Float64, LossOfTarget
-from fide_plugins.weights import Published
+from fide_plugins.losses.base import LossOfTarget
+from fide_plugins.runtime.devices import on_device, resolve_device
+from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["VARIANTS", "LPIPSLoss"]
 
-# what the networks see is (2 image - 1 - SHIFT) / SCALE
+# input of the networks: (2 image - 1 - SHIFT) / SCALE
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 _TINY = 1e-10
-_AT_ONCE = 64  # images that are moved to the device together
+_AT_ONCE = 64  # images copied to the device together
 _URL = "https://raw.githubusercontent.com/richzhang/PerceptualSimilarity/master/lpips/weights/v0.1/"
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A network and how LPIPS looks at it.
+    """A network, and the layers that LPIPS compares.
 
-    layers: numbers of the layers that are compared.
-    channels: of each of them.
-    smallest: side in pixels of the smallest image that gets through to the last of them.
-    sha256: how that of the published w_l begins.
+    layers: indices of the layers; channels: their numbers of channels.
+    smallest: side in pixels of the smallest image for which the last layer is not empty.
+    sha256: first digits of the SHA-256 of the published w_l.
     """
 
     architecture: Architecture
@@ -73,22 +73,22 @@ VARIANTS = {
 
 
 class LPIPSLoss(LossOfTarget):
-    """Distance of deep features, weighted as people would.
+    """Distance of deep features, with weights learned from human judgments.
 
     Parameters
     ----------
     target
-        anything that `as_target` takes.
+        any input of `as_target`.
     variant
-        the network: "alex", which its authors recommend as a metric, "vgg" or "squeeze".
+        the network: "alex", which the authors recommend as a metric, "vgg" or "squeeze".
     weights
-        torchvision's file of the network; None: the one in PyTorch's cache, if it is there.
+        torchvision's file of the network; None: the file in PyTorch's cache.
     heads
-        file of the w_l; None: that of the package `lpips`, or one in PyTorch's cache.
+        file of the w_l; None: that of the package `lpips`, or the file in PyTorch's cache.
     download
-        fetch into that cache what is not there.
+        download missing files into that cache.
     device
-        of the network; "auto" takes CUDA where there is one.
+        device of the network; "auto": CUDA if it is available.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class LPIPSLoss(LossOfTarget):
     OptionError
         there is no such variant.
     WeightsNotFoundError, WeightsMismatchError
-        there is no such file, or what it holds does not fit; a w_l below 0 does not.
+        a file is missing, does not fit the network, or has a w_l below 0.
     """
 
     def __init__(
@@ -127,8 +127,9 @@ class LPIPSLoss(LossOfTarget):
         self._scale = torch.tensor(SCALE, dtype=torch.float32, device=self._device)
         self._target_features = self._features_of_target()
 
+    @user_threads
     def compute(self, batch: Float32) -> Float64:
-        """Losses (n,) of a canonical batch (n, H, W, 3), which is not checked again."""
+        """Losses (n,) of a canonical batch (n, H, W, 3), without further checks."""
         losses = np.empty(len(batch))
         size = batch_size(self._device, *self.target.shape[:2])
         for start in range(0, len(batch), _AT_ONCE):
@@ -151,14 +152,15 @@ class LPIPSLoss(LossOfTarget):
         return total
 
     def _features(self, images: Tensor) -> list[Tensor]:
-        """Activations of images (n, H, W, 3), of unit length over the channels, a layer each."""
+        """Activations of each layer for images (n, H, W, 3), of unit length over the channels."""
         seen = (2 * images - 1 - self._shift) / self._scale
         layers = self._network.taps(seen.permute(0, 3, 1, 2).contiguous(), self._variant.layers)
         return [y / (y.square().sum(dim=1, keepdim=True).sqrt() + _TINY) for y in layers]
 
+    @user_threads
     @torch.inference_mode()
     def _features_of_target(self) -> list[Tensor]:
-        """Its activations, (1, C, h, w) each, computed in a batch like any other."""
+        """Activations of the target, (1, C, h, w) each, computed in a batch of the usual size."""
         target = on_device(self.target, self._device)
         batch = target.expand(batch_size(self._device, *target.shape[:2]), *target.shape)
         return [y[:1] for y in self._features(batch)]
@@ -174,7 +176,7 @@ def _check_size(variant: str, smallest: int, target: Float32) -> None:
 
 
 class _Heads(nn.Module):
-    """The w_l, under the names that they have in their file: lin0.model.1.weight, (1, C, 1, 1)."""
+    """The w_l, with the names of their file: lin0.model.1.weight, (1, C, 1, 1)."""
 
     def __init__(self, channels: Sequence[int]) -> None:
         super().__init__()
@@ -186,7 +188,7 @@ class _Heads(nn.Module):
 def _read_heads(
     name: str, variant: Variant, given: str | os.PathLike[str] | None, download: bool, how: str
 ) -> _Heads:
-    """The w_l, (1, C, 1, 1) each, none of them below 0."""
+    """Read the w_l, (1, C, 1, 1) each; WeightsMismatchError if one is below 0."""
     published = Published(
         f"LPIPS 0.1 ({name})", f"lpips-v0.1-{name}.pth", f"{_URL}{name}.pth", variant.sha256
     )
@@ -205,7 +207,7 @@ def _read_heads(
 
 
 def _in_package(name: str) -> list[Path]:
-    """Where the package `lpips` has the file, if it is installed; nothing of it is imported."""
+    """Paths of the file in the package `lpips`, if it is installed; does not import it."""
     spec = find_spec("lpips")
     places = (spec.submodule_search_locations if spec else None) or []
     return [Path(place, "weights", "v0.1", f"{name}.pth") for place in places]

@@ -1,20 +1,18 @@
 """The `perceptual` loss: multi-scale structure and color, without weights.
 
-What it is: a comparison of local structure relative to local contrast, at four scales, plus one of
-coarse colors.  It belongs to the family of normalized-gradient and structural-similarity measures.
-Averaging over areas, a floor under the contrast, and an estimate of what noise adds make it shrug
-off the noise of Monte Carlo rendering; the coarse scales give it a slope toward the target from
-afar.
+The loss compares local structure relative to local contrast at four scales, and coarse colors.  It
+belongs to the family of normalized-gradient and structural-similarity measures.  Averages over
+areas, a lower limit of the contrast, and an estimate of the noise make it robust against the noise
+of Monte Carlo rendering.  The coarse scales give it a slope toward the target from far away.
 
-What it is not: LPIPS or any other learned metric.  It has not been fitted to people's judgments,
-knows nothing of semantics, and compares structure place by place, so textures that merely look
-alike differ.
+The loss is not LPIPS or another learned metric.  It is not fitted to human judgments, ignores
+semantics, and compares structure place by place, so similar textures differ.
 
 Definition
 ----------
 v_l      image in opponent colors (Y, Cb, Cr), averaged with Gaussians whose width is their spacing,
-         sqrt(H W) 2^l / 56, for l = 0..3; coarser scales are averages of the finest one's samples
-w_l      grain: the same of the image times a checkerboard, +1 and -1 at neighboring pixels
+         sqrt(H W) 2^l / 56, for l = 0..3; coarser scales average the samples of the finest one
+w_l      grain: the same averages of the image times a checkerboard, +1 and -1 at neighboring pixels
 g_l, h_l differences of neighboring samples of v_l and w_l, right and down, all three colors (six)
 M        local mean: Gaussian of 2 samples width, at every second sample
 (a)_b    a, but not less than b / 10
@@ -23,15 +21,15 @@ M        local mean: Gaussian of 2 samples width, at every second sample
                             / (M |g_l|^2 + M |g'_l|^2 + c)
            + 4 (mean |v_3 - v'_3|^2 - mean |w_3 - w'_3|^2)_(mean |v_3 - v'_3|^2)
 
-with the target's g', h', v', w' and c = 0.001, the square of a contrast that is just about noise.
+with g', h', v', w' of the target, and c = 0.001, the square of a contrast typical of noise.
 Each fraction lies in [0, 2]: 1 where structure is missing or unrelated, 2 where it is inverted.
 The loss is symmetric, and zero if and only if all v are equal up to constants and v_3 = v'_3.
 
-What is subtracted: noise that is independent from pixel to pixel looks the same on a checkerboard,
-so it adds as much, in the mean, to |h - h'|^2 as to |g - g'|^2; a picture whose structures are
-wider than a pixel adds next to nothing.  That takes the noise out of the mean of the loss and
-leaves the picture alone, which a filter would change.  Averages over few pixels tell the two apart
-badly, so below 84 x 84 pixels nothing is subtracted.  Version 1 never did.
+The subtracted terms: noise that is independent between pixels has the same statistics on a
+checkerboard.  So on average it adds as much to |h - h'|^2 as to |g - g'|^2, while structures wider
+than a pixel add almost nothing to |h - h'|^2.  The difference removes the noise from the mean of
+the loss, and unlike a filter it does not change the picture.  Averages over few pixels do not
+separate the two well, so below 84 x 84 pixels nothing is subtracted.  Version 1 never subtracted.
 """
 
 from __future__ import annotations
@@ -43,31 +41,31 @@ from typing import Any
 import numpy as np
 from scipy.sparse import diags_array
 
-from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
+from fide_plugins.types import Float32
 
 __all__ = ["PerceptualLoss"]
 
 LEVELS = 4
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
 FLOOR = np.float32(1e-3)  # c
-LEAST = 0.1  # of a square that remains when noise is subtracted
+LEAST = 0.1  # smallest fraction of a square that remains when noise is subtracted
 COLOR_WEIGHT = 4.0
-GRAIN_FROM = 1.5  # pixels between the finest samples from which on grain is told from picture
+GRAIN_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
 # rows: Y, Cb, Cr of Rec. 601, as weights of R, G, B
 OPPONENT = np.array(
     [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
 )
 
-Weights = tuple[Any, Any]  # of samples, along both axes
+Weights = tuple[Any, Any]  # weights of samples along both axes
 
 
 @dataclass(frozen=True)
 class _Level:
-    """Weights along both axes, in the order of the arrays: of samples, then of local means.
+    """Weights of samples and of local means along both axes, in the order of the arrays.
 
-    The finest level samples pixels, the others the finest one's samples.
+    The finest level averages pixels, the others average the samples of the finest level.
     """
 
     samples: Weights
@@ -76,7 +74,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Structure:
-    """Features of one image at one scale; k = 2 for picture and grain, or 1 without the latter.
+    """Features of one image at one scale; k = 2 for picture and grain, 1 for the picture only.
 
     colors: [a, k, 3, b] opponent colors of a x b samples
     gradient: [a, k, 6, b] their differences along both axes
@@ -183,7 +181,7 @@ def _sum_of_squares(gradient: Float32) -> Float32:
 
 
 def _without_noise(squares: Any) -> Any:
-    """Of squares (..., k) the picture's, less the grain's if it is known; a tenth at least."""
+    """Squares of the picture minus those of the grain, from (..., k); at least a tenth of them."""
     if squares.shape[-1] == 1:
         return squares[..., 0]
     return np.maximum(squares[..., 0] - squares[..., 1], LEAST * squares[..., 0])

@@ -1,9 +1,9 @@
-"""Blurring and subsampling in one sparse product: Gaussian means around few points of many pixels.
+"""Blurring and subsampling in one sparse product: Gaussian means of pixels on a coarser grid.
 
-Sparse, because windows are short, and because SciPy's sparse products run in the calling thread:
-BLAS starts a thread pool for products of this size, which costs more than it gains, and a hundred
-times more when other processes keep the cores busy.  They also add in a fixed order, so results do
-not depend on what else is computed with them.
+Sparse products are fast here because windows are short, and because SciPy computes them in the
+calling thread.  For products of this size BLAS starts a thread pool, which costs more than it
+gains, and a hundred times more when other processes occupy the cores.  Sparse products also sum in
+a fixed order, so results do not depend on the rest of the batch.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fide_plugins.images import Float32
+from fide_plugins.types import Float32
 
 __all__ = ["gaussian_means", "planes", "resample", "samples_at"]
 
@@ -27,9 +27,9 @@ REACH = 3.0  # standard deviations at which a Gaussian is cut off
 def gaussian_means(pixels: int, samples: int, scale: float) -> Any:
     """Sparse weights [samples, pixels] of Gaussians of standard deviation `scale`, in pixels.
 
-    The Gaussians sit at the centers of `samples` equal parts of a row of `pixels`.  They are cut
-    off at 3 standard deviations and at the ends of the row, and rows sum to 1.  Scale 0 takes the
-    nearest pixel, infinity the mean of all.
+    The Gaussians are centered on `samples` equal parts of a row of `pixels`.  They are cut off at 3
+    standard deviations and at the ends of the row, and rows sum to 1.  Scale 0 gives the nearest
+    pixel, infinity the mean of all pixels.
     """
     centers = (np.arange(samples) + 0.5) * (pixels / samples) - 0.5
     distance = np.abs(np.arange(pixels) - centers[:, None])
@@ -43,21 +43,21 @@ def gaussian_means(pixels: int, samples: int, scale: float) -> Any:
 
 
 def samples_at(side: int, scale: float) -> int:
-    """Number of samples along a side of `side` pixels at about the spacing of the scale."""
+    """Number of samples along `side` pixels whose spacing is about the scale."""
     if scale <= 1:
         return side
     return ceil(side / scale) if isfinite(scale) else 1
 
 
 def planes(image: Float32) -> Float32:
-    """(h, w, 3) as (h, 3, w), contiguous."""
+    """Image (h, w, 3) as contiguous (h, 3, w)."""
     return np.ascontiguousarray(image.transpose(0, 2, 1))
 
 
 def resample(x: Float32, down: Any, across: Any) -> Float32:
     """Means (s, r, ...) of x (h, ..., w), with weights down [r, h] and across [s, w].
 
-    The axis that was last comes first, so a second `resample` would turn it back.
+    The last axis becomes the first, so a second `resample` restores the order.
     """
     rows = (down @ x.reshape(len(x), -1)).reshape(-1, x.shape[-1])  # (r ..., w)
     out: Float32 = across @ np.ascontiguousarray(rows.T)  # (s, r ...)

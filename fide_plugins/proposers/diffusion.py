@@ -8,7 +8,7 @@ target.  Nothing here knows the search, the renderer or the loss.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -31,9 +31,22 @@ from fide_plugins.denoiser.training import (
     fit,
     load_adam_state,
 )
-from fide_plugins.devices import resolve_device
 from fide_plugins.errors import OptionError
-from fide_plugins.memory import Room
+from fide_plugins.proposers.base import SingleProposer
+from fide_plugins.runtime.batch_size import BatchSize
+from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    array,
+    check,
+    numbers,
+    row,
+    side,
+    table,
+    whole,
+)
+from fide_plugins.runtime.threads import user_threads
 
 __all__ = ["DiffusionProposer"]
 
@@ -42,7 +55,7 @@ Floats = NDArray[np.float64]
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
-class DiffusionProposer:
+class DiffusionProposer(SingleProposer):
     """Diffusion in parameter space, conditioned on image features; defaults are the paper's.
 
     Parameters
@@ -96,8 +109,8 @@ class DiffusionProposer:
         self.precondition = precondition
         self.precision = check_precision(precision, self.device)
         self.updates = 0
-        self._batch = Room(batch_size, "examples of the denoiser's")
-        self._proposals = Room(MOST_PROPOSALS, "proposals")
+        self._batch = BatchSize(batch_size, "examples of the denoiser's")
+        self._proposals = BatchSize(MOST_PROPOSALS, "proposals")
         self._warned = False  # that training diverged
         self._sizes = network
         self._network: ParameterTransformer | None = None
@@ -105,8 +118,6 @@ class DiffusionProposer:
         for_weights, for_noise = np.random.SeedSequence(seed).generate_state(2)
         self._weights_seed = int(for_weights)
         self._generator = torch.Generator(self.device).manual_seed(int(for_noise))
-
-    beside = False
 
     @property
     def ready(self) -> bool:
@@ -116,6 +127,7 @@ class DiffusionProposer:
     def forget(self) -> None:
         """Keep the weights: they are carried on (Algorithm 1)."""
 
+    @user_threads
     @torch.inference_mode(False)
     @torch.enable_grad()
     def update(self, x: Floats, tokens: Tensor, losses: Floats | None, std: Floats) -> Tensor:
@@ -142,7 +154,7 @@ class DiffusionProposer:
                     tokens,
                     self._tensor(std),
                     epochs=self.epochs,
-                    room=self._batch,
+                    batch_size=self._batch,
                     generator=self._generator,
                     computing=partial(autocast, self.precision, self.device),
                 )
@@ -167,6 +179,7 @@ class DiffusionProposer:
                 stacklevel=3,
             )
 
+    @user_threads
     @torch.no_grad()
     def propose(
         self,
@@ -198,6 +211,7 @@ class DiffusionProposer:
         x = proposed.cpu().numpy().astype(np.float64)
         return np.where(np.isfinite(x), x, z)
 
+    @user_threads
     def state_dict(self) -> dict[str, Any]:
         """Everything that `update` changes, as a nested dict of tensors, ints and strings."""
         state: dict[str, Any] = {
@@ -218,9 +232,18 @@ class DiffusionProposer:
             "adam": adam,
         }
 
+    def preview(self, x: Floats, tokens: Tensor, losses: Floats, std: Floats) -> DiffusionProposer:
+        """The proposer as it is: training takes too long for a preview."""
+        return self
+
+    @user_threads
     @torch.inference_mode(False)
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors."""
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Continue bit for bit where `state_dict` was taken; numpy arrays serve as tensors.
+
+        sides: T and C of the tokens, if they are known.  Raises ValueError if `state` is none.
+        """
+        _check(state, sides or {})
         self._weights_seed = int(state["weights_seed"])
         if "weights" in state:
             network, optimizer = self._parts(int(state["image_tokens"]), int(state["channels"]))
@@ -257,3 +280,19 @@ class DiffusionProposer:
 
     def _tensor(self, values: Floats) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
+
+
+def _check(state: Mapping[str, Any], sides: Sides) -> None:
+    """Raise ValueError unless `state` is that of a denoiser."""
+    schema: dict[str, Schema] = {
+        "updates": whole(),
+        "weights_seed": whole(high=2**32),
+        "generator": array("bytes", kind="u"),
+    }
+    if "room" in state:
+        schema["room"] = row(whole(1), whole(1))
+    if "weights" in state:
+        moments: Schema = {"step": numbers, "exp_avg": numbers, "exp_avg_sq": numbers}
+        schema |= {"image_tokens": side("T"), "channels": side("C")}
+        schema |= {"weights": table(numbers), "adam": table(moments)}
+    check(state, schema, dict(sides), "proposer")

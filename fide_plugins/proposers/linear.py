@@ -40,31 +40,45 @@ the distribution, one that counts only the best is true near the target, and gre
 `docs/ablation.md` has the measurements.
 
 Everything is computed from G, in n dimensions: an image costs n scalar products once, a generation
-one system of n equations for each view (`proposers.ridge`), whatever the number of features.
+one system of n equations for each channel subset (`proposers.ridge`), for any number of features.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from fide_plugins.points import Float64
+from fide_plugins.proposers.base import Previewed, SingleProposer
+from fide_plugins.proposers.feature_buffer import FeatureBuffer
+from fide_plugins.proposers.jacobian import fit_jacobian, positive
 from fide_plugins.proposers.ridge import ridge
-from fide_plugins.proposers.views import View
+from fide_plugins.proposers.sensitivity import Sensitivity, information, sensitivity
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, maybe, real
+from fide_plugins.types import Float64
 
 __all__ = ["LinearProposer"]
 
+
+_SCHEMA: Schema = {
+    "x": array("n", "d"),
+    "losses": array("n"),
+    "buffers": each(anything),
+    "information": maybe(array("d", "d", low=-1e120, high=1e120)),
+    "informed_at": real(0.0, np.inf),
+}
+_NARROWER = 0.5  # how much a search narrows before the Jacobian is fitted again
+_JACOBIAN_RIDGE = (1e-2, 1e-2)
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
 _SMALLEST_GAP = 1e-3  # of a leverage to 1
 _SMALLEST_SCALE = 1e-9  # of ranks: the best alone counts long before
-_MOST_BYTES = 2**28  # of features in one view
+_MOST_BYTES = 2**28  # of features in one buffer
 
 
 class _Regression(NamedTuple):
@@ -78,7 +92,7 @@ class _Regression(NamedTuple):
     """(d,): leave-one-out R^2, at most 1, below 0 where the mean predicts better."""
 
 
-class LinearProposer:
+class LinearProposer(Previewed, SingleProposer):
     """Ridge regression from features to parameters, weighted by rank.
 
     Parameters
@@ -86,17 +100,17 @@ class LinearProposer:
     dim : d, the number of parameters.
     capacity : n, evaluated candidates that are remembered, the latest; fewer, though never
         fewer than `minimum`, if their features would take more than 256 MiB.
-    views : sets of features, each the leading channels of the tokens, None all; every proposal uses
-        one of them, drawn at random.
-    elite : weights fall as exp(-rank / (elite * n)).
+    channel_subsets : sets of features, each the leading channels of the tokens, None all; every
+        proposal uses one of them, drawn at random.
+    rank_weight_scale : weights fall as exp(-rank / (rank_weight_scale * n)).
     ridge : penalty, in units of the trace of e_c e_c^T over min(n, 64).
     sources : the best so many candidates are corrected, one drawn for each proposal.
     step : (low, high), how much of the way is asked for.
     noise : largest share of a sample's deviation that is kept.
-    evidence : R^2 of a parameter from which on it is wholly proposed, in proportion below; 0 for
-        always.
+    r2_threshold : R^2 of a parameter from which on it is wholly proposed, in proportion below; 0
+        for always.
     minimum : candidates that must be known before anything is proposed.
-    select : whether tokens that do not vary are left out, see `proposers.views`.
+    select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
     """
 
     def __init__(
@@ -104,30 +118,33 @@ class LinearProposer:
         dim: int,
         *,
         capacity: int,
-        views: tuple[int | None, ...] = (None,),
-        elite: float = 0.5,
+        channel_subsets: tuple[int | None, ...] = (None,),
+        rank_weight_scale: float = 0.5,
         ridge: float = 0.02,
         sources: int = 5,
         step: tuple[float, float] = (0.3, 1.2),
         noise: float = 0.5,
-        evidence: float = 0.05,
+        r2_threshold: float = 0.05,
         minimum: int = 2,
         select: bool = True,
     ) -> None:
         self.dim, self.capacity, self.minimum = dim, capacity, minimum
-        self.views, self.select = views, select
-        self.elite, self.ridge = elite, ridge
+        self.channel_subsets, self.select = channel_subsets, select
+        self.rank_weight_scale, self.ridge = rank_weight_scale, ridge
         self.sources, self.step, self.noise = sources, step, noise
-        self.evidence = evidence
+        self.r2_threshold = r2_threshold
         self.forget()
 
-    beside = False
+    singly = True
 
     def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""
         self._x: Float64 = np.empty((0, self.dim))
         self._losses: Float64 = np.empty(0)
-        self._views = [View(channels, self.select) for channels in self.views]
+        self._buffers = [FeatureBuffer(channels, self.select) for channels in self.channel_subsets]
+        self._fits: dict[int, tuple[Float64, _Regression]] = {}  # of buffers, with their std
+        self._information: Float64 | None = None  # (d, d), see `proposers.sensitivity`
+        self._informed_at = np.inf  # mean standard deviation of the search at that time
 
     @property
     def ready(self) -> bool:
@@ -139,15 +156,35 @@ class LinearProposer:
 
         Of more than can be remembered, some of every rank.
         """
+        self._fits = {}
         affordable = max(self.minimum, _MOST_BYTES // (8 * tokens[0].numel()))
         n = min(self.capacity, affordable)
         if len(x) > n:
             kept = _of_every_rank(losses, n)
             x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
-        for view in self._views:
-            view.add(tokens, n)
+        for buffer in self._buffers:
+            buffer.add(tokens, n)
         self._x = np.concatenate([self._x, x])[-n:]
         self._losses = np.concatenate([self._losses, losses])[-n:]
+        if self.ready and float(std.mean()) < _NARROWER * self._informed_at:
+            self._inform(std)
+
+    def _inform(self, std: Float64) -> None:
+        """Fit a Jacobian, if candidates still differ enough for one."""
+        scale, best = positive(std), int(np.argmin(self._losses))
+        u, buffer = (self._x - self._x[best]) / scale, self._buffers[0]
+        fit = fit_jacobian(u, buffer.gram, best, _JACOBIAN_RIDGE, buffer.rounding)
+        clear = information(fit, scale)
+        if clear is not None:
+            self._information, self._informed_at = clear, float(std.mean())
+
+    def sensitivity(self, target: Tensor) -> Sensitivity | None:
+        """How far the target's tokens (T, C) determine the best candidate, see `sensitivity`."""
+        if self._information is None:
+            return None
+        best, buffer = int(np.argmin(self._losses)), self._buffers[0]
+        residual = buffer.missing(target, best)  # (f,)
+        return sensitivity(self._x[best], self._information, residual, buffer.rounding)
 
     def propose(
         self,
@@ -165,12 +202,12 @@ class LinearProposer:
         ranks = _ranks(self._losses)
         best = np.argsort(ranks)[: self.sources]
         sources = best[rng.integers(len(best), size=len(z))]
-        used = rng.integers(len(self._views), size=len(z))
+        used = rng.integers(len(self._buffers), size=len(z))
         correction, trust = np.empty_like(z), np.empty_like(z)
-        for v, view in enumerate(self._views):
+        for v, buffer in enumerate(self._buffers):
             if (mine := used == v).any():
-                fit = self._regress(view, ranks, std)
-                correction[mine] = std * _correct(view, fit, sources[mine], target)
+                fit = self._fitted(v, ranks, std)
+                correction[mine] = std * _correct(buffer, fit, sources[mine], target)
                 trust[mine] = self._trust(fit)
         a = rng.uniform(*self.step, size=(len(z), 1))
         r = rng.uniform(0.0, self.noise, size=(len(z), 1))
@@ -178,16 +215,24 @@ class LinearProposer:
         trusted: Float64 = z + trust * (proposals - z)
         return trusted
 
-    def _regress(self, view: View, ranks: npt.NDArray[np.intp], std: Float64) -> _Regression:
-        """Parameters on the features of a view; stable when the buffer has collapsed."""
+    def _fitted(self, v: int, ranks: npt.NDArray[np.intp], std: Float64) -> _Regression:
+        """Regression of the buffer of that number, fitted once for whatever was told."""
+        if v not in self._fits or not np.array_equal(self._fits[v][0], std):
+            self._fits[v] = std.copy(), self._regress(self._buffers[v], ranks, std)
+        return self._fits[v][1]
+
+    def _regress(
+        self, buffer: FeatureBuffer, ranks: npt.NDArray[np.intp], std: Float64
+    ) -> _Regression:
+        """Parameters on the features of a buffer; stable when the buffer has collapsed."""
         n = len(ranks)
-        w = _rank_weights(ranks, self.elite * n)
+        w = _rank_weights(ranks, self.rank_weight_scale * n)
         root = np.sqrt(w)
         u = self._x / np.maximum(std, _TINY)
         u = (u - w @ u) * root[:, None]
-        row = view.gram @ w
-        gram = view.gram - row - row[:, None] + w @ row  # products of deviations from the mean
-        rounding = view.rounding + _SMALLEST_ENERGY
+        row = buffer.gram @ w
+        gram = buffer.gram - row - row[:, None] + w @ row  # products of deviations from the mean
+        rounding = buffer.rounding + _SMALLEST_ENERGY
         fit = ridge(gram * root * root[:, None], u, self.ridge, rounding)
         leverages = fit.leverages + w  # of the regression, and of the mean
         gaps = np.maximum(1 - leverages, _SMALLEST_GAP)
@@ -195,33 +240,47 @@ class LinearProposer:
 
     def _trust(self, fit: _Regression) -> Float64:
         """How much of each parameter is proposed, (d,) in [0, 1]."""
-        if self.evidence == 0:
+        if self.r2_threshold == 0:
             return np.ones(self.dim)
-        return np.clip(fit.explained, 0.0, self.evidence) / self.evidence
+        return np.clip(fit.explained, 0.0, self.r2_threshold) / self.r2_threshold
 
-    def copy(self) -> LinearProposer:
+    def copy(self) -> Self:
         """Another with the same buffer, which can be updated without this one."""
         other = copy.copy(self)  # arrays are replaced, never written to
-        other._views = [copy.copy(view) for view in self._views]
+        other._buffers = [copy.copy(buffer) for buffer in self._buffers]
+        other._fits = dict(self._fits)
         return other
 
     def state_dict(self) -> dict[str, Any]:
         """The buffer."""
-        views = [view.state_dict() for view in self._views]
-        return {"x": self._x, "losses": self._losses, "views": views}
+        buffers = [buffer.state_dict() for buffer in self._buffers]
+        return {
+            "x": self._x,
+            "losses": self._losses,
+            "buffers": buffers,
+            "information": self._information,
+            "informed_at": self._informed_at,
+        }
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave."""
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none.
+
+        sides: T of the tokens, if that is known.
+        """
+        self._fits = {}
+        own = {"d": self.dim}
+        check(state, _SCHEMA, own, "proposer")
         self._x, self._losses = state["x"], state["losses"]
-        for view, saved in zip(self._views, state["views"], strict=True):
-            view.load_state_dict(saved)
+        self._information, self._informed_at = state["information"], state["informed_at"]
+        for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
+            buffer.load_state_dict(saved, own["n"], (sides or {}).get("T"))
 
 
 def _correct(
-    view: View, fit: _Regression, sources: npt.NDArray[np.intp], target: Tensor
+    buffer: FeatureBuffer, fit: _Regression, sources: npt.NDArray[np.intp], target: Tensor
 ) -> Float64:
     """(e* - e_i) K for the sources i, (m, d)."""
-    products = view.products(target, sources)
+    products = buffer.products(target, sources)
     deviations = products - (products @ fit.w)[:, None]
     corrections: Float64 = (deviations * np.sqrt(fit.w)) @ fit.coefficients
     return corrections

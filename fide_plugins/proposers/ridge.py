@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 __all__ = ["Ridge", "ridge"]
 

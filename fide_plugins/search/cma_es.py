@@ -1,4 +1,4 @@
-"""CMA-ES that takes candidates it did not draw.
+"""CMA-ES that takes candidates it did not draw (*injected* candidates).
 
 Notation (Hansen 2016, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772; its equation
 numbers stand beside the lines):
@@ -16,11 +16,11 @@ B, D       (d, d), (d,)   C = B diag(D^2) B^T
 =========  ======  ==============================================================
 
 Why not a library: `cmaes` and `cma` assume, or silently repair, candidates that are not theirs.
-Here a third of a generation may be foreign, and two rules make that safe: a foreign step is cut to
-the length a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES",
+Here a third of a generation may be injected, and two rules make that safe: an injected step is cut
+to the length a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES",
 arXiv:1110.4181, eq. 3), and the mean standard deviation never exceeds the one the search began
-with, because good foreign candidates make the step-size path long for a reason that is no reason
-to widen the search.  With nothing foreign and no cap the numbers are those of `cmaes` (tested), up
+with, because good injected candidates make the step-size path long for a reason that is no reason
+to widen the search.  With nothing injected and no cap the numbers are those of `cmaes` (tested), up
 to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), or when it
 was told of a candidate that no sample can be, and the step size follows `step_size.TwoPoint`.
 """
@@ -34,8 +34,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.points import Float64
+from fide_plugins.runtime.schema import Schema, array, check, maybe, real, side, whole
 from fide_plugins.search.step_size import TwoPoint
+from fide_plugins.types import Float64
 
 __all__ = ["CMAES", "are_many", "default_popsize"]
 
@@ -44,6 +45,19 @@ _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
 _SMALLEST_STD = 1e-14  # of the widest parameter; below it samples in a box of side 1 are all equal
 _FARTHEST = 2**10  # from 1 that the scale of C may drift
 _LARGEST_CONDITION = 1e14  # of C; beyond it eigenvectors are noise
+_SCHEMA: Schema = {
+    "mean": array("d", low=-1e60, high=1e60),
+    "sigma": real(1e-30, 1e32),
+    "C": array("d", "d", low=-1e12, high=1e12),
+    "p_sigma": array("d", low=-1e60, high=1e60),
+    "p_c": array("d", low=-1e60, high=1e60),
+    "generation": whole(),
+    "popsize": side("k"),
+    "largest_std": real(0.0, np.inf),
+    "B": array("d", "d", low=-1.01, high=1.01),
+    "D": array("d", low=1e-30, high=1e6),
+    "two_point": maybe({"shift": array("d", low=-1e60, high=1e60), "trend": real(-1.0, 1.0)}),
+}
 _OUTLIER = 10.0  # times the longest step that a sample may have; none ever is as long
 
 
@@ -123,7 +137,7 @@ class CMAES:
         return self.sigma * np.sqrt(np.maximum(np.diag(self.C), 0.0))
 
     def sample(self, n: int, rng: np.random.Generator) -> Float64:
-        """Draw n candidates, (n, d); they may leave the unit cube, see `box`.
+        """Draw n candidates, (n, d); they may leave the unit cube, see `boundary`.
 
         Of many parameters the first two are a pair that measures the step size, see `TwoPoint`.
         """
@@ -133,21 +147,34 @@ class CMAES:
         z: Float64 = self.mean + self.sigma * y
         return z
 
-    def tell(self, z: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]) -> None:
+    @property
+    def draws_pair(self) -> bool:
+        """Whether the first two of a sample are a pair that measures the step size."""
+        return self._two_point is not None
+
+    def tell(
+        self,
+        z: Float64,
+        losses: Float64,
+        injected: npt.NDArray[np.bool_],
+        pair: tuple[int, int] | None = (0, 1),
+    ) -> None:
         """Learn from one generation.
 
-        z: (k, d), candidates as drawn (not repaired), in that order.
+        z: (k, d), candidates as drawn (not repaired).
         losses: (k,); the lower the better, +inf allowed.  Only their order matters.
-        foreign: (k,), which of them this distribution did not draw.
+        injected: (k,), which of them this distribution did not draw.
+        pair: where among them the first two of the sample are; None if one of them was lost.
         """
         order = np.argsort(losses, kind="stable")
-        y, lengths = self._steps(z[order], foreign[order])
+        y, lengths = self._steps(z[order], injected[order])
         y_w = self._weights[: self._mu] @ y[: self._mu]  # eq. 41
         self.mean = self.mean + self.sigma * y_w  # eq. 42
         self.generation += 1
         long_path = self._update_paths(y_w)
         self._update_covariance(y, lengths, long_path)
-        self._scale_sigma(self._sigma_factor(y_w, losses, foreign))
+        lost = pair is None or bool(injected[list(pair)].any())
+        self._scale_sigma(self._sigma_factor(y_w, losses, None if lost else pair))
         self._rescale()
         far = lengths.max() > _OUTLIER * self._longest_step  # C may be singular, but for rounding
         if far or self.generation % self._decompose_every == 0:
@@ -158,7 +185,7 @@ class CMAES:
         elif std.max() < _SMALLEST_STD:
             self._scale_sigma(_SMALLEST_STD / std.max())
 
-    def ahead(self, z: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]) -> CMAES:
+    def preview(self, z: Float64, losses: Float64, injected: npt.NDArray[np.bool_]) -> CMAES:
         """Return a copy that was told z (n, d), only part of a generation; see `tell`.
 
         Its weights are those of a population of n.
@@ -166,13 +193,13 @@ class CMAES:
         other = copy.copy(self)  # arrays are replaced, never written to
         other._two_point = None  # whose pair may still be out, and is drawn once
         other._set_weights(self.dim, len(z))
-        other.tell(z, losses, foreign)
+        other.tell(z, losses, injected)
         return other
 
-    def _sigma_factor(self, y_w: Float64, losses: Float64, foreign: npt.NDArray[np.bool_]) -> float:
+    def _sigma_factor(self, y_w: Float64, losses: Float64, pair: tuple[int, int] | None) -> float:
         """What to multiply the step size by."""
         if self._two_point is not None:
-            return self._two_point.factor(y_w, None if foreign[:2].any() else losses)
+            return self._two_point.factor(y_w, losses, pair)
         path = float(np.linalg.norm(self.p_sigma))
         rate = self._c_sigma / self._d_sigma * (path / self._chi - 1)
         return float(np.exp(min(1.0, rate)))  # eq. 44
@@ -182,11 +209,11 @@ class CMAES:
         lengths: Float64 = np.linalg.norm((y @ self._B) / self._D, axis=-1)
         return lengths
 
-    def _steps(self, z: Float64, foreign: npt.NDArray[np.bool_]) -> tuple[Float64, Float64]:
-        """Steps y (k, d), foreign ones cut, and their Mahalanobis lengths (k,)."""
-        y = (z - self.mean) / self.sigma  # ~ N(0, C) where not foreign
+    def _steps(self, z: Float64, injected: npt.NDArray[np.bool_]) -> tuple[Float64, Float64]:
+        """Steps y (k, d), injected ones cut, and their Mahalanobis lengths (k,)."""
+        y = (z - self.mean) / self.sigma  # ~ N(0, C) where not injected
         lengths = self._lengths(y)
-        too_long = foreign & (lengths > self._longest_step)
+        too_long = injected & (lengths > self._longest_step)
         cut = np.where(too_long, self._longest_step / np.maximum(lengths, _TINY), 1.0)
         return y * cut[:, None], lengths * cut
 
@@ -256,11 +283,12 @@ class CMAES:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> CMAES:
+    def from_state(cls, state: Mapping[str, Any], dim: int, popsize: int) -> CMAES:
         """Distribution that goes on, bit for bit, where `state_dict` was taken.
 
-        Raises ValueError if B and D are not those of C.
+        Raises ValueError if `state` is none of these sizes, or if B and D are not those of C.
         """
+        check(state, _SCHEMA, {"d": dim, "k": popsize}, "search")
         search = cls(state["mean"], 1.0, int(state["popsize"]))
         search.sigma, search.generation = float(state["sigma"]), int(state["generation"])
         search.C, search._B, search._D = state["C"], state["B"], state["D"]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 __all__ = ["TwoPoint"]
 
@@ -44,15 +44,16 @@ class TwoPoint:
         ahead = self.shift * (length / shift_length)
         return np.stack([ahead, -ahead])
 
-    def factor(self, shift: Float64, losses: Float64 | None) -> float:
+    def factor(self, shift: Float64, losses: Float64, pair: tuple[int, int] | None) -> float:
         """What to multiply the step size by, after a generation that moved the mean by `shift`.
 
-        losses: (k,) of a generation whose first two are the pair; None if the pair was lost.
+        losses: (k,) of the generation.  pair: where in it the two steps along and against are; None
+            if one of them was lost.
         """
         had_pair, self.shift = bool(self.shift.any()), shift
-        if losses is None or not had_pair:
+        if pair is None or not had_pair:
             return 1.0
-        ahead, against = (float(np.mean(losses < loss)) for loss in losses[:2])  # ranks in [0, 1)
+        ahead, against = (float(np.mean(losses < losses[i])) for i in pair)  # ranks in [0, 1)
         lead = (against - ahead) * len(losses) / (len(losses) - 1)  # in [-1, 1]
         self.trend += _MEMORY * (np.sign(lead) * np.sqrt(abs(lead)) - self.trend)
         return float(np.exp(self.trend / self.damping))

@@ -1,7 +1,7 @@
-"""What every task shares: the box [0, 1]^dim, validation, batching, noise seeds, the target.
+"""Base class of tasks: the box [0, 1]^dim, validation, batching, noise seeds, the target.
 
-A task declares its `parameters` (one `Parameter` for each coordinate of x) and writes frames in
-`_render`. Everything a caller can get wrong is checked here, once.
+A task declares its `parameters` (one `Parameter` for each coordinate of x) and draws frames in
+`_render`. The base class checks all arguments of callers.
 """
 
 from __future__ import annotations
@@ -10,37 +10,45 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+if TYPE_CHECKING:
+    from fide_plugins import Space
+
 Image = NDArray[np.float32]  # (H, W, 3), or (n, H, W, 3) for a batch; values in [0, 1]
 Vector = NDArray[np.float64]
 
-_REFERENCE_FRAMES = 64  # of a noisy task, of which the mean judges a candidate
-_RESERVED = 2**100  # begins the noise seeds of `reference` and `noise_level`
+_REFERENCE_FRAMES = 64  # frames of a noisy task whose mean is the reference
+_RESERVED = 2**100  # first noise seed of `reference` and `noise_level`
 
 
 class Parameter(NamedTuple):
-    """One coordinate of x, mapped linearly from [0, 1] to the physical range [low, high]."""
+    """One coordinate of x, mapped linearly from [0, 1] to the physical range [low, high].
+
+    periodic: whether both ends give the same image, as of an angle all around.
+    """
 
     group: str  # what it belongs to: "cell 1", "joint 3"
     name: str
     unit: str
     low: float
     high: float
+    periodic: bool = False
 
 
 class Task(ABC):
-    """A renderer with a picture to be found.
+    """A renderer with a target picture.
 
     Attributes
     ----------
-    name: what the registry calls the task.
+    name: name in the registry.
     stochastic: whether two renders of one x differ by noise.
-    incidental_options: names of options that leave every image as it is, such as workers.
+    incidental_options: names of options that do not change images, such as workers.
     parameters: one declared `Parameter` for each coordinate of x.
+    alike: of groups "bead 1", "bead 2", ... the word, if they may change places in the image.
     size: (height, width) of the image in pixels.
     seed: chooses the target among those the task generates.
     """
@@ -48,6 +56,7 @@ class Task(ABC):
     name: ClassVar[str]
     stochastic: ClassVar[bool] = False
     incidental_options: ClassVar[tuple[str, ...]] = ()
+    alike: ClassVar[str | None] = None
     parameters: tuple[Parameter, ...]
 
     def __init__(
@@ -65,26 +74,36 @@ class Task(ABC):
         return len(self.parameters)
 
     @property
+    def groups(self) -> list[list[int]] | None:
+        """Which parameters are exchangeable: the indices of each block; None if none are.
+
+        Exchanging the values of two blocks, in order, leaves the image as it is but for rounding
+        and noise. Blocks are disjoint and equally long; parameters in no block belong to none. This
+        is for tests and reports: no optimizer asks for it.
+        """
+        return None
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """(H, W, 3), the shape of one image."""
         return (*self.size, 3)
 
     @property
     def target(self) -> Image:
-        """The picture to be found, float32 (H, W, 3) in [0, 1]; made when first asked for."""
+        """The target picture, float32 (H, W, 3) in [0, 1]; made at the first access."""
         return np.array(self._target)
 
     @property
     def x_star(self) -> Vector | None:
-        """Parameters that render the target, float64 (dim,); None where none are known."""
+        """Parameters that render the target, float64 (dim,); None if they are unknown."""
         return None if self._x_star is None else self._x_star.copy()
 
     def render(self, X: ArrayLike, seed: int | Sequence[int] | None = None) -> Image:
         """Render the candidates X, (n, dim), to images, float32 (n, H, W, 3) in [0, 1].
 
-        Coordinates outside [0, 1] are clipped to it. `seed` is for noisy tasks, and ignored by the
-        others: the same x and seed give the same image; a number seeds a batch, a sequence of n
-        numbers seeds each frame; None gives every frame its own noise.
+        Coordinates outside [0, 1] are clipped. Only noisy tasks use `seed`: the same x and seed
+        give the same image; a number seeds a batch, a sequence of n numbers seeds each frame; None
+        gives every frame new noise.
 
         Raises ValueError if X is not (n, dim), or has NaN or infinite entries.
         """
@@ -96,10 +115,10 @@ class Task(ABC):
     def noise_level(self, x: ArrayLike, frames: int = 16) -> Image:
         """Estimate the standard error of a render of x, (dim,), per pixel: float32 (H, W, 3).
 
-        It is the standard deviation of `frames` renders, at least 2, each with its own noise (the
-        same every time), in units of the image; zero for a task without noise. Where rare paths
-        are bright, a few frames miss them, and most pixels look less noisy than they are: average
-        its square over the image, or use more than a hundred frames.
+        It is the standard deviation of `frames` renders, at least 2, with independent noise (the
+        same at each call), in units of the image; zero for a task without noise. A few frames miss
+        rare bright paths, so most pixels look less noisy than they are: average the square over the
+        image, or use more than a hundred frames.
         """
         values = self._one(x)
         if whole_number("frames", frames, minimum=2) and not self.stochastic:
@@ -108,13 +127,20 @@ class Task(ABC):
         return deviation
 
     def reference(self, x: ArrayLike) -> Image:
-        """Render x, (dim,), for judging it: float32 (H, W, 3) with little noise or none.
+        """Render the reference image of x, (dim,): float32 (H, W, 3) with little or no noise.
 
-        The same x gives the same image. The noise is independent of all that `render` without a
-        seed, or with seeds below 2^100, has shown; noise seeds have 32 bits, so one frame in 2^32
-        has the same by chance.
+        The same x gives the same image. The noise is independent of all renders without a seed or
+        with seeds below 2^100, up to chance: noise seeds have 32 bits.
         """
         return self._reference(self._one(x))
+
+    def start(self) -> Vector | None:
+        """Parameters, (dim,), read off the pixels of the target, near an answer; None if unknown.
+
+        No render is spent. For pictures of the user's own, whose best parameters nobody knows: on a
+        generated target it gives away what a search is to find, so no benchmark uses it.
+        """
+        return None
 
     def decode(self, x: ArrayLike) -> dict[str, dict[str, float]]:
         """Name the physical values of one candidate x, (dim,): {group: {"name [unit]": value}}.
@@ -128,8 +154,19 @@ class Task(ABC):
             group[f"{parameter.name} [{parameter.unit}]"] = value
         return decoded
 
-    def trial(self) -> None:
-        """Render a frame, to see whether it can be done here; raises what keeps it from that."""
+    @cached_property
+    def space(self) -> Space:
+        """The parameters as a `fide_plugins.Space`, with the same values as `decode`.
+
+        "joint 1" is the group joint_1; "bead 1", "bead 2", ... are a list, if the beads may change
+        places.  Needs the package fide_plugins.
+        """
+        from fide_tasks.named import space_of
+
+        return space_of(self.parameters, self.alike)
+
+    def check(self) -> None:
+        """Render one frame to check that the task works on this machine; raises its error."""
         self.render(np.full((1, self.dim), 0.5))
 
     @abstractmethod
@@ -137,19 +174,19 @@ class Task(ABC):
         """Draw the physical values, (n, dim), into out, (n, H, W, 3); seeds: (n,), for noise."""
 
     def _reference(self, values: Vector) -> Image:
-        """Draw the physical values, (dim,), for judging; by default the mean of many frames."""
+        """Draw the reference of physical values, (dim,); by default the mean of many frames."""
         frames = _REFERENCE_FRAMES if self.stochastic else 1
         image: Image = self._frames(values, frames).mean(axis=0, dtype=np.float64)
         return image.astype(np.float32)
 
     def _frames(self, values: Vector, n: int) -> Image:
-        """Draw the physical values, (dim,), n times with noise that nobody else has seen."""
+        """Draw the physical values, (dim,), n times with reserved noise seeds."""
         out: Image = np.empty((n, *self.shape), np.float32)
         self._render(np.tile(values, (n, 1)), out, reserved_seeds(n))
         return out
 
     def _make_x_star(self) -> Vector | None:
-        """Return the parameters of the generated target; None if it is not of this renderer."""
+        """Return the parameters of the generated target; None if none render it."""
         return None
 
     def _make_target(self) -> Image:

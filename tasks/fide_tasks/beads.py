@@ -45,6 +45,7 @@ class Beads(MitsubaTask):
     """
 
     name = "beads"
+    alike = "bead"
     default_spp = 64
     default_max_depth = 8
     parameters = tuple(

@@ -1,10 +1,10 @@
-"""What every Mitsuba task shares: fidelity, variants, noise, and the way from x to an image.
+"""Base class of Mitsuba tasks: samples per pixel, variants, noise, and rendering.
 
 Notation: L [H, W, 3] linear radiance, the mean over `spp` paths through every pixel; the image is
 sRGB(min(L, 1)), the nonlinear encoding of IEC 61966-2-1.
 
-Paths are independent and a pixel is the plain mean of its own ones (a box filter), so the noise of
-different pixels is independent, and a frame is the same to the last bit on any number of threads.
+Paths are independent and a pixel is the mean of its own paths (a box filter), so the noise of
+different pixels is independent, and a frame is bit-identical on any number of threads.
 
 Noise seeds have 32 bits, so two frames have the same noise with a probability of 2^-32. With the
 variant scalar it is larger: Mitsuba multiplies the seed by H W modulo 2^32 there, which leaves
@@ -41,21 +41,21 @@ class MitsubaTask(Task):
 
     Options, the same in every Mitsuba task
     ---------------------------------------
-    spp: paths a pixel, at least 1; the noise falls with its root (slower at first, while a single
-        bright path makes a pixel white). None is the task's own default.
-    max_depth: longest path in segments; 1 is what shines by itself, 2 adds direct light, -1 is any
-        length. None is the task's own default.
+    spp: paths (samples) per pixel, at least 1; the noise decreases with its square root (slower at
+        first, while a single bright path makes a pixel white). None: default of the task.
+    max_depth: longest path in segments: 1 shows emitters only, 2 adds direct light, -1 is any
+        length. None: default of the task.
     variant: "auto", "cuda", "llvm" or "scalar"; see `mitsuba_variant.choose`. Afterwards the
         attribute `variant` is Mitsuba's name of the one in use.
     denoise: whether OptiX denoises each frame (not the reference), with variant "cuda" only.
-    workers: number of processes that share the candidates of one `render`; 1 renders in this one,
-        which a renderer that crashes or hangs takes with it. One process already uses all cores, so
-        more are faster only for frames of 32 pixels or so; but they turn a crash or a hang into a
-        `RenderWorkerError`, after which rendering can go on.
-    threads: number of threads of each process; None shares all cores among the processes.
-    reference_spp: paths a pixel of `reference` and of a generated target. None is the task's own
-        default.
-    target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
+    workers: number of processes that share the candidates of one `render`. 1 renders in this
+        process, which a crash of the renderer ends and a hang blocks. One process already uses all
+        cores, so more are faster only for frames of about 32 pixels; but with more, a crash or a
+        hang becomes a `RenderWorkerError`, after which rendering can continue.
+    threads: number of threads of each process; None divides all cores among the processes.
+    reference_spp: paths per pixel of `reference` and of a generated target. None: default of the
+        task.
+    target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
     Attributes
     ----------

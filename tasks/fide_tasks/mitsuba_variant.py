@@ -1,6 +1,6 @@
 """Which of Mitsuba's variants runs on this machine, and with which LLVM library.
 
-Mitsuba compiles its kernels for a GPU (CUDA) or for the processor's vector units (LLVM), or runs
+Mitsuba compiles its kernels for a GPU (CUDA) or for the CPU's vector units (LLVM), or runs
 them ray by ray ("scalar"). LLVM is a library of the system: some releases are not found, and some
 abort the whole process at the first kernel (15 does). So a variant is tried in a process of
 its own before this one relies on it.
@@ -23,7 +23,7 @@ from functools import cache
 from glob import glob
 from typing import Any
 
-from fide_tasks import trial
+from fide_tasks import isolated
 from fide_tasks.base import one_of
 
 __all__ = ["REMEDIES", "VARIANTS", "choose", "in_variant", "library", "problem_with"]
@@ -34,7 +34,7 @@ VARIANTS = {"cuda": "cuda_ad_rgb", "llvm": "llvm_ad_rgb", "scalar": "scalar_rgb"
 _log = logging.getLogger(__name__)
 _LOCK = threading.RLock()  # the variant and the number of threads belong to the whole process
 _left: str | None = None  # the variant that `in_variant` left active when it last did
-_TRIAL_SECONDS = 120.0  # for a first frame, of which about one is needed
+_CHECK_SECONDS = 120.0  # for a first frame, of which about one is needed
 _LIBRARY = "DRJIT_LIBLLVM_PATH"  # read when Mitsuba is first imported
 _LIBRARY_PLACES = (
     "/usr/lib/*-linux-gnu/libLLVM*.so*",
@@ -45,7 +45,7 @@ _LIBRARY_PLACES = (
     "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
     "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
 )
-_TRIAL = """
+_CHECK = """
 import sys, numpy, mitsuba as mi
 mi.set_variant(sys.argv[1])
 box = mi.cornell_box()
@@ -169,7 +169,7 @@ def _problem_with_cuda() -> str | None:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
         return "there is no NVIDIA driver"
-    return _trial(VARIANTS["cuda"], None)
+    return _check_variant(VARIANTS["cuda"], None)
 
 
 def _problem_with_llvm() -> str | None:
@@ -178,7 +178,7 @@ def _problem_with_llvm() -> str | None:
     candidates = [given] if given else [*_libraries(), None]  # None: let Mitsuba search
     problems = []
     for path in candidates:
-        problem = _trial(VARIANTS["llvm"], path)
+        problem = _check_variant(VARIANTS["llvm"], path)
         if problem is None:
             if path is not None:
                 os.environ[_LIBRARY] = path
@@ -205,7 +205,7 @@ def _export_library() -> None:
             os.environ[_LIBRARY] = newest
 
 
-def _trial(variant: str, llvm: str | None) -> str | None:
+def _check_variant(variant: str, llvm: str | None) -> str | None:
     """Render in a process of its own; returns what went wrong.
 
     Its home is empty, so that no kernel compiled by another library is found in a cache there.
@@ -213,6 +213,6 @@ def _trial(variant: str, llvm: str | None) -> str | None:
     with tempfile.TemporaryDirectory() as home:
         environment = {"HOME": home, "TMP": home, "TEMP": home}
         environment["PYTHONUSERBASE"] = site.getuserbase()  # where packages of this user lie
-        if llvm is not None:  # the trial is made in another folder
+        if llvm is not None:  # the check runs in another folder
             environment[_LIBRARY] = os.path.abspath(llvm) if os.sep in llvm else llvm
-        return trial.failure(_TRIAL, variant, seconds=_TRIAL_SECONDS, environment=environment)
+        return isolated.failure(_CHECK, variant, seconds=_CHECK_SECONDS, environment=environment)

@@ -1,6 +1,7 @@
 """Names of the tasks, and the factory that loads a task only when it is asked for.
 
-A new task is one line in `_TASKS`; its options are the keyword-only arguments of its class.
+A new task is one line in `_TASKS` and its name in `_GROUPS`; its options are the keyword-only
+arguments of its class.
 """
 
 from __future__ import annotations
@@ -13,17 +14,40 @@ if TYPE_CHECKING:
     from fide_tasks.base import Task
 
 _TASKS = {  # name: module that holds it, class
+    "arm": ("fide_tasks.arm", "Arm"),
+    "ball": ("fide_tasks.ball", "Ball"),
     "beads": ("fide_tasks.beads", "Beads"),
+    "lamps": ("fide_tasks.lamps", "Lamps"),
+    "lens": ("fide_tasks.lens", "Lens"),
     "robot": ("fide_tasks.robot", "Robot"),
     "san_miguel": ("fide_tasks.san_miguel", "SanMiguel"),
     "spline": ("fide_tasks.spline", "Spline"),
+    "sprites": ("fide_tasks.sprites", "Sprites"),
+    "stick_figure": ("fide_tasks.stick_figure", "StickFigure"),
     "voronoi": ("fide_tasks.voronoi", "Voronoi"),
+}
+_GROUPS = {  # of tasks
+    "paper": ("beads", "robot", "san_miguel", "spline", "voronoi"),
+    "exchangeable": ("lamps", "sprites"),
+    "folding": ("arm", "lens", "stick_figure"),
+    "smooth": ("ball",),
 }
 
 
-def names() -> list[str]:
-    """Return the names of all tasks, sorted."""
-    return sorted(_TASKS)
+def names(group: str = "paper") -> list[str]:
+    """Return the names of the tasks of a group, sorted.
+
+    "paper" are the scenes of the paper. The others belong to this package: "exchangeable", scenes
+    of several objects in any order; "folding", scenes with several basins; "smooth", scenes for
+    comparison with solvers of least-squares problems. "all" are all tasks.
+
+    Raises ValueError for an unknown group.
+    """
+    if group == "all":
+        return sorted(_TASKS)
+    if group not in _GROUPS:
+        raise ValueError(f"group must be one of all, {', '.join(_GROUPS)}, not {group!r}")
+    return sorted(_GROUPS[group])
 
 
 def options(name: str) -> dict[str, Any]:
@@ -55,7 +79,7 @@ def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options:
 
 def _load(name: str) -> Any:
     if name not in _TASKS:
-        raise ValueError(f"no task is named {name!r}; the tasks: {', '.join(names())}")
+        raise ValueError(f"no task is named {name!r}; the tasks: {', '.join(names('all'))}")
     module, attribute = _TASKS[name]
     return getattr(importlib.import_module(module), attribute)
 

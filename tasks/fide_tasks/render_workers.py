@@ -1,16 +1,16 @@
-"""Processes that render frames for a task, and what happens when one of them dies or hangs.
+"""Processes that render frames for a task, with detection of processes that die or hang.
 
-A candidate goes to whichever process is free. Frames come back in memory that is shared: through
-the pipe go only words, too short to arrive in halves, so nobody ever waits for the rest of one.
+Each candidate goes to an idle process. Frames come back in shared memory. The pipe carries only
+short messages, which arrive whole, so no reader waits for the rest of one.
 
-A process that dies is noticed at once. The heart of each is a thread that counts in shared memory;
-where it no longer beats, the process is stopped or stuck, which is noticed after SILENCE_SECONDS,
-or LOADING_SILENCE_SECONDS while libraries are loaded, in which no thread of Python runs. One whose
-heart beats while nothing comes of it is given up when a frame takes far longer than it should by
-the slowest path before, or loading LOADING_SECONDS. In all these cases all processes are ended and
-`RenderWorkerError` is raised; the next frame asked for starts new ones.
+The death of a process is detected at once. A heartbeat thread in each process increments a counter
+in shared memory. If it stands still for SILENCE_SECONDS, or LOADING_SILENCE_SECONDS while libraries
+load (no Python thread runs then), the process is stopped or stuck. A process with a heartbeat hangs
+if loading takes LOADING_SECONDS, or if a frame takes far longer than the slowest path so far
+predicts. In all these cases all processes are ended and `RenderWorkerError` is raised; the next
+render starts new ones.
 
-They belong to the process that started them: one that is forked from it starts its own.
+The processes belong to the process that started them; a fork of it starts its own.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from fide_tasks.base import Image, Vector
 
 __all__ = ["Artist", "Job", "RenderWorkerError", "RenderWorkers", "cores"]
 
-SILENCE_SECONDS = 5.0  # for which the heart of a process may stand still
-LOADING_SILENCE_SECONDS = 60.0
-LOADING_SECONDS = 300.0  # that a process may take to load the renderer and the scene
-COMPILING_SECONDS = 120.0  # that the first frame of so many paths may take in addition
-PATIENCE_SECONDS = 10.0  # that any frame may take, however fast the others were
-_SLOWER = 20.0  # times the slowest path so far that those of a frame may take in addition
-_SECONDS_A_PATH = 2e-6  # taken for the slowest before there is one
-_SLICE = 1.0  # seconds; a longer pause between two looks was this process's own
-_BEAT = 0.5  # seconds from one beat to the next
-_LONGEST_WORD = 4096  # bytes that go through a pipe at once
+SILENCE_SECONDS = 5.0  # longest pause of a heartbeat
+LOADING_SILENCE_SECONDS = 60.0  # the same while libraries load
+LOADING_SECONDS = 300.0  # limit for loading the renderer and the scene
+COMPILING_SECONDS = 120.0  # additional limit for the first frame with a new number of paths
+PATIENCE_SECONDS = 10.0  # limit for any frame, plus _SLOWER times the predicted time
+_SLOWER = 20.0  # factor on the time that the slowest path so far predicts
+_SECONDS_A_PATH = 2e-6  # time of a path before one was measured
+_SLICE = 1.0  # seconds; longer pauses between two checks are pauses of this process
+_BEAT = 0.5  # seconds between heartbeats
+_LONGEST_WORD = 4096  # bytes that a pipe passes at once
 _SAFE_PATH = "PYTHONSAFEPATH"  # read by Python when it starts
 _STARTING = threading.Lock()  # the environment belongs to the whole process
 
@@ -62,9 +62,9 @@ class Job(NamedTuple):
 
 
 class Artist(Protocol):
-    """What a process is started with; it is sent there by pickling.
+    """A renderer that is sent to each process by pickling.
 
-    times: seconds by what they were spent on; the process's own are added to it.
+    times: seconds by part; the times of all processes are added to it.
     """
 
     times: dict[str, float]
@@ -77,10 +77,10 @@ class Artist(Protocol):
 
 
 class RenderWorkers:
-    """So many processes, each with a renderer of its own; for one thread at a time."""
+    """A pool of processes, each with its own renderer; for one thread at a time."""
 
     def __init__(self, artist: Artist, count: int, shape: tuple[int, int, int]) -> None:
-        """Start them; raises RenderWorkerError if the system has no room for so many."""
+        """Start the processes; raises RenderWorkerError if the system cannot start them all."""
         self._artist, self._slowest = artist, _SECONDS_A_PATH
         self._measured, self._pixels = False, shape[0] * shape[1]
         self._workers: list[_Worker] = []
@@ -107,7 +107,7 @@ class RenderWorkers:
 
     @property
     def closed(self) -> bool:
-        """Whether the processes have been ended, or are those of another process."""
+        """Whether the processes have ended, or belong to another process."""
         return not self._finalizer.alive or self._process != os.getpid()
 
     def close(self) -> None:
@@ -117,8 +117,8 @@ class RenderWorkers:
     def render(self, jobs: Sequence[Job], out: Image) -> None:
         """Draw the jobs into out, (n, H, W, 3).
 
-        Raises RenderWorkerError if a process dies or hangs, and what `draw` raises. Whatever is
-        raised, the processes are ended.
+        Raises RenderWorkerError if a process dies or hangs, and the errors of `draw`. After any
+        error all processes are ended.
         """
         try:
             self._render(jobs, out)
@@ -138,10 +138,10 @@ class RenderWorkers:
                 self._take(worker, jobs, out)
 
     def _look(self) -> list[_Worker]:
-        """Wait a little; returns the processes that have something to say.
+        """Wait briefly; returns the processes that sent a message or ended.
 
-        Time is counted in slices, so that a while in which this process was itself stopped (by
-        Ctrl-Z, say) does not count against the others.
+        Time is counted in slices, so that pauses of this process itself (by Ctrl-Z, for example) do
+        not count against the others.
         """
         busy = [worker for worker in self._workers if not worker.idle]
         handles = [h for worker in busy for h in (worker.pipe, worker.process.sentinel)]
@@ -159,7 +159,7 @@ class RenderWorkers:
         return speaking
 
     def _take(self, worker: _Worker, jobs: Sequence[Job], out: Image) -> None:
-        """Receive what a process says: that it is ready, a frame, or an exception."""
+        """Receive a message of a process: that it is ready, a frame, or an exception."""
         try:
             word = worker.pipe.recv()
             if isinstance(word, BaseException):
@@ -181,10 +181,10 @@ class RenderWorkers:
 
 
 class _Worker:
-    """One of the processes, seen from the one that started it.
+    """Handle of one process.
 
-    image: what it has drawn last, in memory that both have.
-    frame: index of the frame it draws; None while it loads, or has nothing to do.
+    image: its last frame, in shared memory.
+    frame: index of the frame it draws; None while it loads or is idle.
     """
 
     def __init__(self, context: Any, artist: Artist, shape: tuple[int, int, int]) -> None:
@@ -213,7 +213,7 @@ class _Worker:
             self.pipe.send(job)
 
     def waited(self, seconds: float) -> str | None:
-        """Count a while in which it said nothing; returns why that is too long, if it is."""
+        """Add time without a message; returns the reason if the process hangs, else None."""
         self._patience -= seconds
         pulse = self._pulse.value
         still = pulse > 0 and pulse == self._last_pulse  # until its first beat it is not yet there
@@ -251,9 +251,9 @@ def cores() -> int:
 
 @contextmanager
 def _no_code_of_this_folder() -> Iterator[None]:
-    """Let processes that start look for no module in the folder that this one was started in.
+    """Within this block, new processes import no module from the current folder.
 
-    It may be that of a scene from elsewhere. Once started they have the path of this process.
+    It may contain an untrusted scene. After the start they have the import path of this process.
     """
     with _STARTING:
         before = os.environ.get(_SAFE_PATH)
@@ -277,7 +277,7 @@ def _end(workers: list[_Worker], owner: int) -> None:
 
 
 def _serve(pipe: Any, artist: Artist, memory: Any, shape: tuple[int, int, int], pulse: Any) -> None:
-    """Draw what comes through the pipe, until it is closed; the life of one process."""
+    """Main function of a process: draw the jobs from the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this one
     threading.Thread(target=_beat, args=(pulse,), daemon=True).start()
     out: Image = np.frombuffer(memory, np.float32).reshape(shape)
@@ -297,14 +297,14 @@ def _serve(pipe: Any, artist: Artist, memory: Any, shape: tuple[int, int, int], 
 
 
 def _beat(pulse: Any) -> None:
-    """Count, as a sign of life."""
+    """Increment the heartbeat counter forever."""
     while True:
         pulse.value += 1
         time.sleep(_BEAT)
 
 
 def _sendable(error: Exception) -> Exception:
-    """The exception itself where it can be sent to another process, or else what it says."""
+    """The exception itself if it can be pickled, otherwise a RenderWorkerError with its text."""
     import pickle
 
     with suppress(Exception):

@@ -2,8 +2,8 @@
 
 Notation: q [7] joint angles in rad, base to hand; T_i [4, 4] pose of link i in the base, in m.
 
-Only kinematics are computed: from q follow the poses of all links, which are drawn. There is no
-step in time, and nothing keeps the arm from passing through itself or the floor.
+Only kinematics are computed: q determines the poses of all links, which are drawn. There is no time
+step, and the arm may pass through itself or the floor.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fide_tasks import panda, robot_model, robot_poses, trial
+from fide_tasks import isolated, panda, robot_model, robot_poses
 from fide_tasks.base import Image, Parameter, Task, Vector, whole_number
 from fide_tasks.offscreen import OffscreenError, Stage, import_mujoco
 
-_TRIAL_SECONDS = 60.0  # for a first frame, of which less than one is needed
-_TRIAL = """
+_CHECK_SECONDS = 60.0  # limit for the first frame, which usually takes less than one second
+_CHECK = """
 import sys
 from fide_tasks.robot import Robot
 try:
@@ -33,7 +33,7 @@ except Exception as error:
 
 
 class Robot(Task):
-    """A robot arm, to be put into the pose that it has in the picture.
+    """A robot arm whose pose in the picture is to be found.
 
     The 7 parameters are the joint angles, from the lower to the upper of the published limits.
 
@@ -45,10 +45,10 @@ class Robot(Task):
         gripper keep their first position. A model with a floor keeps its own lamps and sky; one
         without is put on our floor, in our light.
     camera: name of a camera of the model; None is ours, which sees the whole arm.
-    samples: points a pixel that are averaged (multisampling): 0, or a number that OpenGL has, such
-        as 4; any other is an OffscreenError when the first frame is drawn.
-    shadows: whether the lamps cast shadows and floors that reflect do so.
-    target: a picture of the user's own, float (H, W, 3) in [0, 1], instead of a generated one.
+    samples: points averaged per pixel (multisampling): 0, or a number that OpenGL supports, such as
+        4; other numbers raise OffscreenError when the first frame is drawn.
+    shadows: whether lamps cast shadows and reflecting floors reflect.
+    target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
     A generated target depends on `seed` and the model, its x_star on `seed` alone. It is a pose
     that touches neither itself nor the floor, as far as links of simple shape can tell, of which
@@ -97,7 +97,7 @@ class Robot(Task):
         self._lock = threading.Lock()
 
     def link_poses(self, x: ArrayLike) -> Vector:
-        """Where MuJoCo puts the seven links for one candidate x, (dim,): T, (7, 4, 4)."""
+        """Poses T, (7, 4, 4), of the seven links for one candidate x, (dim,), by MuJoCo."""
         data = import_mujoco().MjData(self._model)
         self._pose(data, self._one(x))
         links = self._model.jnt_bodyid[self._joints]
@@ -106,17 +106,17 @@ class Robot(Task):
         poses[:, :3, 3] = data.xpos[links]
         return poses
 
-    def trial(self) -> None:
-        """Draw a frame of our own arm in another process, since a driver of OpenGL may crash.
+    def check(self) -> None:
+        """Draw a frame of the built-in arm in another process, since an OpenGL driver may crash.
 
-        Raises OffscreenError if nothing comes of it.
+        Raises OffscreenError if that fails.
         """
-        problem = trial.failure(_TRIAL, seconds=_TRIAL_SECONDS)
+        problem = isolated.failure(_CHECK, seconds=_CHECK_SECONDS)
         if problem is not None:
             raise OffscreenError(f"no frame was drawn: {problem}")
 
     def close(self) -> None:
-        """Free the memory of OpenGL; the next render takes it again."""
+        """Free the memory of OpenGL; the next render allocates it again."""
         with self._lock:
             if self._stage is not None:
                 self._stage.close()
@@ -142,7 +142,7 @@ class Robot(Task):
             self.times["frames"] += len(values)
 
     def _pose(self, data: Any, q: Vector) -> None:
-        """Set the joints and compute where the links, lamps and cameras are."""
+        """Set the joints and compute the poses of links, lamps and cameras."""
         mujoco = import_mujoco()
         data.qpos[self._places] = q
         mujoco.mj_kinematics(self._model, data)
@@ -188,6 +188,6 @@ class Robot(Task):
         self.__dict__.update(state)
         self._lock = threading.Lock()
 
-    def __del__(self) -> None:
-        with contextlib.suppress(Exception):
+    def __del__(self, suppress: Any = contextlib.suppress) -> None:
+        with suppress(Exception):  # as an argument: at the end of the program modules are gone
             self.close()

@@ -64,7 +64,7 @@ class SanMiguel(MitsubaTask):
     parameters = (
         *(Parameter("camera", name, "m", low, high) for name, low, high in _PLACE),
         Parameter("camera", "theta", "deg", *_THETA),
-        Parameter("camera", "phi", "deg", 0.0, 360.0),
+        Parameter("camera", "phi", "deg", 0.0, 360.0, periodic=True),
         *(Parameter("light", name, "m", low, high) for name, low, high in _PLACE),
     )
 

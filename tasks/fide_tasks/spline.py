@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks.base import Image, Parameter, Task, Vector, one_of, whole_number
+from fide_tasks.picture_start import stroke_of
 
 _DEGREE = 2
 _SPAN_SAMPLES = 8  # intervals on each polynomial piece of the curve, at 224 pixels
@@ -71,6 +72,10 @@ class Spline(Task):
             Parameter("stroke", "thickness", "px", 0.0, float(min(height, width))),
         )
         self._basis, self._slope = _basis(self.control_points, max(height, width))
+
+    def start(self) -> Vector | None:
+        """Return a stroke through the dark pixels of the target; None if there are none."""
+        return stroke_of(self._target, self.control_points)
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
         for v, frame in zip(values, out, strict=True):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fide_tasks.base import Image, Parameter, Task, Vector, one_of, whole_number
+from fide_tasks.picture_start import cells_of
 
 _MIN_AREA = 0.3  # of a generated cell, relative to the mean area
 _MIN_SEPARATION = 0.3  # of generated centers, relative to the root of the mean area
@@ -44,6 +45,7 @@ class Voronoi(Task):
     """
 
     name = "voronoi"
+    alike = "cell"
 
     def __init__(
         self,
@@ -66,6 +68,17 @@ class Voronoi(Task):
             for i in range(self.cells)
             for name, unit, high in (place + tint if self.variant == "color" else place)
         )
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """The parameters of each cell."""
+        return np.arange(self.dim).reshape(self.cells, -1).tolist()
+
+    def start(self) -> Vector | None:
+        """Return cells at superpixels of the target; None for the variant "distance"."""
+        if self.variant == "distance":
+            return None
+        return cells_of(self._target, self.cells).ravel()
 
     def _render(self, values: Vector, out: Image, seeds: NDArray[np.uint32]) -> None:
         cells = values.reshape(len(values), self.cells, self.dim // self.cells)

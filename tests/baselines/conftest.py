@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,36 +10,20 @@ import pytest
 
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
-TINY_DIBO = {
-    "popsize": 20,
-    "initial": 40,
-    "buffer": 40,
-    "proxy_epochs": 1,
-    "prior_epochs": 1,
-    "posterior_epochs": 2,
-    "search_epochs": 1,
-    "proposals": 1,
-    "diffusion_steps": 3,
-    "width": 8,
-    "proxy_width": 8,
-    "batch": 16,
-    "precision": "single",
-}
+from .small import OPTIONS
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A baseline with the options that make it quick.
+    """A baseline with the options of `small.py`, which make it quick.
 
     evaluations: enough to see all that it does, such as restarts or a training.
     close: loss of `sphere` that it reaches with many workers, within 100 evaluations (cma: 400).
     """
 
     name: str
-    options: dict[str, Any] = field(default_factory=dict)
     evaluations: int = 80
     close: float = 0.16
 
@@ -48,7 +32,7 @@ class Subject:
 
     def make(self, dim: int, seed: int | None = None, **options: Any) -> Baseline:
         """One, with a target."""
-        settings = {**self.options, "seed": seed, **options}
+        settings = {**OPTIONS.get(self.name, {}), "seed": seed, **options}
         made = optimizers.make(self.name, dim, target(), **settings)
         assert isinstance(made, Baseline)
         return made
@@ -90,19 +74,15 @@ class Subject:
 SUBJECTS = [
     Subject("cma", evaluations=400, close=1e-4),
     Subject("dfols", evaluations=40),
-    Subject("dibo", TINY_DIBO, evaluations=60),
+    Subject("dibo", evaluations=60),
     Subject("dual-annealing"),
-    Subject("eki", {"popsize": 20}, close=0.1),
-    Subject("fide-annealing", {"samples": 20, "epochs": 1}, evaluations=60),
-    Subject(
-        "inverse",
-        {"popsize": 20, "budget": 100, "share": 0.4, "epochs": 2, "width": 8, "blocks": 1},
-        evaluations=80,
-    ),
+    Subject("eki", close=0.1),
+    Subject("fide-annealing", evaluations=60),
+    Subject("inverse"),
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
     Subject("random"),
-    Subject("zerograds", {"batch": 4}),
+    Subject("zerograds"),
 ]
 
 

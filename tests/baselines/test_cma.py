@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.baselines.cma import CMA
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 
 def rosenbrock(X: Float64) -> Float64:

@@ -12,8 +12,7 @@ import pytest
 from fide_plugins import encoders
 from fide_plugins.baselines.dfols import DFOLS
 from fide_plugins.errors import DependencyError, OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 DIM = 4
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.dibo import DiBO, Diffusion, Round, Settings
+from fide_plugins.baselines.dibo import DiBO, Diffusion, Round, RoundOptions
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.dibo.round import trajectory_balance
 from fide_plugins.baselines.networks import make
@@ -132,8 +132,8 @@ def small_round(**changes: Any) -> Round:
     y = -(x - 0.8).square().sum(dim=1)
     small = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
     epochs = {"proxy_epochs": 25, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 20}
-    settings = Settings(**{**small, **epochs, **changes})
-    return Round(settings, (x - x.mean(0)) / x.std(0), (y - y.mean()) / y.std(), seeded(3))
+    options = RoundOptions(**{**small, **epochs, **changes})
+    return Round(options, (x - x.mean(0)) / x.std(0), (y - y.mean()) / y.std(), seeded(3))
 
 
 def test_a_round_proposes_near_the_best_of_its_buffer() -> None:

@@ -14,7 +14,7 @@ from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.dual_annealing import DualAnnealing
 from fide_plugins.baselines.fide_annealing import FIDEAnnealing, Visits
 from fide_plugins.errors import OptionError, ProtocolError
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 
 def rastrigin(X: Float64) -> Float64:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.baselines.eki import EKI, kalman_update
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 
 def test_the_step_is_the_formula_in_the_space_of_the_features() -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import optuna
 import pytest
 
-from fide_plugins import harness, optimizers
+from fide_plugins import optimizers
 from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
-from fide_plugins.points import Float64
+from fide_plugins.experiments import run as harness
+from fide_plugins.types import Float64
 
 
 def sphere(X: Float64) -> Float64:

@@ -9,8 +9,7 @@ import pytest
 
 from fide_plugins.baselines.inverse import Inverse
 from fide_plugins.errors import OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 ANSWER = np.array([[0.2, 0.7]])
 

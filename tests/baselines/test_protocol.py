@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import checkpoint, optimizers
+from fide_plugins import optimizers
 from fide_plugins.baselines.random import Random
-from fide_plugins.baselines.replayed import Replayed
 from fide_plugins.errors import (
-    CheckpointError,
     ImageError,
     LossError,
     OptionError,
     PointsError,
     UnknownNameError,
 )
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 Subject = Any  # of conftest.py
 
@@ -109,7 +107,7 @@ def test_seeds(subject: Subject) -> None:
     )
 
 
-def test_foreign_points_are_counted_and_can_be_best_but_do_not_move_the_search(
+def test_injected_points_are_counted_and_can_be_best_but_do_not_move_the_search(
     subject: Subject,
 ) -> None:
     ours, theirs = subject.make(3, seed=2), subject.make(3, seed=2)
@@ -123,7 +121,7 @@ def test_foreign_points_are_counted_and_can_be_best_but_do_not_move_the_search(
     X = theirs.ask()
     subject.tell(theirs, X)
     count = theirs.evaluations
-    subject.tell(theirs, X)  # told twice: the second time they are foreign
+    subject.tell(theirs, X)  # told twice: the second time they are injected
     assert theirs.evaluations == count + len(X)
 
 
@@ -146,105 +144,34 @@ def test_losses_that_are_no_numbers_rank_last_and_count(
     assert opt.best is None or opt.best.loss == lowest
 
 
-@pytest.mark.parametrize("share", [0.0, 0.02, 1.0])
-def test_saving_and_loading_continues_bit_for_bit(
-    subject: Subject, share: float, tmp_path: Path
-) -> None:
-    opt = subject.make(3, seed=7)
-    if share:
-        subject.tell(opt, np.random.default_rng(0).random((2, 3)))  # foreign
-        subject.minimize(opt, int(share * subject.evaluations))
-    in_flight = opt.ask(2)
-    subject.tell(opt, in_flight[1:], np.array([np.nan]))
-    opt.save(tmp_path / "c")
-    again = subject.load(tmp_path / "c")
-    assert again.evaluations == opt.evaluations and again.times == opt.times
-    for o in (opt, again):
-        subject.tell(o, in_flight[:1], np.array([0.25]))
-    more = opt.evaluations + subject.evaluations // 2
-    for a, b in zip(subject.minimize(opt, more), subject.minimize(again, more), strict=True):
-        np.testing.assert_array_equal(a, b)
-    np.testing.assert_array_equal(opt.recommend(), again.recommend())
-    assert opt.best is not None and again.best is not None
-    assert (again.best.loss, again.best.evaluation) == (opt.best.loss, opt.best.evaluation)
-    again.save(tmp_path / "d")
-    assert subject.load(tmp_path / "d").evaluations == opt.evaluations
-
-
 def test_no_thread_outlives_its_baseline(subject: Subject) -> None:
-    before = threading.active_count()
+    before = set(threading.enumerate())  # some of earlier tests may end meanwhile
     opt = subject.make(2, seed=0)
     subject.minimize(opt, 10)
-    assert threading.active_count() == before + subject.sequential
+    own = set(threading.enumerate()) - before
+    assert len(own) == subject.sequential
     del opt
-    assert threading.active_count() == before
+    assert not own & set(threading.enumerate())
 
 
-def test_the_image_of_the_best_is_kept_and_saved(subject: Subject, tmp_path: Path) -> None:
-    opt = subject.make(3, seed=0)
-    X = opt.ask()
-    images = subject.render(X)
-    assert opt.target is not None
-    images[-1] = opt.target
-    opt.tell(X, images)
-    opt.save(tmp_path / "c")
-    for best in (opt.best, subject.load(tmp_path / "c").best):
-        assert best is not None and best.image is not None
-        assert (best.loss, best.evaluation) == (0.0, len(X) - 1)
-        np.testing.assert_array_equal(best.image, opt.target)
-    assert opt.times["encode"] > 0.0
+@pytest.mark.parametrize("workers", [1, 3])
+def test_candidates_told_in_single_precision(subject: Subject, workers: int) -> None:
+    exact, single = subject.make(3, seed=4), subject.make(3, seed=4)
+    while exact.evaluations < subject.evaluations:
+        X = exact.ask(None if workers == 1 else workers)
+        np.testing.assert_array_equal(single.ask(len(X)), X)
+        images, losses = subject.render(X), sphere(X)
+        exact.tell(X, images, losses)
+        single.tell(X.astype(np.float32), images, losses)
+    np.testing.assert_array_equal(exact.ask(), single.ask())
 
 
-def test_a_callable_loss_is_given_again_when_loading(tmp_path: Path) -> None:
-    def brightness(images: Any) -> Any:
-        return images.mean(axis=(1, 2, 3))
-
-    opt = Random(2, np.zeros((4, 4, 3)), loss=brightness, seed=0, popsize=3)
-    images = np.full((3, 4, 4, 3), 0.5)
-    opt.tell(opt.ask(), images)
-    opt.save(tmp_path / "c")
-    again = Random.load(tmp_path / "c")
-    X = again.ask()
-    with pytest.raises(LossError, match="give it again"):
-        again.tell(X, images)
-    assert again.evaluations == 3
-    again = Random.load(tmp_path / "c", loss=brightness)
-    again.tell(again.ask(), images)
-    assert again.best is not None and again.best.loss == 0.5
-
-
-def test_a_checkpoint_of_another_optimizer_is_refused(subject: Subject, tmp_path: Path) -> None:
-    checkpoint.write(tmp_path / "c", "baseline other", {})
-    with pytest.raises(CheckpointError, match="baseline other"):
-        subject.load(tmp_path / "c")
-
-
-def test_forged_contents_are_refused(subject: Subject, tmp_path: Path) -> None:
-    opt = subject.make(2, seed=0)
-    subject.tell(opt, opt.ask(3), np.zeros(3))
-    opt.save(tmp_path / "c")
-    kind = f"baseline {subject.name}"
-    state = checkpoint.read(tmp_path / "c", kind)
-    forgeries: list[dict[str, Any]] = [
-        {"losses": np.zeros(1)},
-        {"options": {**state["options"], "pickle": "x"}},
-        {"options": [2]},
-        {"times": 3},
-    ]
-    if isinstance(opt, Replayed):
-        several = [np.array([-3, 7]), np.array([-3, 0, 0])]
-        forgeries += [{"events": events} for events in several] + [{"foreign": None}]
-    else:
-        wrong = {"index": np.arange(3), "x": np.zeros((2, 2))}
-        forgeries += [{"queue": wrong}, {"counts": [1, 2]}, {"own": {}}, {"told": None}]
-    for forgery in forgeries:
-        checkpoint.write(tmp_path / "c", kind, {**state, **forgery})
-        with pytest.raises(CheckpointError, match="impossible contents"):
-            subject.load(tmp_path / "c")
-    for key in set(state) - {"best_image"}:
-        checkpoint.write(tmp_path / "c", kind, {k: v for k, v in state.items() if k != key})
-        with pytest.raises(CheckpointError, match="impossible contents"):
-            subject.load(tmp_path / "c")
+def test_cma_converges_where_candidates_pass_through_single_precision() -> None:
+    opt = optimizers.make("cma", 10, seed=0)
+    while opt.evaluations < 1500:
+        X = opt.ask().astype(np.float32)
+        opt.tell(X, losses=sphere(X.astype(np.float64)))
+    assert opt.best is not None and opt.best.loss < 1e-4
 
 
 def test_bad_input_is_refused_before_anything_changes(subject: Subject) -> None:
@@ -318,10 +245,10 @@ def test_images_without_a_target_need_losses() -> None:
 
 def test_the_registry_knows_names_and_options(tmp_path: Path) -> None:
     assert {"cma", "fide", "random"} <= set(optimizers.names())
-    assert optimizers.options("cma") == ["loss", "popsize", "restarts", "seed", "sigma0"]
+    assert optimizers.options("cma") == ["device", "loss", "popsize", "restarts", "seed", "sigma0"]
     with pytest.raises(UnknownNameError, match=r"known are cma, .*did you mean 'cma'"):
         optimizers.make("cmaes", 2)
-    with pytest.raises(OptionError, match="cma has no option 'pop'; its options: loss, popsize"):
+    with pytest.raises(OptionError, match="cma has no option 'pop'; its options: device, loss"):
         optimizers.make("cma", 2, pop=3)
     opt = optimizers.make("random", 2, seed=1)
     opt.save(tmp_path / "c")

@@ -11,7 +11,7 @@ import torch
 from fide_plugins.baselines.networks import make
 from fide_plugins.baselines.zerograds import Proxy, ZeroGrads
 from fide_plugins.errors import OptionError
-from fide_plugins.points import Float64
+from fide_plugins.types import Float64
 
 
 def valley(X: Float64) -> Float64:

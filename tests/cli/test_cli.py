@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -16,9 +17,11 @@ import pytest
 from PIL import Image
 
 import fide_plugins
+import fide_tasks
 from fide_plugins.cli import main
 from fide_plugins.cli.arguments import setting
 from fide_plugins.cli.messages import duration, plain
+from fide_plugins.errors import OptionError
 
 KEYS = [
     "task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations", "best_loss",
@@ -104,10 +107,13 @@ def test_settings_are_typed(text: str, value: object) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run", "nothing"], "no task is named 'nothing'; the tasks: .*spline, voronoi"),
+        (["run", "nothing"], "no task is named 'nothing'; the tasks: .*spline, .*voronoi"),
         (["run", "voronoi", "--optimizer", "cmaa"], "unknown optimizer 'cmaa'.*did you mean 'cma'"),
         (["run", "voronoi", *SMALL, "--loss", "l3"], "unknown loss 'l3': known are .*mse"),
-        (["run", "voronoi", *SMALL, "--set", "epochs=3"], "no option 'epochs'; its options: loss"),
+        (
+            ["run", "voronoi", *SMALL, "--set", "epochs=3"],
+            "no option 'epochs'; its options: device",
+        ),
         (["run", "voronoi", *SMALL, "--set", "popsize=two"], "popsize must be .* not 'two'"),
         (["run", "voronoi", *SMALL, "--set", "popsize"], "key=value, not 'popsize'"),
         (["run", "voronoi", *SMALL, "--set", "seed=1"], "seed is an argument of the run"),
@@ -120,12 +126,12 @@ def test_settings_are_typed(text: str, value: object) -> None:
         (["run", "voronoi", *SMALL, "--bugdet", "5"], "unrecognized arguments: --bugdet"),
         (
             ["run", "voronoi", "--size", "99999999"],
-            "not enough memory .*PiB.*; take smaller images",
+            "not enough memory .*PiB.*; use smaller images",
         ),
         (["run", "voronoi", "--seed"], "expected one argument"),
         (["run"], "arguments are required: TASK"),
         (["fit", "none.png", "--model", "voronoi"], "none.png"),
-        (["fit", "none.png"], "required: --model"),
+        (["fit", "none.png"], "--renderer --command --model is required"),
         (["fit", "none.png", "--model", "ellipses"], "invalid choice: 'ellipses'"),
         (["fit", "a.png", "--model", "spline", "--cells", "3"], "--cells belongs to --model voron"),
         (["list", "everything"], "invalid choice: 'everything'"),
@@ -173,7 +179,18 @@ def test_list(capsys: pytest.CaptureFixture[str]) -> None:
     for kind, names in expected.items():
         assert fide("list", kind) == 0
         lines = capsys.readouterr().out.splitlines()
+        lines = lines[: lines.index("")] if "" in lines else lines
         assert names <= set(lines) and lines == sorted(lines)
+
+
+def test_list_of_tasks_has_a_second_heading(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("list", "tasks") == 0
+    lines = capsys.readouterr().out.splitlines()
+    more = lines[lines.index("") :]
+    assert more[1] == "more scenes, not of the paper:"
+    assert more[2:] == sorted(more[2:])
+    assert {"arm", "lamps"} <= set(more[2:])
+    assert "voronoi" not in more
 
 
 def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -212,6 +229,21 @@ def test_doctor(capsys: pytest.CaptureFixture[str]) -> None:
     assert "lpips" in text and "weights not found" in text and "CUDA" in text
 
 
+def test_doctor_is_short_and_imports_nothing_heavy() -> None:
+    script = (
+        "import sys; from fide_plugins.cli import main; code = main(['doctor']);"
+        "print(*sorted({'torch', 'mitsuba', 'mujoco', 'optuna', 'nevergrad'} & set(sys.modules)));"
+        "sys.exit(code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    *lines, heavy = done.stdout.splitlines()
+    assert len(lines) <= 9 and heavy == ""
+    assert lines[0].startswith("fide-plugins ") and "--verbose" in lines[-1]
+    assert any(line.startswith("encoders: dense, dinov3, patch") for line in lines)
+
+
 # -- a picture of one's own ------------------------------------------------------------------------
 
 
@@ -236,12 +268,44 @@ def test_fit_takes_pictures_of_any_size(
     words = ["fit", name, "--optimizer", "cma", "--size", 32, "--budget", 12, "--json"]
     assert fide(*words, "--model", "voronoi", "--cells", 60) == 0
     result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert list(result) == KEYS
+    assert list(result) == [*KEYS, "params", "status"]
     assert result["task"] == "voronoi" and result["dim"] == 300
     with Image.open(f"runs/{Path(name).stem}-voronoi-cma-mse-seed0/best.png") as png:
         assert abs(png.width - fitted[0]) <= 1 and abs(png.height - fitted[1]) <= 1
     assert fide(*words, "--model", "spline", "--control-points", 4) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["dim"] == 9
+
+
+def test_fit_begins_at_the_picture(capsys: pytest.CaptureFixture[str]) -> None:
+    picture("photo.png", "RGB", (12, 12))
+    words = ["fit", "photo.png", "--model", "voronoi", "--cells", 9, "--budget", 12]
+    assert fide(*words, "--set", "sigma0=0.1", "--out", "fit") == 0
+    capsys.readouterr()
+    options = json.loads(Path("fit", "run.json").read_text())["settings"]["options"]
+    with Image.open("photo.png") as png:
+        target = np.asarray(png, np.float32) / 255
+    x0 = fide_tasks.make("voronoi", target=target, cells=9).start()
+    assert x0 is not None
+    np.testing.assert_allclose(options["x0"], x0, atol=1e-6)
+    assert options["sigma0"] == 0.1
+    assert fide(*words, "--optimizer", "cma", "--start", "picture") == 2
+    assert "--start picture is for the optimizer fide; cma" in one_line(capsys)
+
+
+def test_fit_begins_at_the_center_where_it_must() -> None:
+    from fide_plugins.cli import fit_command, fit_model
+
+    parser = argparse.ArgumentParser()
+    fit_command.add_arguments(parser)
+    known = fide_tasks.make("voronoi", 8, cells=2)
+    blank = fide_tasks.make("spline", target=np.ones((8, 8, 3), np.float32))
+    words = ["photo.png", "--model", "voronoi"]
+    assert "x0" in fit_model._start_options(parser.parse_args(words), known)
+    assert not fit_model._start_options(parser.parse_args(words), blank)
+    assert not fit_model._start_options(parser.parse_args([*words, "--start", "center"]), known)
+    assert not fit_model._start_options(parser.parse_args([*words, "--optimizer", "cma"]), known)
+    with pytest.raises(OptionError, match="no start"):
+        fit_model._start_options(parser.parse_args([*words, "--start", "picture"]), blank)
 
 
 def test_transparent_pixels_are_white(capsys: pytest.CaptureFixture[str]) -> None:
@@ -264,39 +328,36 @@ def test_pictures_that_are_none(capsys: pytest.CaptureFixture[str]) -> None:
 # -- interruption ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_interrupt_saves_and_resume_reaches_the_same_result(
-    signum: int, code: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = [
-        "run",
-        "voronoi",
-        *SMALL,
-        "--task-set",
-        "cells=2",
-        "--budget",
-        "2500",
-        "--json",
-        "--out",
-    ]
-    assert main([*words, "whole"]) == 0
-    whole = json.loads(capsys.readouterr().out)
+def interrupted(signum: int, words: list[str]) -> tuple[int, str, str]:
+    """Exit code and output of a command that gets a signal while it renders."""
+    before = Path("cut/run.json").stat().st_mtime_ns if Path("cut/run.json").exists() else 0
     child = subprocess.Popen(
-        [sys.executable, "-m", "fide_plugins", *words, "cut"],
+        [sys.executable, "-m", "fide_plugins", *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    while not Path("cut/run.json").exists():  # it is written just before the first render
-        assert child.poll() is None
+    while not Path("cut/run.json").exists() or Path("cut/run.json").stat().st_mtime_ns == before:
+        assert child.poll() is None  # the file is written just before the first render
         time.sleep(0.005)
-    time.sleep(0.1)
+    time.sleep(0.05)
     child.send_signal(signum)
-    out, err = child.communicate()
-    assert child.returncode == code, err
-    assert out == ""
-    assert "saved in cut" in err and "--out cut --resume" in err
-    assert json.loads(Path("cut/run.json").read_text())["status"] == "interrupted"
+    out, err = child.communicate(timeout=60)
+    return child.returncode, out, err
+
+
+def test_interrupt_saves_and_resume_reaches_the_same_result(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["run", "voronoi", *SMALL, "--task-set", "cells=2", "--budget", "2500", "--json"]
+    words += ["--out"]
+    assert main([*words, "whole"]) == 0
+    whole = json.loads(capsys.readouterr().out)
+    for signum, code, more in ((signal.SIGINT, 130, []), (signal.SIGTERM, 143, ["--resume"])):
+        returned, out, err = interrupted(signum, [*words, "cut", *more])
+        assert (returned, out) == (code, ""), err
+        assert "saved in cut" in err and "--out cut --resume" in err
+        assert json.loads(Path("cut/run.json").read_text())["status"] == "interrupted"
     assert main([*words, "cut", "--resume"]) == 0
     resumed = json.loads(capsys.readouterr().out)
     for key in ("evaluations", "best_loss", "mse", "x_best"):
@@ -347,7 +408,7 @@ def test_the_bar_shows_speed_loss_and_shares(monkeypatch: pytest.MonkeyPatch) ->
     import io
 
     from fide_plugins.cli.progress import reporting
-    from fide_plugins.harness import Progress
+    from fide_plugins.experiments.run import Progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from fide_plugins import compare
 from fide_plugins.cli import main, report_command
-from fide_plugins.compare import processes
+from fide_plugins.experiments import compare
+from fide_plugins.experiments.run import machine
 
 SMALL = ["--optimizers", "cma,random", "--seeds", "2", "--budget", "40", "--size", "16"]
 SMALL += ["--task-set", "cells=2"]
@@ -47,7 +47,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     assert fide(*words) == 2
     assert "already holds a comparison with these settings" in capsys.readouterr().err
     assert fide(*words, "--resume") == 0
-    assert "4 of 4 cells are finished" in capsys.readouterr().err
+    assert "4 of 4 runs are finished" in capsys.readouterr().err
     assert fide(*[word if word != "40" else "50" for word in words], "--resume") == 2
     assert "other settings: budget is 40 there and 50 here" in capsys.readouterr().err
 
@@ -58,7 +58,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
     assert Path("pages/p.html").is_file() and Path("pages/p-figures").is_dir()
     assert fide(*words, "--resume") == 0
     err = capsys.readouterr().err
-    assert "voronoi loi cma seed 1 is damaged and will be done again" in err
+    assert "voronoi loi cma seed 1 is damaged and will be repeated" in err
     assert err.count("[") == 1 and "it was damaged" in err
 
 
@@ -73,7 +73,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
         (["compare", "voronoi", *SMALL, "--optimizers", "a,,b"], "names separated by commas"),
         (["compare", "voronoi", *SMALL, "--threshold", "mse"], "LOSS=VALUE"),
         (["compare", "voronoi", *SMALL, "--threshold", "mse=inf"], "LOSS=VALUE"),
-        (["compare", "voronoi", *SMALL, "--jobs", "1000"], "one process a core at most"),
+        (["compare", "voronoi", *SMALL, "--jobs", "1000"], "at most one process per core"),
         (["compare", "voronoi", *SMALL, "--jobs", "2", "--dask", "tcp://x"], "not allowed with"),
         (["compare", "voronoi", *SMALL, "--seeds", "0"], "a whole number >= 1"),
         (["report", "nothing"], "nothing holds no comparison; make one"),
@@ -96,15 +96,15 @@ def test_a_failure_is_exit_code_1_and_in_the_report(
     def breaks(self: Random, *args: object) -> None:
         raise ArithmeticError("out of luck")
 
-    monkeypatch.setattr(Random, "_learn", breaks)
+    monkeypatch.setattr(Random, "_update", breaks)
     assert fide("compare", "voronoi", *SMALL, "--out", "out") == 1
     err = capsys.readouterr().err
     assert "voronoi mse random seed 1: failed (ArithmeticError: out of luck)" in err
-    assert "2 of 4 cells failed; their tracebacks are in the report" in err
+    assert "2 of 4 runs failed; the report has their tracebacks" in err
     assert "ArithmeticError: out of luck" in Path("out/report.html").read_text()
 
 
-@pytest.mark.skipif(processes.cores() < 2, reason="needs two cores")
+@pytest.mark.skipif(machine.cores() < 2, reason="needs two cores")
 def test_jobs_stop_together_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_command, "make", lambda *_: 0)
     words = ["compare", "voronoi", *SMALL, "--out", "out"]
@@ -120,7 +120,7 @@ def test_jobs_stop_together_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     assert child.returncode == 130
     assert "stopped by SIGINT, everything is saved in out" in err and "Traceback" not in err
     assert f"fide {' '.join(words)} --jobs 2 --resume" in err
-    assert {r.status for r in compare.read("out").cells} & {"unfinished", "missing"}
+    assert {r.status for r in compare.read("out").runs} & {"unfinished", "missing"}
     assert fide(*words, "--resume") == 0
     assert fide(*[word if word != "out" else "whole" for word in words]) == 0
     for whole in Path("whole").rglob("curve.csv"):

@@ -66,7 +66,7 @@ def test_doctor_says_which_variants_run(
         "mitsuba": "not installed: pip install 'fide-plugins[mitsuba]'"
     }
     monkeypatch.undo()
-    assert main(["doctor"]) == 0
+    assert main(["doctor", "--verbose"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.split()[:2] == ["scalar_rgb", "ok"] for line in lines)
     assert any(line.split() == ["beads", "ok"] for line in lines)

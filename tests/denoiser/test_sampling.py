@@ -86,7 +86,7 @@ def test_the_denoiser_is_told_the_noise_of_each_parameter() -> None:
     "schedule", [(), (0.1, 0.2), (0.1, 0.1), (0.1, 0.0), (math.nan,), (math.inf,), (-1.0,)]
 )
 def test_bad_schedules(schedule: tuple[float, ...]) -> None:
-    with pytest.raises(OptionError, match="falling"):
+    with pytest.raises(OptionError, match="decreasing"):
         euler(gaussian, start(), STD, schedule)
 
 

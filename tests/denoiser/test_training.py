@@ -11,7 +11,7 @@ from fide_plugins.denoiser import Network
 from fide_plugins.denoiser.network import Context
 from fide_plugins.denoiser.preconditioning import whitened, x_prediction
 from fide_plugins.denoiser.training import WhitenedLoss, XLoss, adam_state, fit, load_adam_state
-from fide_plugins.memory import Room
+from fide_plugins.runtime.batch_size import BatchSize
 
 STD = torch.tensor([0.3, 0.1, 0.7])
 
@@ -75,7 +75,7 @@ def train(epochs: int, batch_size: int, seed: int = 0, lr: float = 0.05) -> tupl
         (x - 0.5)[:, None],
         STD,
         epochs=epochs,
-        room=Room(batch_size, "examples"),
+        batch_size=BatchSize(batch_size, "examples"),
         generator=torch.Generator().manual_seed(seed),
     )
     return line, losses

@@ -13,7 +13,7 @@ import torch
 
 from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.images import Float32
+from fide_plugins.types import Float32
 
 TINY: dict[str, Any] = {"hidden_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}
 CONFIGS: dict[str, tuple[str, dict[str, Any]]] = {  # kind: class in transformers, its settings

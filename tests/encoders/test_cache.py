@@ -16,7 +16,7 @@ from torch import Tensor
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.cache import TokenCache
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
+from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(15)
 IMAGES = RNG.random((8, 6, 5, 3), dtype=np.float32)
@@ -162,7 +162,7 @@ def test_a_run_is_the_same_with_another_history_of_the_cache(
     runs = []
     for memory in (2**20, 0):
         opt = FIDE(3, target, encoder=name, popsize=8, seed=1)
-        opt._encoder._cache.most_bytes = memory  # type: ignore[attr-defined]
+        opt.encoder._cache.most_bytes = memory  # type: ignore[attr-defined]
         for _ in range(6):
             X = opt.ask()
             opt.tell(X, render(X))

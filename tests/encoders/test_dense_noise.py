@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.despeckle import despeckled
 from fide_plugins.encoders.dense import DenseEncoder, grid, less_noisy, sampled
+from fide_plugins.encoders.despeckle import despeckled
 
 RNG = np.random.default_rng(28)
 Images = NDArray[np.float32]

@@ -16,8 +16,8 @@ import pytest
 import torch
 
 from fide_plugins import encoders, losses
-from fide_plugins.encoders.network import IMAGENET_MEAN, IMAGENET_STD
-from fide_plugins.images import Float32
+from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
+from fide_plugins.types import Float32
 
 pytestmark = pytest.mark.slow
 

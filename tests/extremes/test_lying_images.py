@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 DIM, SIZE = 5, 8
 TARGET = np.random.default_rng(5).random((SIZE, SIZE, 3), np.float32)
@@ -71,7 +70,7 @@ def test_the_picture_of_something_else_ends_no_search() -> None:
         X = opt.ask()
         images = (1 / (1 + np.exp((0.5 - X) @ weights))).reshape(-1, 32, 32, 3)
         opt.tell(X, images, rosenbrock(X))
-    assert opt._searches == 1
+    assert opt.state.searches == 1
 
 
 def test_without_images_a_search_converges_to_the_last_digits() -> None:

@@ -14,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from fide_plugins.errors import FideError
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 FOLDER = Path(tempfile.mkdtemp())  # for files that a case writes over
 CASES = int(os.environ.get("FIDE_CASES", "1"))  # times as many as in CI
@@ -114,22 +113,22 @@ def drive(
 
 
 def check(opt: FIDE) -> None:
-    search = opt._search
+    search = opt.state.search
     assert np.isfinite(search.mean).all() and np.isfinite(search.C).all()
     assert np.linalg.eigvalsh(search.C)[0] > 0
     assert np.isfinite(search.std).all() and (search.std > 0).all()
     assert ((opt.recommend() >= 0) & (opt.recommend() <= 1)).all()
-    proposer: Any = opt._proposer
-    if hasattr(proposer, "_views"):
-        assert all(np.isfinite(view.gram).all() for view in proposer._views)
-    assert 0 <= opt._trust.share <= 1
+    proposer: Any = opt.state.proposer
+    if hasattr(proposer, "_buffers"):
+        assert all(np.isfinite(buffer.gram).all() for buffer in proposer._buffers)
+    assert 0 <= opt.state.gate.fraction <= 1
 
 
 sizes = st.sampled_from([(1, 1), (1, 5), (3, 2), (8, 8), (2, 40)])
 
 
 @pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
-@settings(max_examples=100 * CASES, deadline=None)
+@settings(max_examples=60 * CASES, deadline=None)
 @given(
     dim=st.integers(1, 9),
     popsize=st.one_of(st.none(), st.integers(4, 40)),
@@ -204,7 +203,7 @@ def test_the_weights_of_the_network_stay_finite(
         assert ((X >= 0) & (X <= 1)).all()
         opt.tell(X, shown, values)
         check(opt)
-        proposer: Any = opt._proposer
+        proposer: Any = opt.state.proposer
         weights = proposer.state_dict().get("weights", {})
         assert all(bool(value.isfinite().all()) for value in weights.values())
 
@@ -234,12 +233,12 @@ def test_whatever_is_told_counts_or_is_refused_and_changes_nothing(
     asked = opt.ask()
     X = asked[:3] if points % 3 == 0 else ANYTHING[points]
     told = ANYTHING[images], ANYTHING[losses]
-    before = opt._ledger.asked
+    before = opt.state.population.pending
     try:
         opt.tell(X, *told, features=ANYTHING[features] if features % 2 else None)
     except FideError as error:
         assert isinstance(error, ValueError)
-        assert (opt.evaluations, opt._ledger.asked, opt.best) == (0, before, None)
+        assert (opt.evaluations, opt.state.population.pending, opt.best) == (0, before, None)
     else:
         assert opt.evaluations == len(X)
     opt.tell(asked, np.zeros((4, 4, 4, 3)))

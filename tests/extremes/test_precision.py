@@ -1,9 +1,9 @@
 """What single precision changes: the next candidates, from the same state, each generation.
 
-Losses, the search and the linear proposer compute in double precision; images, features and the
-network in single.  Each part is rounded to single precision here, alone, in a copy of an optimizer
-that has been told the same, and the copy's next generation is compared with the optimizer's, in
-standard deviations of the search.
+Losses, the search and the linear and the forward model compute in double precision; images,
+features and the network in single. Each part is rounded to single precision here, alone, in a copy
+of an optimizer that has been told the same, and the copy's next generation is compared with the
+optimizer's, in standard deviations of the search.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ import torch
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 GENERATIONS = 14
 TASKS = [
@@ -57,14 +56,14 @@ def with_rounded_features(opt: FIDE, told: Told) -> None:
 
 def with_rounded_proposer(opt: FIDE, told: Told) -> None:
     exactly(opt, told)
-    proposer: Any = opt._proposer
-    for view in proposer._views:
-        view.features, view.gram = single(view.features), single(view.gram)
+    proposer: Any = opt.state.proposer
+    for buffer in (*proposer.inverse._buffers, proposer.forward._buffer):
+        buffer.features, buffer.gram = single(buffer.features), single(buffer.gram)
 
 
 def with_rounded_search(opt: FIDE, told: Told) -> None:
     exactly(opt, told)
-    search = opt._search
+    search = opt.state.search
     search.mean, search.C, search.sigma = (
         single(search.mean), single(search.C), float(np.float32(search.sigma)),
     )  # fmt: skip
@@ -89,12 +88,12 @@ BOUNDS: dict[Callable[[FIDE, Told], None], tuple[float, float]] = {
 
 def generations(task: Any) -> Iterator[tuple[FIDE, Told]]:
     """Optimizer before each generation is told, and what it will be told."""
-    opt = FIDE(task.dim, task.target, seed=0)
+    opt = FIDE(task.dim, task.target, seed=0, proposer="both")
     for _ in range(GENERATIONS):
         X = opt.ask()
         first = opt.evaluations
         images: Float32 = task.render(X, seed=list(range(first, first + len(X))))
-        told = X, opt._encoder(images), opt._loss(images)
+        told = X, opt.encoder(images), opt.evaluator.loss(images)
         yield opt, told
         opt.tell(X, losses=told[2], features=told[1])
 
@@ -106,8 +105,10 @@ def next_candidates(
     other = copy.deepcopy(opt)
     tell(other, told)
     X = other.ask()
-    proposed = sum(c.proposed for several in other._ledger._asked.values() for c in several)
-    return (other._stage, proposed), X
+    proposed = sum(
+        c.proposed for several in other.state.population._pending.values() for c in several
+    )
+    return (other.state.stage, proposed), X
 
 
 def make(name: str) -> Any:
@@ -125,7 +126,9 @@ def test_a_step_in_single_precision(name: str) -> None:
             also_decided, other = next_candidates(opt, rounded, told)
             assert also_decided == decided or rounded is with_bfloat16_features
             alike = X.shape == other.shape
-            values.append(float((np.abs(X - other) / opt._search.std).max()) if alike else np.inf)
+            values.append(
+                float((np.abs(X - other) / opt.state.search.std).max()) if alike else np.inf
+            )
     for rounded, (median, most) in BOUNDS.items():
         print(name, rounded.__name__, np.median(found[rounded]), max(found[rounded]))
         assert np.median(found[rounded]) <= median and max(found[rounded]) <= most, rounded.__name__

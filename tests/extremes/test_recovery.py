@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import CMAES
+from fide_plugins.types import Float32, Float64
 
 DIM, SIZE = 4, 6
 WEIGHTS = np.random.default_rng(3).standard_normal((DIM, SIZE * SIZE * 3))

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from fide_plugins.points import Float64
-from fide_plugins.search import box
+from fide_plugins.search import boundary
 from fide_plugins.search.cma_es import CMAES
+from fide_plugins.types import Float64
 
 CASES = int(os.environ.get("FIDE_CASES", "1"))  # times as many as in CI
 
@@ -27,7 +27,7 @@ LOSSES = (
     "minus the distance",
     "noise",
 )
-FOREIGN = ("none", "a third", "all", "far", "one point", "the mean", "a corner")
+INJECTED = ("none", "a third", "all", "far", "one point", "the mean", "a corner")
 
 
 def losses_of(what: str, z: Float64, rng: np.random.Generator) -> Float64:
@@ -53,19 +53,19 @@ def losses_of(what: str, z: Float64, rng: np.random.Generator) -> Float64:
 def replace(
     what: str, z: Float64, search: CMAES, rng: np.random.Generator
 ) -> tuple[Float64, npt.NDArray[np.bool_]]:
-    """Candidates (k, d), some of them foreign, and which."""
+    """Candidates (k, d), some of them injected, and which."""
     k, d = z.shape
     share = {"none": 0.0, "all": 1.0}.get(what, 0.3)
-    foreign: npt.NDArray[np.bool_] = np.less(rng.random(k), share)
-    n = int(foreign.sum())
+    injected: npt.NDArray[np.bool_] = np.less(rng.random(k), share)
+    n = int(injected.sum())
     points = {
         "far": rng.standard_normal((n, d)) * 10.0 ** rng.uniform(-3, 30, (n, 1)),
         "one point": np.full((n, d), 0.7),
         "the mean": np.tile(search.mean, (n, 1)),
         "a corner": np.zeros((n, d)),
     }.get(what, rng.random((n, d)))
-    z[foreign] = box.near(points, search.mean) if what != "far" else points
-    return z, foreign
+    z[injected] = boundary.near(points, search.mean) if what != "far" else points
+    return z, injected
 
 
 def check(search: CMAES) -> None:
@@ -93,7 +93,7 @@ def test_candidates_beyond_any_sample_leave_the_covariance_positive_definite(los
 
 
 def check_samples(search: CMAES) -> None:
-    x = box.into(search.sample(3, np.random.default_rng(0)))
+    x = boundary.into(search.sample(3, np.random.default_rng(0)))
     assert ((x >= 0) & (x <= 1)).all()
 
 
@@ -110,12 +110,12 @@ exponents = st.floats(-12, 6)
     spread=st.sampled_from([0.0, 1.0, 9.0, 20.0]),
     limit=st.booleans(),
     losses=st.sampled_from(LOSSES),
-    foreign=st.sampled_from(FOREIGN),
+    injected=st.sampled_from(INJECTED),
     guarded=st.booleans(),
     seed=st.integers(0, 2**32),
 )
 def test_a_distribution_after_every_generation(
-    d: int, k: int, width: float, spread: float, limit: bool, losses: str, foreign: str,
+    d: int, k: int, width: float, spread: float, limit: bool, losses: str, injected: str,
     guarded: bool, seed: int,
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
@@ -123,7 +123,7 @@ def test_a_distribution_after_every_generation(
     search = CMAES(np.full(d, 0.5), std, k, limit_std=limit)
     check(search)
     for _ in range(8):
-        z, flags = replace(foreign, search.sample(k, rng), search, rng)
+        z, flags = replace(injected, search.sample(k, rng), search, rng)
         search.tell(z, losses_of(losses, z, rng), flags & guarded)
         check(search)
     check_samples(search)

@@ -9,8 +9,7 @@ import pytest
 
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 
 def shown(X: Float64, size: tuple[int, int]) -> Float32:
@@ -35,7 +34,7 @@ def run(dim: int, size: tuple[int, int], generations: int, **settings: Any) -> F
         assert opt.best is not None and opt.best.loss <= best
         best = opt.best.loss
     np.testing.assert_array_equal(opt.ask(), twin.ask())
-    search = opt._search
+    search = opt.state.search
     np.testing.assert_array_equal(search.C, search.C.T)
     assert np.isfinite(search.C).all() and search._D.min() > 0
     return opt
@@ -62,10 +61,14 @@ def test_pixels(size: tuple[int, int]) -> None:
 
 def refused(images: Any, opt: FIDE, X: Float64) -> None:
     """And nothing of it is remembered."""
-    before = opt._ledger.asked, opt.evaluations, opt._rng.bit_generator.state
+    before = opt.state.population.pending, opt.evaluations, opt.state.rng.bit_generator.state
     with pytest.raises(ImageError):
         opt.tell(X, images)
-    assert (opt._ledger.asked, opt.evaluations, opt._rng.bit_generator.state) == before
+    assert (
+        opt.state.population.pending,
+        opt.evaluations,
+        opt.state.rng.bit_generator.state,
+    ) == before
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

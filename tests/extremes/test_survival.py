@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import harness
 from fide_plugins.errors import RenderError
-from fide_plugins.harness.record import Progress
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.experiments import run as harness
+from fide_plugins.experiments.run.record import Progress
+from fide_plugins.types import Float32, Float64
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
 
@@ -157,6 +156,7 @@ def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
         assert kept >= max(before, told - 7), (told, kept)  # the piece that was being saved
         before = kept
     check_same(run(tmp_path / "run"), expected)
+    assert not list(tmp_path.glob("run/.*")), "what a killed writer leaves is cleared"
 
 
 @pytest.mark.parametrize("most", [0, 900, 5_000, 12_000])

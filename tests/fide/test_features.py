@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +12,9 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.errors import FeaturesError, FideError, LossError
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
-Render: TypeAlias = Callable[[Float64], Float32]
-StateOf: TypeAlias = Callable[[FIDE], bytes]
+from .helpers import Render, StateOf
 
 
 def losses_of(images: Float32, target: Float32) -> Float64:
@@ -38,6 +36,23 @@ def test_features_are_as_good_as_the_images(encoder: str, render: Render, target
     assert here.best is not None and elsewhere.best is not None
     assert elsewhere.best.loss == here.best.loss
     assert elsewhere.best.image is None  # it never was here
+
+
+@pytest.mark.parametrize("loss", ["perceptual", None, lambda images: images.mean(axis=(1, 2, 3))])
+def test_optimizers_may_share_an_encoder_and_a_loss(
+    loss: Any, render: Render, target: Float32
+) -> None:
+    first = FIDE(6, target, encoder="patch", loss=loss, popsize=8, seed=0)
+    judge = first.evaluator
+    second = FIDE(6, target, encoder=judge.encoder, loss=judge.loss, popsize=8, seed=0)
+    assert second.encoder is judge.encoder and second.evaluator.loss is judge.loss
+    assert second.options == first.options
+    torch.testing.assert_close(second.target_tokens, first.encoder(target[None])[0])
+    for _ in range(4):
+        X = first.ask()
+        np.testing.assert_array_equal(second.ask(), X)
+        for opt in (first, second):
+            opt.tell(X, render(X))
 
 
 @pytest.mark.parametrize("form", ["list", "array", "float64", "float16"])

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32
 
-Render: TypeAlias = Callable[[Float64], Float32]
+from .helpers import Render
 
 
 def fit(target: Float32, render: Render, budget: int, **settings: Any) -> float:

@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from fide_plugins import checkpoint
 from fide_plugins.baselines.random import Random
-from fide_plugins.errors import CheckpointError, DeviceError, LossError, UnknownNameError
+from fide_plugins.errors import (
+    CheckpointError,
+    DeviceError,
+    LossError,
+    SpaceError,
+    UnknownNameError,
+)
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.losses.base import CallableLoss, LossOfTarget
+from fide_plugins.runtime import checkpoint
+from fide_plugins.space import Choice, Float, Group, Space
+from fide_plugins.types import Float32, Float64
 
-Render: TypeAlias = Callable[[Float64], Float32]
-StateOf: TypeAlias = Callable[[FIDE], bytes]
+from .helpers import Render, StateOf
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "linear": {"popsize": 8, "patience": 4},
-    "one search, one view": {"popsize": 8, "restarts": "none", "views": (3,)},
+    "one search, one channel subset": {"popsize": 8, "restarts": "none", "channel_subsets": (3,)},
     "losses only": {"popsize": 8, "proposer": "none"},
     "paper": {"preset": "paper", "popsize": 6, "epochs": 1, "batch_size": 6},
     "other loss and encoder": {"popsize": 8, "loss": "perceptual", "encoder": "patch"},
@@ -41,12 +49,12 @@ def go_on(opt: FIDE, render: Render, steps: int) -> list[Float64]:
 
 
 def begun(target: Float32, render: Render, settings: dict[str, Any], steps: int = 20) -> FIDE:
-    """In the middle of a generation, with a queue, late candidates outside, and a guest."""
+    """In the middle of a generation, with a queue, late ones outside, and an injected one."""
     opt = FIDE(6, target, seed=4, **settings)
     go_on(opt, render, steps)
     opt.ask(2)
-    guest = np.full((1, 6), 0.6)
-    opt.tell(guest, render(guest))
+    injected = np.full((1, 6), 0.6)
+    opt.tell(injected, render(injected))
     return opt
 
 
@@ -58,7 +66,7 @@ def test_any_finite_loss_can_be_saved(
     """Some tell the largest number there is of a candidate that failed."""
     opt = FIDE(6, target, seed=4, popsize=8, proposer=proposer)
     for _ in range(3):
-        X = opt.ask(5)  # lessons, candidates and a guest are left over
+        X = opt.ask(5)  # results, candidates and an injected candidate are left over
         opt.tell(X, render(X), [loss, 3.0, 1.0, 2.0, 4.0])
         opt.tell([[0.5] * 6], render(X[:1]), [loss])
     opt.save(tmp_path / "c")
@@ -171,28 +179,39 @@ def test_changed_foreign_or_of_another_kind(
     with pytest.raises(CheckpointError, match="not a FIDE checkpoint"):
         FIDE.load(tmp_path / "text")
     Random(3, seed=0).save(tmp_path / "random")
-    with pytest.raises(CheckpointError, match="kind"):
+    with pytest.raises(CheckpointError, match="it holds a 'random', not a 'fide'"):
         FIDE.load(tmp_path / "random")
     with pytest.raises(FileNotFoundError):
         FIDE.load(tmp_path / "absent")
 
 
+def with_entry(saved: Any, place: str, value: object) -> dict[str, Any]:
+    """A copy of a checkpoint with another value at a place, such as "state.best"."""
+    head, _, rest = place.partition(".")
+    return {**saved, head: with_entry(saved[head], rest, value) if rest else value}
+
+
 @pytest.mark.parametrize(
     ("place", "value"),
     [
-        ("options", None),
-        ("options", {"surprise": 1}),
-        ("dim", "six"),
-        ("target", np.zeros(3)),
-        ("rng", {}),
-        ("search", None),
-        ("ledger", {"popsize": 8}),
-        ("proposer", None),
-        ("best", {"y": 1}),
-        ("lessons", [{"index": 1}]),
-        ("relocation", []),
-        ("stage", "rest"),
-        ("found", {"x": 0}),
+        ("settings", None),
+        ("settings.surprise", 1),
+        ("settings.dim", "six"),
+        ("settings.target", np.zeros(3)),
+        ("loss", "surprise"),
+        ("state", None),
+        ("state.surprise", 1),
+        ("state.rng", {}),
+        ("state.search", None),
+        ("state.population", {"size": 8}),
+        ("state.proposer", None),
+        ("state.best", {"y": 1}),
+        ("state.samples", [{"index": 1}]),
+        ("state.relocation", []),
+        ("state.gate", {}),
+        ("state.stage", "rest"),
+        ("state.search_best", {"x": 0}),
+        ("state.versions", None),
     ],
 )
 def test_impossible_contents(
@@ -200,17 +219,25 @@ def test_impossible_contents(
 ) -> None:
     """A file with the right checksum that somebody else wrote."""
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")
-    state = checkpoint.read(tmp_path / "c", "fide")
-    checkpoint.write(tmp_path / "c", "fide", state | {place: value})
+    saved = checkpoint.read(tmp_path / "c", "fide")
+    checkpoint.write(tmp_path / "c", "fide", with_entry(saved, place, value))
     with pytest.raises(CheckpointError, match="impossible contents"):
         FIDE.load(tmp_path / "c")
 
 
-def test_a_search_of_another_dimension(target: Float32, render: Render, tmp_path: Path) -> None:
+@pytest.mark.parametrize("part", ["descent", "population", "moves", "proposer"])
+def test_a_part_of_another_dimension(
+    part: str, target: Float32, render: Render, tmp_path: Path
+) -> None:
     for name, dim in (("c", 6), ("other", 5)):
-        FIDE(dim, target, popsize=8, seed=0).save(tmp_path / name)
-    state, other = (checkpoint.read(tmp_path / name, "fide") for name in ("c", "other"))
-    checkpoint.write(tmp_path / "c", "fide", state | {"search": other["search"]})
+        opt = FIDE(dim, target, popsize=8, seed=0)
+        for _ in range(3):
+            X = opt.ask(9)
+            opt.tell(X, render(X))
+        opt.save(tmp_path / name)
+    saved, other = (checkpoint.read(tmp_path / name, "fide") for name in ("c", "other"))
+    odd = with_entry(saved, f"state.{part}", other["state"][part])
+    checkpoint.write(tmp_path / "c", "fide", odd)
     with pytest.raises(CheckpointError, match="impossible contents"):
         FIDE.load(tmp_path / "c")
 
@@ -219,28 +246,73 @@ def test_a_search_of_another_dimension(target: Float32, render: Render, tmp_path
     ("place", "version", "message"),
     [
         ("encoder", "dense-0", r"encoder dense-0; the one here is dense-\d"),
-        ("loss_version", "mse-0", r"loss mse-0; the one here is mse-\d"),
+        ("loss", "mse-0", r"loss mse-0; the one here is mse-\d"),
     ],
 )
 def test_another_version(
     place: str, version: str, message: str, target: Float32, render: Render, tmp_path: Path
 ) -> None:
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")
-    state = checkpoint.read(tmp_path / "c", "fide")
-    checkpoint.write(tmp_path / "c", "fide", state | {place: version})
+    saved = checkpoint.read(tmp_path / "c", "fide")
+    checkpoint.write(tmp_path / "c", "fide", with_entry(saved, f"state.versions.{place}", version))
     with pytest.raises(CheckpointError, match=message):
         FIDE.load(tmp_path / "c")
-    if place == "loss_version":
+    if place == "loss":
         FIDE.load(tmp_path / "c", loss=mse)  # a loss of one's own has no versions
 
 
 def test_a_missing_entry(target: Float32, render: Render, tmp_path: Path) -> None:
+    """Options aside, which have defaults."""
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")
-    state = checkpoint.read(tmp_path / "c", "fide")
-    for place in state:
-        checkpoint.write(tmp_path / "d", "fide", {k: v for k, v in state.items() if k != place})
-        with pytest.raises(CheckpointError, match="impossible contents"):
+    saved = checkpoint.read(tmp_path / "c", "fide")
+    needed = {
+        "settings": ("dim", "target", "x0", "sigma0", "seed", "popsize"),
+        "state": tuple(saved["state"]),
+    }
+    without = {place: {k: v for k, v in saved.items() if k != place} for place in saved}
+    for name, places in needed.items():
+        for place in places:
+            rest = {k: v for k, v in saved[name].items() if k != place}
+            without[f"{name}.{place}"] = {**saved, name: rest}
+    accepted = []
+    for place, odd in without.items():
+        checkpoint.write(tmp_path / "d", "fide", odd)
+        try:
             FIDE.load(tmp_path / "d")
+            accepted.append(place)
+        except CheckpointError as error:
+            assert "impossible contents" in str(error)
+    assert not accepted
+
+
+def test_the_target_of_a_checkpoint_is_no_path(target: Float32, tmp_path: Path) -> None:
+    """A file that somebody else wrote does not say which files are opened here."""
+    picture = tmp_path / "target.png"
+    Image.fromarray((255 * target).astype(np.uint8)).save(picture)
+    FIDE(3, picture, seed=0).save(tmp_path / "c")
+    saved = checkpoint.read(tmp_path / "c", "fide")
+    checkpoint.write(tmp_path / "c", "fide", with_entry(saved, "settings.target", str(picture)))
+    with pytest.raises(CheckpointError, match="impossible contents"):
+        FIDE.load(tmp_path / "c")
+
+
+@pytest.mark.parametrize("given", [None, "mse", mse])
+def test_the_loss_is_made_once(
+    given: Any, target: Float32, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    FIDE(3, target, loss="mse", seed=0).save(tmp_path / "c")
+    made: list[str] = []
+    for kind in (LossOfTarget, CallableLoss):
+
+        def counted(
+            self: object, *arguments: Any, init: Callable[..., None] = kind.__init__
+        ) -> None:
+            made.append(type(self).__name__)
+            init(self, *arguments)
+
+        monkeypatch.setattr(kind, "__init__", counted)
+    opt = FIDE.load(tmp_path / "c", loss=given)
+    assert made == [type(opt.evaluator.loss).__name__]
 
 
 def test_a_directory_that_cannot_be_written(target: Float32, tmp_path: Path) -> None:
@@ -253,3 +325,44 @@ def test_a_directory_that_cannot_be_written(target: Float32, tmp_path: Path) -> 
         opt.save(tmp_path)
     assert (tmp_path / "c").read_bytes() == before
     assert os.listdir(tmp_path) == ["c"]
+
+
+def test_a_state_that_is_none_leaves_the_optimizer_as_it_was(
+    target: Float32, render: Render, state_of: StateOf
+) -> None:
+    """Also one whose last parts are wrong, when all others could be loaded."""
+    opt, other = (begun(target, render, {"popsize": 8}) for _ in range(2))
+    go_on(other, render, 9)
+    before, held = state_of(opt), opt.state
+    for place in ("best", "searches", "proposer", "gate", "search_best", "times"):
+        state = dict(other.state_dict(), **{place: "nothing of the kind"})
+        with pytest.raises((ValueError, TypeError, KeyError)):
+            opt.load_state_dict(state)
+        assert opt.state is held and state_of(opt) == before
+    same = begun(target, render, {"popsize": 8})
+    np.testing.assert_array_equal(go_on(opt, render, 5), go_on(same, render, 5))
+
+
+def test_loading_waits_for_who_asks_or_tells(target: Float32, render: Render) -> None:
+    opt = begun(target, render, {"popsize": 8})
+    state = opt.state_dict()
+    thread = threading.Thread(target=opt.load_state_dict, args=(state,))
+    with opt._lock:
+        held = opt.state
+        thread.start()
+        thread.join(0.2)
+        assert thread.is_alive() and opt.state is held
+    thread.join()
+    assert opt.state is not held
+
+
+def test_values_that_no_file_can_hold_are_refused_before_anything_is_written(
+    target: Float32, render: Render, tmp_path: Path
+) -> None:
+    odd = Space(x=Group(a=Float(0, 1), color=Choice((255, 0, 0), (0, 0, 255))))
+    opt = FIDE(odd, target, seed=0)
+    path = tmp_path / "c"
+    path.write_text("an earlier one")
+    with pytest.raises(SpaceError, match=r"'x.color' has the value \(255, 0, 0\).*use texts"):
+        opt.save(path)
+    assert path.read_text() == "an earlier one" and list(tmp_path.iterdir()) == [path]

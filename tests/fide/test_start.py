@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError, PointsError
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
-Render: TypeAlias = Callable[[Float64], Float32]
+from .helpers import Render
 
 X0, SIGMA0 = np.array([0.5, 0.3, 0.6]), np.array([0.01, 0.05, 0.1])
 
@@ -40,8 +38,8 @@ def test_every_search_that_knows_nothing_begins_there(target: Float32) -> None:
     opt = FIDE(3, target, x0=X0, sigma0=SIGMA0, guard_images=False, **settings)
     for _ in range(3):
         X = opt.ask()
-        opt.tell(X, losses=np.ones(500))
-    assert opt._searches == 2
+        opt.tell(X, losses=np.ones(len(X)))
+    assert opt.state.searches == 2
     np.testing.assert_allclose(opt.ask().std(axis=0), SIGMA0, rtol=0.15)
 
 
@@ -51,7 +49,7 @@ def test_no_axis_has_collapsed_before_all_have(target: Float32) -> None:
     for _ in range(3):
         X = opt.ask()
         opt.tell(X, losses=X[:, 1])
-    assert opt._searches == 1
+    assert opt.state.searches == 1
 
 
 def test_it_is_saved(target: Float32, tmp_path: Path) -> None:
@@ -76,19 +74,19 @@ def test_no_standard_deviations(sigma0: Float64, target: Float32) -> None:
 
 
 def test_candidates_that_will_not_be_told(target: Float32, render: Render) -> None:
-    """Others count in their place, and what they would have been is a guest's business."""
+    """Others count in their place."""
     opt = FIDE(6, target, popsize=8, seed=0)
     X = opt.ask()
     opt.withdraw(X[:3])
     opt.withdraw(X[:1])  # is not out any more
-    assert opt._ledger.asked == 5
+    assert opt.state.population.pending == 5
     opt.tell(X[3:], render(X[3:]))
-    assert opt._search.generation == 0
+    assert opt.state.search.generation == 0
     others = opt.ask(3)
     opt.tell(others, render(others))
-    assert opt._search.generation == 1
+    assert opt.state.search.generation == 1
     opt.tell(X[:1], render(X[:1]))
-    assert opt._guest is not None and opt.evaluations == 9
+    assert opt.state.injected is not None and opt.evaluations == 9
     with pytest.raises(PointsError):
         opt.withdraw(X[0])
 

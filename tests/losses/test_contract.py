@@ -9,8 +9,8 @@ from hypothesis import given, settings, strategies as st
 
 from fide_plugins import losses
 from fide_plugins.errors import ImageError, LossError, UnknownNameError
-from fide_plugins.images import Float32
 from fide_plugins.losses.base import LossOfTarget, as_losses
+from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(5)
 SIZES = [(1, 1), (1, 9), (5, 4), (33, 57), (16, 512), (112, 112)]

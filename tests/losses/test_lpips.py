@@ -14,7 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fide_plugins import backbones, losses, weights
+from fide_plugins import losses
+from fide_plugins.encoders.pretrained import backbones, weights
 from fide_plugins.errors import (
     DeviceError,
     ImageError,
@@ -23,9 +24,9 @@ from fide_plugins.errors import (
     WeightsNotFoundError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.images import Float32
 from fide_plugins.losses import lpips as lpips_module
 from fide_plugins.losses.lpips import VARIANTS, LPIPSLoss
+from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(12)
 FILES = {

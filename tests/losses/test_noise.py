@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 import fide_tasks
 from fide_plugins import encoders, losses
-from fide_plugins.images import Float32
+from fide_plugins.types import Float32
+
+pytestmark = pytest.mark.slow
 
 N = 16  # candidates
 

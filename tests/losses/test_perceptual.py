@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fide_plugins.images import Float32
 from fide_plugins.losses import perceptual
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.losses.perceptual import PerceptualLoss
+from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(8)
 
@@ -102,7 +102,7 @@ def gaussians(pixels: int, samples: int, scale: float) -> NDArray[np.float64]:
 
 
 def mean(x: NDArray[np.float64], down: Any, across: Any) -> NDArray[np.float64]:
-    means: NDArray[np.float64] = np.einsum("ip,jq,pq...->ij...", down, across, x)
+    means: NDArray[np.float64] = np.einsum("ip,jq,pq...->ij...", down, across, x, optimize=True)
     return means
 
 

@@ -34,7 +34,7 @@ def test_importing_takes_no_time_and_loads_nothing() -> None:
 
 def test_submodules_are_loaded_on_demand() -> None:
     assert set(fide_plugins.__all__) <= set(dir(fide_plugins))
-    assert fide_plugins.checkpoint.VERSION == 1
+    assert fide_plugins.checkpoint.VERSION >= 1
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = fide_plugins.nothing  # type: ignore[attr-defined]
 

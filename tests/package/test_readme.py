@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import re
-from concurrent.futures import ThreadPoolExecutor
+import shlex
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import nevergrad
 import numpy as np
-import optuna
 import pytest
-
-from fide_adapters.image_loss import ImageLoss
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -25,30 +23,62 @@ def test_the_readme_s_own_python_finds_the_disk(capsys: pytest.CaptureFixture[st
     code = code_blocks()[0]
     names: dict[str, object] = {}
     exec(compile(code, str(README), "exec"), names)
-    *_, loss = capsys.readouterr().out.replace("]", " ").split()
+    *_, loss = capsys.readouterr().out.split()
     assert float(loss) < 1e-3
     assert len([line for line in code.splitlines() if line.strip()]) <= 15
 
 
-def test_the_readme_s_lines_for_optuna_and_nevergrad_work() -> None:
-    _, *codes = code_blocks()
-    names: dict[str, Any] = {"optuna": optuna, "ng": nevergrad, "target": np.zeros((8, 8, 3))}
-    names["parametrization"] = nevergrad.p.Array(shape=(2,), lower=0, upper=1)
-    for code in codes:
-        exec(compile(code, str(README), "exec"), names)
-    sampler, study, optimizer = (names[name] for name in ("sampler", "study", "optimizer"))
+def run_block(number: int) -> dict[str, Any]:
+    names: dict[str, Any] = {}
+    exec(compile(code_blocks()[number], str(README), "exec"), names)
+    return names
 
-    def render(x: Any) -> Any:
-        return np.full((8, 8, 3), np.mean(x))
 
-    def objective(trial: optuna.Trial) -> float:
-        return float(sampler.tell_image(trial, render([trial.suggest_float("x", 0, 1)])))
+def test_the_readme_s_space_finds_the_integer_and_the_choice() -> None:
+    best = run_block(1)["opt"].best
+    assert (best.params["columns"], best.params["direction"]) == (6, "along")
+    assert best.params["radius"] == pytest.approx(0.27, abs=0.01)
 
-    study.optimize(objective, n_trials=20)
-    assert sampler.counts(study)["image"] == 20 and study.best_value < 0.1
-    optimizer.budget = 20
-    with ThreadPoolExecutor(4) as executor:
-        best = optimizer.minimize(
-            lambda x: ImageLoss(float(np.mean(x) ** 2), render(x)), executor=executor
-        )
-    assert optimizer._engine._pictures == 20 and best.loss < 0.1
+
+@pytest.mark.filterwarnings("ignore:the model of .* has learned nothing like")  # of 100 renders
+def test_each_line_of_the_table_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fide_plugins
+
+    def learn(render: Any, space: Any, renders: int, out: str) -> Any:
+        assert renders == 100_000
+        return fide_plugins.learn(render, space, renders=100, size=16, passes=1, workers=1, out=out)
+
+    monkeypatch.chdir(tmp_path)
+    names = run_block(1)
+    picture = names["render"]({"radius": 0.3, "columns": 5, "direction": "across"})
+    names |= {"learn": learn, "picture": picture, "front": picture, "side": picture[:32]}
+    names["mask"] = np.ones_like(picture)
+    lines = re.findall(r"^\| .* \| `(.*)` \|$", README.read_text("utf-8"), re.MULTILINE)
+    assert len(lines) == 6
+    for line in lines:
+        exec(line, names)
+    assert names["opt"].best is None  # of the next picture
+
+
+def test_each_command_is_one_of_the_program() -> None:
+    lines = re.findall(r"^    fide (.*)$", README.read_text("utf-8"), re.MULTILINE)
+    assert len(lines) >= 12
+    for line in lines:
+        name, *words = shlex.split(line, comments=True)
+        parser = argparse.ArgumentParser()
+        import_module(f"fide_plugins.cli.{name}_command").add_arguments(parser)
+        parser.parse_args(words)
+
+
+@pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
+def test_the_readme_s_lines_for_optuna_work_as_they_stand() -> None:
+    best = run_block(2)["study"].best_params
+    assert best == pytest.approx({"x": 0.7, "y": 0.35}, abs=0.01)
+
+
+def test_the_readme_s_lines_for_nevergrad_work_as_they_stand(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run_block(3)
+    printed = capsys.readouterr().out.strip().splitlines()[-1].strip("[]").split()
+    assert [float(value) for value in printed] == pytest.approx([0.7, 0.35], abs=0.01)

@@ -14,8 +14,8 @@ from torch.utils.flop_counter import FlopCounterMode
 from fide_plugins.denoiser import Denoise, precision
 from fide_plugins.denoiser.training import XLoss
 from fide_plugins.errors import OptionError
-from fide_plugins.memory import Room
 from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.runtime.batch_size import BatchSize
 
 Floats = NDArray[np.float64]
 MEAN, STD = np.array([0.5, 0.5]), np.array([0.1, 0.2])
@@ -200,7 +200,7 @@ def state_as_bytes(proposer: DiffusionProposer) -> dict[str, Any]:
 def test_training_that_raises_is_undone(generations: int, error: BaseException) -> None:
     """Weights, moments and noise: it goes on, bit for bit, as if it had not been tried."""
     proposer, other = make(batch_size=1), make(batch_size=1)
-    x, tokens = scene(30)
+    x, tokens = scene(8)
     for each in (proposer, other):
         each._parts(3, 1)
         for _ in range(generations):
@@ -311,7 +311,7 @@ def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     with pytest.warns(RuntimeWarning), pytest.raises(torch.OutOfMemoryError) as caught:
-        Room(4, "things").each(refuse, 4)
+        BatchSize(4, "things").each(refuse, 4)
     assert "device='cpu'" in caught.value.__notes__[0]
 
 
@@ -350,7 +350,7 @@ def test_fewer_tokens_than_parameters() -> None:
     work = {}
     for n in (None, 12, 4):
         proposer = DiffusionProposer(
-            12, epochs=8, batch_size=20, width=16, blocks=2, parameter_tokens=n
+            12, epochs=4, batch_size=20, width=16, blocks=2, parameter_tokens=n
         )
         with FlopCounterMode(display=False) as counter:
             losses = proposer.update(x, tokens, None, np.full(12, 0.1))

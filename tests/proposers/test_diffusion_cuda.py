@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.bfloat16 import has_bfloat16
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.beside import Beside
+from fide_plugins.proposers.background import BackgroundProposer
 from fide_plugins.proposers.diffusion import DiffusionProposer, Floats
+from fide_plugins.runtime.devices import has_bfloat16
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
@@ -33,7 +33,7 @@ def scene(device: str) -> tuple[Floats, torch.Tensor]:
     return x, torch.as_tensor(x[:, :, None], dtype=torch.float32, device=device)
 
 
-def propose(proposer: DiffusionProposer | Beside, device: str) -> Floats:
+def propose(proposer: DiffusionProposer | BackgroundProposer, device: str) -> Floats:
     x, tokens = scene(device)
     rng = np.random.default_rng(0)
     return proposer.propose(x, tokens[0], np.full(DIM, 0.5), STD, rng)
@@ -101,7 +101,7 @@ def test_in_the_background_as_without(stream: bool) -> None:
     own: Any = torch.cuda.Stream  # which torch gives no types
     with torch.cuda.stream(own() if stream else None):
         x, tokens = scene("cuda")
-        beside = Beside(make("cuda"), torch.device("cuda", torch.cuda.current_device()))
+        beside = BackgroundProposer(make("cuda"), torch.device("cuda", torch.cuda.current_device()))
         for _ in range(2):
             beside.update(x, tokens, np.zeros(40), STD)
         np.testing.assert_allclose(propose(beside, "cuda"), plain, atol=1e-3)
@@ -119,8 +119,8 @@ def test_goes_on_where_it_was_saved() -> None:
 def test_the_published_method_computes_there_all_alone() -> None:
     """By the device that it takes where there is one."""
     opt = FIDE(DIM, np.zeros((32, 32, 3), np.float32), preset="paper", popsize=8, epochs=1, seed=0)
-    proposer: Any = opt._proposer
-    assert opt._encoder.device.type == proposer._proposer.device.type == "cuda"
+    proposer: Any = opt.state.proposer
+    assert opt.encoder.device.type == proposer._proposer.device.type == "cuda"
     for _ in range(3):
         X = opt.ask()
         opt.tell(X, np.broadcast_to(X[:, None, None, :3], (8, 32, 32, 3)).astype(np.float32))

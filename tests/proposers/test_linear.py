@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,10 @@ import torch
 from torch import Tensor
 
 from fide_plugins import encoders
-from fide_plugins.points import Float64
-from fide_plugins.presets import Options
+from fide_plugins.options import Options, ProposalOptions
 from fide_plugins.proposers import linear, make_proposer
 from fide_plugins.proposers.linear import LinearProposer
+from fide_plugins.types import Float64
 
 D, T, C = 3, 4, 5
 STD = np.array([0.05, 0.1, 0.2])
@@ -24,12 +25,12 @@ MIXING = np.random.default_rng(1).standard_normal((D, T * C))
 def make(**changes: Any) -> LinearProposer:
     options: dict[str, Any] = {
         "capacity": 30,
-        "elite": 0.1,
+        "rank_weight_scale": 0.1,
         "ridge": 0.2,
         "sources": 1,
         "step": (1.0, 1.0),
         "noise": 0.0,
-        "evidence": 0.0,
+        "r2_threshold": 0.0,
     }
     return LinearProposer(D, **(options | changes))
 
@@ -76,7 +77,7 @@ class Reference:
     def __init__(self, x: Float64, tokens: Tensor, losses: Float64, p: LinearProposer) -> None:
         n = len(x)
         self.x, self.e = x, tokens.double().numpy().reshape(n, -1)
-        w = rank_weights(losses, p.elite)
+        w = rank_weights(losses, p.rank_weight_scale)
         u_c = (x / STD - w @ x / STD) * np.sqrt(w)[:, None]
         e_c = (self.e - w @ self.e) * np.sqrt(w)[:, None]
         penalty = p.ridge * np.square(e_c).sum() / min(n, 64)
@@ -87,12 +88,6 @@ class Reference:
         wanted = target.double().numpy().reshape(-1)
         step: Float64 = STD * ((wanted - self.e[source]) @ self.K)
         return step
-
-
-def copy_of(state: dict[str, Any]) -> dict[str, Any]:
-    """Arrays that share no memory with the original's."""
-    views = [{key: np.copy(value) for key, value in view.items()} for view in state["views"]]
-    return {"x": np.copy(state["x"]), "losses": np.copy(state["losses"]), "views": views}
 
 
 @pytest.mark.parametrize("n", [3, 12, 30, 100])
@@ -108,10 +103,10 @@ def test_products_give_the_regression_of_features(n: int, pieces: int) -> None:
     np.testing.assert_allclose(propose(proposer, target)[0], expected, rtol=0, atol=1e-6)
 
 
-def test_every_proposal_uses_one_of_the_views() -> None:
+def test_every_proposal_uses_one_of_the_channel_subsets() -> None:
     """The first three channels alone, or all: two regressions, each used by half of them."""
     x, tokens, losses = scene(30)
-    proposer = make(capacity=30, views=(3, None))
+    proposer = make(capacity=30, channel_subsets=(3, None))
     proposer.update(x[:13], tokens[:13], losses[:13], STD)
     proposer.update(x[13:], tokens[13:], losses[13:], STD)
     target = images_of(np.full((1, D), 0.55))[0]
@@ -129,7 +124,7 @@ def test_every_proposal_uses_one_of_the_views() -> None:
 def test_all_ordered_pairs_give_the_same_regression() -> None:
     """Differences of all pairs, weighted by w_i w_j: twice the covariances, the same fit."""
     x, tokens, losses = scene(12)
-    proposer = make(elite=0.3)
+    proposer = make(rank_weight_scale=0.3)
     proposer.update(x, tokens, losses, STD)
     w = rank_weights(losses, 0.3)
     e = tokens.double().numpy().reshape(12, -1)
@@ -182,7 +177,7 @@ def test_a_random_part_of_the_sample_s_deviation_is_kept() -> None:
 
 def test_a_linear_renderer_is_solved_at_once() -> None:
     x, tokens, losses = scene(30, bend=0.0)
-    proposer = make(ridge=1e-7, elite=1.0, sources=6)
+    proposer = make(ridge=1e-7, rank_weight_scale=1.0, sources=6)
     proposer.update(x, tokens, losses, STD)
     answer = np.array([0.62, 0.31, 0.9])  # far from what was seen
     target = images_of(answer[None], bend=0.0)[0]
@@ -263,7 +258,7 @@ def test_proposals_are_samples_where_images_say_nothing() -> None:
     equal = collapsed("images equal")
     z = 0.5 + STD * rng.standard_normal((8, D))
     for told in ((x, noise, losses), equal):
-        proposer = make(evidence=0.05, elite=0.5, sources=5)
+        proposer = make(r2_threshold=0.05, rank_weight_scale=0.5, sources=5)
         proposer.update(*told, STD)
         proposed = propose(proposer, noise[0] + 1, z=z)
         same = np.isclose(proposed, z, rtol=0, atol=1e-9)
@@ -276,12 +271,12 @@ def test_only_what_images_tell_is_proposed() -> None:
     x, _, losses = scene(30)
     seen = x.copy()
     seen[:, 0] = 0.5
-    proposer = make(evidence=0.05, elite=0.5)
+    proposer = make(r2_threshold=0.05, rank_weight_scale=0.5)
     proposer.update(x, images_of(seen), losses, STD)
     z = 0.5 + STD * np.random.default_rng(1).standard_normal((8, D))
     proposed = propose(proposer, images_of(np.full((1, D), 0.55))[0], z=z)
     np.testing.assert_allclose(proposed[:, 0], z[:, 0], atol=1e-12)
-    wholly = make(elite=0.5)
+    wholly = make(rank_weight_scale=0.5)
     wholly.update(x, images_of(seen), losses, STD)
     expected = propose(wholly, images_of(np.full((1, D), 0.55))[0], z=z)
     np.testing.assert_allclose(proposed[:, 1:], expected[:, 1:], atol=1e-12)
@@ -290,9 +285,9 @@ def test_only_what_images_tell_is_proposed() -> None:
 def test_what_is_explained_is_measured_on_candidates_left_out() -> None:
     """The same regression, fitted again without each candidate in turn."""
     x, tokens, losses = scene(20)
-    proposer = make(elite=0.5, ridge=0.02)
+    proposer = make(rank_weight_scale=0.5, ridge=0.02)
     proposer.update(x, tokens, losses, STD)
-    view = proposer._views[0]
+    view = proposer._buffers[0]
     fit = proposer._regress(view, np.argsort(np.argsort(losses)), STD)
     w, u = rank_weights(losses, 0.5), x / STD
     e = tokens.double().numpy().reshape(len(x), -1)
@@ -347,7 +342,7 @@ def test_state_goes_on_bit_for_bit() -> None:
     original, copy = make(noise=0.5, sources=4), make(noise=0.5, sources=4)
     x, tokens, losses = scene(40)
     original.update(x[:25], tokens[:25], losses[:25], STD)
-    copy.load_state_dict(copy_of(original.state_dict()))
+    copy.load_state_dict(deepcopy(original.state_dict()))
     results = []
     for proposer in (original, copy):
         proposer.update(x[25:], tokens[25:], losses[25:], STD)
@@ -388,8 +383,9 @@ def test_the_memory_is_bounded_in_bytes(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_large_population_is_not_remembered_many_times_over() -> None:
+    options = Options(proposer="linear", proposal=ProposalOptions(buffer_generations=5))
     for popsize, remembered in ((10, 50), (100, 500), (200, 600), (4096, 600)):
-        proposer = make_proposer(Options(memory=5), D, popsize, 0, encoders.make("dense"))
+        proposer = make_proposer(options, D, popsize, 0, encoders.make("dense"))
         assert isinstance(proposer, LinearProposer)
         assert proposer.capacity == remembered
         assert proposer.minimum <= remembered
@@ -399,6 +395,7 @@ def test_a_large_population_is_not_remembered_many_times_over() -> None:
     ("dim", "remembered"), [(40, 60), (60, 60), (61, 91), (300, 450), (999, 600)]
 )
 def test_many_parameters_are_learned_from_as_many_candidates(dim: int, remembered: int) -> None:
-    proposer = make_proposer(Options(memory=4), dim, 15, 0, encoders.make("dense"))
+    options = Options(proposer="linear", proposal=ProposalOptions(buffer_generations=4))
+    proposer = make_proposer(options, dim, 15, 0, encoders.make("dense"))
     assert isinstance(proposer, LinearProposer)
     assert proposer.capacity == remembered

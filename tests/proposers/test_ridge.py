@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.points import Float64
 from fide_plugins.proposers import ridge as module
 from fide_plugins.proposers.ridge import ridge
+from fide_plugins.types import Float64
 
 
 def examples(n: int, features: int, d: int = 7) -> tuple[Float64, Float64]:

@@ -1,7 +1,8 @@
-"""The search distribution: the numbers of `cmaes`, and what foreign candidates may do to it."""
+"""The search distribution: the numbers of `cmaes`, and what injected candidates may do to it."""
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import cmaes
@@ -9,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from fide_plugins.points import Float64
 from fide_plugins.search.cma_es import CMAES, default_popsize
+from fide_plugins.types import Float64
 
 
 def ellipsoid(z: Float64) -> Float64:
@@ -98,18 +99,18 @@ def test_a_standard_deviation_for_each_parameter() -> None:
 
 
 @pytest.mark.parametrize("d", [1, 3, 40])
-def test_foreign_steps_are_cut_to_the_stated_length(d: int) -> None:
+def test_injected_steps_are_cut_to_the_stated_length(d: int) -> None:
     """Hansen 2011, eq. 3: sqrt(d) + 2 d / (d + 2); steps that are short enough stay as they are."""
     limit = np.sqrt(d) + 2 * d / (d + 2)
     direction = np.ones(d) / np.sqrt(d)
     k = 8
 
-    def mean_after(length: float, foreign: bool) -> Float64:
+    def mean_after(length: float, injected: bool) -> Float64:
         search = CMAES(np.full(d, 0.5), 0.1, k)
         z = np.full((k, d), 0.5)
         z[3] += 0.1 * length * direction
         flags = own(k)
-        flags[3] = foreign
+        flags[3] = injected
         search.tell(z, np.array([9.0, 8, 7, 1, 6, 5, 4, 3]), flags)
         return search.mean
 
@@ -120,7 +121,7 @@ def test_foreign_steps_are_cut_to_the_stated_length(d: int) -> None:
     assert (at_limit > mean_after(0.9 * limit, True)).all()
 
 
-def test_foreign_steps_are_measured_in_the_distribution_s_own_metric() -> None:
+def test_injected_steps_are_measured_in_the_distribution_s_own_metric() -> None:
     """The same step is long across a narrow direction and short along a wide one."""
     std = np.array([1e-3, 1.0])
     for axis, is_cut in ((0, True), (1, False)):
@@ -164,13 +165,13 @@ DEGENERATE: dict[str, tuple[Float64, Float64]] = {
 }
 
 
-@pytest.mark.parametrize("foreign", [False, True])
+@pytest.mark.parametrize("injected", [False, True])
 @pytest.mark.parametrize("what", DEGENERATE)
-def test_symmetric_positive_definite_whatever_is_told(what: str, foreign: bool) -> None:
+def test_symmetric_positive_definite_whatever_is_told(what: str, injected: bool) -> None:
     z, losses = DEGENERATE[what]
     search = CMAES(np.full(4, 0.5), 0.1, 8)
     for _ in range(60):
-        search.tell(z, losses, np.full(8, foreign))
+        search.tell(z, losses, np.full(8, injected))
         check_sane(search)
 
 
@@ -253,8 +254,7 @@ def test_state_goes_on_bit_for_bit() -> None:
 
     original = CMAES(np.full(5, 0.4), np.linspace(0.1, 0.3, 5), 9)
     go(original, np.random.default_rng(0))
-    state = {k: np.copy(v) for k, v in original.state_dict().items()}
-    copy = CMAES.from_state(state)
+    copy = CMAES.from_state(deepcopy(original.state_dict()), 5, 9)
     assert copy.largest_std == original.largest_std
     a, b = (go(search, np.random.default_rng(1)) for search in (original, copy))
     for ours, theirs in zip(a, b, strict=True):
@@ -304,6 +304,6 @@ def test_of_many_parameters_the_covariance_is_decomposed_as_often_as_it_changes(
     np.testing.assert_allclose(C, search.C, atol=1e-12)
     z = search.sample(21, rng)
     search.tell(z, (z**2).sum(axis=1), np.zeros(21, bool))  # B and D are of an earlier C now
-    twin = CMAES.from_state(search.state_dict())
+    twin = CMAES.from_state(search.state_dict(), 400, 21)
     first, second = (each.sample(3, np.random.default_rng(1)) for each in (search, twin))
     np.testing.assert_array_equal(first, second)

@@ -6,11 +6,12 @@ import cma
 import numpy as np
 import pytest
 
-from fide_plugins.points import Float64
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.step_size import TwoPoint
+from fide_plugins.types import Float64
 
 D, K = 100, 10  # many parameters, few candidates
+PAIR = (0, 1)
 
 
 def sphere(z: Float64) -> Float64:
@@ -59,21 +60,21 @@ def test_the_factor_is_that_of_the_library(ahead_rank: int, against_rank: int) -
     others = [rank for rank in range(K) if rank not in (ahead_rank, against_rank)]
     losses[[0, 1]] = ahead_rank, against_rank
     losses[2:] = others
-    assert two.factor(np.ones(D), losses) == 1.0  # no pair yet
+    assert two.factor(np.ones(D), losses, PAIR) == 1.0  # no pair yet
     for _ in range(3):
         expected = es.adapt_sigma.update2(es, losses)
-        assert two.factor(np.ones(D), losses) == pytest.approx(expected, rel=1e-12)
+        assert two.factor(np.ones(D), losses, PAIR) == pytest.approx(expected, rel=1e-12)
 
 
 def test_equal_losses_and_a_lost_pair_change_nothing() -> None:
     two = TwoPoint(D)
-    two.factor(np.ones(D), np.arange(6.0))
-    assert two.factor(np.ones(D), np.zeros(6)) == 1.0
-    assert two.factor(np.ones(D), None) == 1.0
-    assert two.factor(np.ones(D), np.full(6, np.inf)) == 1.0
+    two.factor(np.ones(D), np.arange(6.0), PAIR)
+    assert two.factor(np.ones(D), np.zeros(6), PAIR) == 1.0
+    assert two.factor(np.ones(D), np.arange(6.0), None) == 1.0
+    assert two.factor(np.ones(D), np.full(6, np.inf), PAIR) == 1.0
 
 
-def test_a_foreign_candidate_in_the_place_of_the_pair_does_not_count() -> None:
+def test_an_injected_candidate_in_the_place_of_the_pair_does_not_count() -> None:
     searches = [CMAES(np.full(D, 0.5), 1 / 6, K) for _ in range(2)]
     rng = np.random.default_rng(0)
     z = searches[0].sample(K, rng)
@@ -82,9 +83,9 @@ def test_a_foreign_candidate_in_the_place_of_the_pair_does_not_count() -> None:
     before = [search.sigma for search in searches]
     z = searches[0].sample(K, rng)
     for i, search in enumerate(searches):
-        foreign = np.zeros(K, bool)
-        foreign[i] = i == 1
-        search.tell(z, sphere(z), foreign)
+        injected = np.zeros(K, bool)
+        injected[i] = i == 1
+        search.tell(z, sphere(z), injected)
     assert searches[0].sigma != before[0]
     assert searches[1].sigma == before[1]
 

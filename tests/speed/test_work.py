@@ -29,11 +29,12 @@ BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are
 MORE = 1.2
 
 # For one candidate: calls of functions, Python's and C's; thousands of n^3 of eigendecompositions
-# (n, n); images that are encoded.
+# (n, n), while one search goes on; images that are encoded. Calls were 125 and 145 before
+# searches were left by moves, and samples kept for the next target.
 WORK: dict[str, dict[str, float]] = {
-    "fast": {"calls": 122, "eigen": 8.6, "images": 1},
-    "balanced": {"calls": 145, "eigen": 32.6, "images": 1},
-    "accurate": {"calls": 145, "eigen": 32.6, "images": 1},
+    "fast": {"calls": 140, "eigen": 10.5, "images": 1},
+    "balanced": {"calls": 157, "eigen": 33.2, "images": 1},
+    "accurate": {"calls": 157, "eigen": 33.2, "images": 1},
 }
 # Million floating-point operations, as published at 112: of training, for an example and an epoch;
 # of proposing, for a candidate.
@@ -58,12 +59,17 @@ def calls(count: Counter[str]) -> Iterator[None]:
 
 
 @cache
-def work(preset: str) -> dict[str, float]:
-    """Work for one candidate of a run of Voronoi, all but rendering."""
+def work(preset: str, restarts: str | None) -> dict[str, float]:
+    """Work for one candidate of a run of Voronoi, all but rendering; restarts: None, the preset's.
+
+    When a search is over depends on the last digits, which differ between CPUs, and after that the
+    regressions are small.  So what grows with their cube is counted with ``restarts="none"``.
+    """
     count: Counter[str] = Counter()
     task = fide_tasks.make("voronoi", size=56, seed=0)
-    opt = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu")
-    compute, eigh = opt._encoder.compute, np.linalg.eigh
+    own: dict[str, Any] = {} if restarts is None else {"restarts": restarts}
+    opt = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu", **own)
+    compute, eigh = opt.encoder.compute, np.linalg.eigh
 
     def counted_compute(batch: Any) -> Any:
         count["images"] += len(batch)
@@ -74,7 +80,7 @@ def work(preset: str) -> dict[str, float]:
         return eigh(matrix)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(opt._encoder, "compute", counted_compute)
+        patch.setattr(opt.encoder, "compute", counted_compute)
         patch.setattr(np.linalg, "eigh", counted_eigh)
         began = 0
         while opt.evaluations < END:
@@ -94,7 +100,8 @@ def work(preset: str) -> dict[str, float]:
 @pytest.mark.parametrize("what", ["calls", "eigen", "images"])
 @pytest.mark.parametrize("preset", WORK)
 def test_work_for_one_candidate(preset: str, what: str) -> None:
-    found, stated = work(preset)[what], WORK[preset][what]
+    restarts = "none" if what == "eigen" else None
+    found, stated = work(preset, restarts)[what], WORK[preset][what]
     assert found < MORE * stated, f"{preset} does {found:.4g} {what} a candidate, not {stated}"
     assert found > stated / MORE, f"{preset} does less {what}, {found:.4g}: lower the number"
 

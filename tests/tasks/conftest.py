@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import pytest
 
-from fide_tasks import trial
+from fide_tasks import isolated
 
 
 def _render_elsewhere(environment: dict[str, str], before: str = "") -> str | None:
     script = f"{before}\nimport fide_tasks\nfide_tasks.make('robot', 8).render([[0.5] * 7])"
-    return trial.failure(script, seconds=120, environment=environment)
+    return isolated.failure(script, seconds=120, environment=environment)
 
 
 @pytest.fixture(scope="session")

@@ -46,7 +46,7 @@ def test_auto_takes_the_first_that_runs() -> None:
 def test_without_a_gpu_or_llvm_it_is_scalar_and_says_so_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(mitsuba_variant, "_trial", lambda variant, library: "it does not")
+    monkeypatch.setattr(mitsuba_variant, "_check_variant", lambda variant, library: "it does not")
     with caplog.at_level(logging.INFO):
         assert [choose("auto"), choose("auto")] == ["scalar_rgb"] * 2
     assert len(caplog.messages) == 1
@@ -70,12 +70,12 @@ def test_libraries_are_tried_newest_first_until_one_works(
     (tmp_path / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
     tried = []
 
-    def trial(variant: str, library: str | None) -> str | None:
+    def check(variant: str, library: str | None) -> str | None:
         tried.append(library and Path(library).name)
         return None if library and library.endswith("libLLVM-15.so.1") else "it aborts the process"
 
     monkeypatch.setattr(mitsuba_variant, "_LIBRARY_PLACES", (f"{tmp_path}/libLLVM*.so*",))
-    monkeypatch.setattr(mitsuba_variant, "_trial", trial)
+    monkeypatch.setattr(mitsuba_variant, "_check_variant", check)
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     assert problem_with("llvm") is None
     assert tried == ["libLLVM.so.20.1", "libLLVM.so.19.1", "libLLVM-15.so.1"]
@@ -88,13 +88,13 @@ def test_libraries_are_tried_newest_first_until_one_works(
 
 
 def test_a_variant_that_aborts_does_so_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", "import os; os.abort()")
-    assert mitsuba_variant._trial("llvm_ad_rgb", None) == "it aborts the process (signal 6)"
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", "raise SystemExit('no such thing')")
-    assert mitsuba_variant._trial("llvm_ad_rgb", None) == "no such thing"
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL", "import time; time.sleep(60)")
-    monkeypatch.setattr(mitsuba_variant, "_TRIAL_SECONDS", 0.5)
-    assert "rendered nothing within" in str(mitsuba_variant._trial("llvm_ad_rgb", None))
+    monkeypatch.setattr(mitsuba_variant, "_CHECK", "import os; os.abort()")
+    assert mitsuba_variant._check_variant("llvm_ad_rgb", None) == "it aborts the process (signal 6)"
+    monkeypatch.setattr(mitsuba_variant, "_CHECK", "raise SystemExit('no such thing')")
+    assert mitsuba_variant._check_variant("llvm_ad_rgb", None) == "no such thing"
+    monkeypatch.setattr(mitsuba_variant, "_CHECK", "import time; time.sleep(60)")
+    monkeypatch.setattr(mitsuba_variant, "_CHECK_SECONDS", 0.5)
+    assert "rendered nothing within" in str(mitsuba_variant._check_variant("llvm_ad_rgb", None))
 
 
 def test_a_missing_library_is_refused_by_name_in_a_real_process() -> None:

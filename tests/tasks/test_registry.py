@@ -22,6 +22,21 @@ def test_names_are_sorted_and_can_all_be_made() -> None:
         assert task.name == name
 
 
+def test_by_default_names_are_the_scenes_of_the_paper() -> None:
+    assert fide_tasks.names() == ["beads", "robot", "san_miguel", "spline", "voronoi"]
+
+
+def test_groups_of_names() -> None:
+    assert fide_tasks.names("exchangeable") == ["lamps", "sprites"]
+    assert fide_tasks.names("folding") == ["arm", "lens", "stick_figure"]
+    assert fide_tasks.names("smooth") == ["ball"]
+    groups = ("paper", "exchangeable", "folding", "smooth")
+    every = sorted(name for group in groups for name in fide_tasks.names(group))
+    assert fide_tasks.names("all") == every
+    with pytest.raises(ValueError, match="group must be one of all, paper, .*, not 'papers'"):
+        fide_tasks.names("papers")
+
+
 def test_options_with_their_defaults() -> None:
     assert fide_tasks.options("voronoi") == {"cells": None, "variant": "color", "target": None}
     assert fide_tasks.options("spline") == {"control_points": 7, "target": "ampersand"}
@@ -50,6 +65,9 @@ def test_unknown_option_lists_the_known() -> None:
         ("voronoi", {"seed": -1}, "seed must be a whole number >= 0"),
         ("voronoi", {"seed": None}, "seed must be a whole number >= 0"),
         ("spline", {"control_points": 1}, "control_points must be a whole number >= 2"),
+        ("lamps", {"lamps": 0}, "lamps must be a whole number >= 1, not 0"),
+        ("lamps", {"layout": "rows"}, "layout must be one of 'block', 'strided', not 'rows'"),
+        ("sprites", {"sprites": 2.5}, "sprites must be a whole number >= 1, not 2.5"),
         ("spline", {"target": "asterisk"}, "target must be one of 'ampersand', 'random'"),
     ],
 )

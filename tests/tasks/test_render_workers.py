@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins import harness
 from fide_plugins.errors import RenderError
+from fide_plugins.experiments import run as harness
 from fide_tasks import mitsuba_task, render_workers
 from fide_tasks.render_workers import RenderWorkerError
 
@@ -265,26 +265,21 @@ def test_threads_share_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(pools) == 1
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # this process has threads
 def test_a_forked_process_neither_uses_the_processes_nor_ends_them(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, forked: Callable[[Callable[[], object]], str]
 ) -> None:
     monkeypatch.setattr(Idle, "made", 0)
     monkeypatch.setattr(Idle, "ended", 0)
     monkeypatch.setattr(render_workers, "_Worker", Idle)
     pool = render_workers.RenderWorkers(make(1), 2, (8, 8, 3))
     assert not pool.closed
-    child = os.fork()
-    if child == 0:
-        failed = 1
-        try:
-            failed = int(not pool.closed)
-            pool.close()
-            failed += Idle.ended
-        finally:
-            os._exit(failed)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+    def closes() -> tuple[bool, int]:
+        closed = pool.closed
+        pool.close()
+        return closed, Idle.ended
+
+    assert forked(closes) == "(True, 0)"
     assert not pool.closed
     pool.close()
     assert (Idle.ended, pool.closed) == (2, True)

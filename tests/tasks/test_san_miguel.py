@@ -61,9 +61,9 @@ def test_fidelity_is_the_papers_by_default_and_can_be_set() -> None:
     assert (made.size, made.name, made.stochastic) == ((16, 16), "san_miguel", True)
 
 
-def test_two_hundred_random_candidates_show_something(task: SanMiguel) -> None:
-    images = SanMiguel(16).render(np.random.default_rng(0).random((200, 8)))
-    assert images.shape == (200, 16, 16, 3)
+def test_random_candidates_show_something(task: SanMiguel) -> None:
+    images = SanMiguel(16).render(np.random.default_rng(0).random((60, 8)))
+    assert images.shape == (60, 16, 16, 3)
     assert images.dtype == np.float32
     assert np.isfinite(images).all()
     assert images.min() >= 0
@@ -93,9 +93,9 @@ def test_the_loss_is_lowest_at_x_star(task: SanMiguel) -> None:
     assert x is not None
     rng = np.random.default_rng(2)
     found = loss(task.render(np.tile(x, (5, 1))), task.target)
-    near = np.clip(x + rng.normal(0, 0.03, (60, 8)), 0, 1)
+    near = np.clip(x + rng.normal(0, 0.03, (25, 8)), 0, 1)
     assert found.max() < loss(task.render(near), task.target).min()
-    assert found.max() < 0.2 * loss(task.render(rng.random((60, 8))), task.target).min()
+    assert found.max() < 0.2 * loss(task.render(rng.random((25, 8))), task.target).min()
 
 
 def test_small_steps_change_the_image_little_and_larger_ones_much() -> None:

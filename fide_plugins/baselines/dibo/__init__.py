@@ -34,13 +34,15 @@ from torch import Tensor
 
 from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.dibo.diffusion import Diffusion
-from fide_plugins.baselines.dibo.round import Round, Settings
+from fide_plugins.baselines.dibo.round import Round, RoundOptions
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.errors import OptionError
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64, whole_number
+from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.points import whole_number
 
-__all__ = ["DiBO", "Diffusion", "Round", "Settings"]
+__all__ = ["DiBO", "Diffusion", "Round", "RoundOptions"]
 
 
 class DiBO(Stateful):
@@ -57,11 +59,18 @@ class DiBO(Stateful):
     batch: examples, or chains, a training step.
     precision: "double" or "single".
 
-    The other options are those of `Baseline`; `sigma0` plays no part.  The defaults are those of
+    The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
     the FIDE paper, which took them from the authors' for problems of like size.
     """
 
     name: ClassVar[str] = "dibo"
+    own_schema: ClassVar[dict[str, Schema]] = {
+        "X": array("b", "d", low=0.0, high=1.0),
+        "losses": array("b"),
+        "waiting": maybe(array("k", "d", low=0.0, high=1.0)),
+        "generator": array("g", kind="u"),
+        "rng": GENERATOR,
+    }
 
     def __init__(
         self,
@@ -90,7 +99,7 @@ class DiBO(Stateful):
         self.initial = whole_number("initial", initial, 2)
         self.buffer = whole_number("buffer", buffer, 2)
         self.precision = precision
-        self.settings = Settings(
+        self.round_options = RoundOptions(
             proxy_epochs=whole_number("proxy_epochs", proxy_epochs, 1),
             prior_epochs=whole_number("prior_epochs", prior_epochs, 1),
             posterior_epochs=whole_number("posterior_epochs", posterior_epochs, 0),
@@ -112,7 +121,7 @@ class DiBO(Stateful):
     def _sample(self) -> Float64:
         if len(self._losses) < min(self.initial, self.buffer):
             X = self._rng.random((self.popsize, self.dim))
-            if self._asked == 0:
+            if self._population.drawn == 0:
                 X[0] = 0.5
             return X
         if self._waiting is None:
@@ -120,34 +129,35 @@ class DiBO(Stateful):
                 self._waiting = self._propose()
         return self._waiting
 
-    def _update(self, X: Float64, losses: Float64, seen: Float32 | None) -> None:
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         finite = np.isfinite(losses)
         self._X = np.concatenate([self._X, X[finite]])
         self._losses = np.concatenate([self._losses, losses[finite]])
         best = np.argsort(self._losses, kind="stable")[: self.buffer]
         self._X, self._losses = self._X[best], self._losses[best]
-        if self._waiting is not None:  # whoever asked for more has the same candidates again
-            self._forget_pending()
+        if self._waiting is not None:  # if more was asked, they are the same candidates
+            self._population.forget_pending()
         self._waiting = None
 
+    @user_threads
     def _propose(self) -> Float64:
         """One round: candidates (popsize, d) from the buffer."""
         dtype = torch.float64 if self.precision == "double" else torch.float32
         x, y = torch.as_tensor(self._X, dtype=dtype), torch.as_tensor(-self._losses, dtype=dtype)
         mean, std = x.mean(dim=0), x.std(dim=0) + 1e-7
         x, y = (x - mean) / std, (y - y.mean()) / (y.std() + 1e-7)
-        proposed: Tensor = Round(self.settings, x, y, self._generator).candidates(self.popsize)
+        proposed: Tensor = Round(self.round_options, x, y, self._generator).candidates(self.popsize)
         candidates: Float64 = (proposed * std + mean).clamp(0.0, 1.0).to(torch.float64).numpy()
         return candidates
 
     def _default_popsize(self) -> int:
         return 50
 
-    def _own_options(self) -> dict[str, Any]:
+    def _own_settings(self) -> dict[str, Any]:
         own = {"initial": self.initial, "buffer": self.buffer, "precision": self.precision}
-        return {**own, **self.settings.as_dict()}
+        return {**own, **self.round_options.as_dict()}
 
-    def _state(self) -> dict[str, Any]:
+    def _own_state(self) -> dict[str, Any]:
         return {
             "X": self._X,
             "losses": self._losses,
@@ -156,7 +166,7 @@ class DiBO(Stateful):
             "rng": self._rng.bit_generator.state,
         }
 
-    def _set_state(self, state: dict[str, Any]) -> None:
+    def _load_own_state(self, state: dict[str, Any]) -> None:
         self._X, self._losses, self._waiting = state["X"], state["losses"], state["waiting"]
         self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
         self._rng.bit_generator.state = state["rng"]

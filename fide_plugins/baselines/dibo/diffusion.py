@@ -142,8 +142,8 @@ class Diffusion:
         logs = self.sigma.log().flip(0)  # rising
         level = self.sigma.new_tensor(sigma).log().clamp(logs[0], logs[-1])
         above = int(torch.searchsorted(logs, level).clamp(1, self.steps - 1))
-        share = (level - logs[above - 1]) / (logs[above] - logs[above - 1])
-        return (self.steps - 1 - (above - 1 + share)) / self.steps
+        fraction = (level - logs[above - 1]) / (logs[above] - logs[above - 1])
+        return (self.steps - 1 - (above - 1 + fraction)) / self.steps
 
 
 def draw_normal(like: Tensor, generator: torch.Generator) -> Tensor:

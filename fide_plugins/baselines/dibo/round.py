@@ -16,7 +16,7 @@ from fide_plugins.baselines.dibo.diffusion import Diffusion, Predict, draw_norma
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.networks import make
 
-__all__ = ["Round", "Settings", "trajectory_balance"]
+__all__ = ["Round", "RoundOptions", "trajectory_balance"]
 
 JITTER = 1e-3  # noise on training points
 POOL_JITTER = 1e-2  # noise on points of the pool
@@ -24,7 +24,7 @@ RATE, POSTERIOR_RATE, SEARCH_RATE = 1e-3, 1e-4, 1e-2  # of Adam
 
 
 @dataclass(frozen=True)
-class Settings:
+class RoundOptions:
     """What `DiBO` documents."""
 
     proxy_epochs: int = 50
@@ -48,19 +48,19 @@ class Round:
     """Networks fitted to standardized points x (n, d) and values y (n,), the higher the better."""
 
     def __init__(
-        self, settings: Settings, x: Tensor, y: Tensor, generator: torch.Generator
+        self, options: RoundOptions, x: Tensor, y: Tensor, generator: torch.Generator
     ) -> None:
-        self.settings, self.x, self.y, self.generator = settings, x, y, generator
-        self.diffusion = Diffusion(settings.diffusion_steps, x.dtype, x.device)
+        self.options, self.x, self.y, self.generator = options, x, y, generator
+        self.diffusion = Diffusion(options.diffusion_steps, x.dtype, x.device)
 
     @cached_property
     def proxy(self) -> Ensemble:
         """The reward, (n, d) -> (n,)."""
-        s = self.settings
-        ensemble: Ensemble = self._make(lambda: Ensemble(self.x.shape[1], s.proxy_width, s.gamma))
+        o = self.options
+        ensemble: Ensemble = self._make(lambda: Ensemble(self.x.shape[1], o.proxy_width, o.gamma))
         for member in ensemble.members:
             adam = torch.optim.Adam(member.parameters(), lr=RATE)
-            for x, y in self._batches(s.proxy_epochs):
+            for x, y in self._batches(o.proxy_epochs):
                 _step(adam, F.mse_loss(member(x)[:, 0], y))
         ensemble.requires_grad_(False)
         return ensemble
@@ -69,10 +69,10 @@ class Round:
     def prior(self) -> NoisePredictor:
         """The diffusion model of the buffer."""
         network: NoisePredictor = self._make(
-            lambda: NoisePredictor(self.x.shape[1], self.settings.width)
+            lambda: NoisePredictor(self.x.shape[1], self.options.width)
         )
         adam = torch.optim.Adam(network.parameters(), lr=RATE)
-        for x, _ in self._batches(self.settings.prior_epochs):
+        for x, _ in self._batches(self.options.prior_epochs):
             _step(adam, self.diffusion.loss(network, x, self.generator))
         network.requires_grad_(False)
         return network
@@ -85,11 +85,11 @@ class Round:
         log_z = self.x.new_zeros(()).requires_grad_()
         adam = torch.optim.Adam([log_z, *copy.parameters()], lr=POSTERIOR_RATE)
         pool, rewards = self.x, self.proxy(self.x)
-        for _ in range(self.settings.posterior_epochs):
+        for _ in range(self.options.posterior_epochs):
             states = self._chains(predict, pool, rewards)
             reward = self.proxy(states[-1])
             ratio = self.diffusion.log_ratio(states, predict, self.prior)
-            _step(adam, trajectory_balance(log_z, ratio, reward, self.settings.alpha))
+            _step(adam, trajectory_balance(log_z, ratio, reward, self.options.alpha))
             pool, rewards = torch.cat([pool, states[-1]]), torch.cat([rewards, reward])
         copy.requires_grad_(False)
         return predict
@@ -97,9 +97,9 @@ class Round:
     def candidates(self, n: int) -> Tensor:
         """The best n (n, d) of all samples, by their score."""
         posterior, several = self.posterior, []
-        for _ in range(self.settings.proposals):
+        for _ in range(self.options.proposals):
             noise = draw_normal(
-                self.x.new_empty(n * self.settings.proposals, self.x.shape[1]), self.generator
+                self.x.new_empty(n * self.options.proposals, self.x.shape[1]), self.generator
             )
             several.append(
                 self._improved(self.diffusion.denoise(posterior, noise, self.generator)[-1])
@@ -112,19 +112,19 @@ class Round:
         """Points (n, d) after some steps of Adam uphill."""
         x = x.clone().requires_grad_()
         adam = torch.optim.Adam([x], lr=SEARCH_RATE)
-        for _ in range(self.settings.search_epochs):
+        for _ in range(self.options.search_epochs):
             _step(adam, -self._score(x).sum())
         return x.detach()
 
     def _score(self, x: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Reward + alpha log p_prior, (n,); the latter's divergence only with a generator."""
         likelihood = self.diffusion.log_likelihood(self.prior, x, generator)
-        score: Tensor = self.proxy(x) + self.settings.alpha * likelihood
+        score: Tensor = self.proxy(x) + self.options.alpha * likelihood
         return score
 
     def _chains(self, predict: Predict, pool: Tensor, rewards: Tensor) -> Tensor:
         """States (T + 1, batch, d): with equal chance its own, or noised points of the pool."""
-        batch = self.settings.batch
+        batch = self.options.batch
         own = int(torch.randint(2, (), generator=self.generator)) == 0
         if own:
             noise = draw_normal(self.x.new_empty(batch, self.x.shape[1]), self.generator)
@@ -140,7 +140,7 @@ class Round:
         weights = self.y.exp()
         for _ in range(epochs):
             order = weights.multinomial(len(self.y), True, generator=self.generator)
-            for chosen in torch.split(order, self.settings.batch):
+            for chosen in torch.split(order, self.options.batch):
                 x = self.x[chosen]
                 yield x + JITTER * draw_normal(x, self.generator), self.y[chosen]
 

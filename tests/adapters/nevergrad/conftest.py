@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import cloudpickle  # type: ignore[import-untyped]
+import cloudpickle
 import nevergrad as ng
 import numpy as np
 
 from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 SIZE = 16
 ANSWER = np.array([0.7, 0.35, 0.6, 0.9, 0.4, 0.2])

@@ -81,6 +81,7 @@ def test_point_19_settings() -> None:
     assert other != ParametrizedFIDE(popsize=9, target=TARGET * 0.5)
     assert set(other.config()) == {
         "target", "loss", "preset", "encoder", "popsize", "device", "seed", "options",
+        "mask", "weights",
     }  # fmt: skip
     optimizer = other(box(), budget=10)
     assert optimizer._configured_optimizer is other and optimizer.name == repr(other)
@@ -102,19 +103,20 @@ def test_point_19_bad_settings() -> None:
 
 
 def test_point_19_settings_reach_the_search() -> None:
-    options = {"memory": 2, "restarts": "none"}
+    options = {"buffer_generations": 2, "restarts": "none"}
     optimizer = fide(preset="fast", popsize=9, encoder="patch", options=options)
     told(optimizer, 1)
-    made = optimizer._engine.fide
-    assert (made.popsize, made.options.encoder, made.options.memory) == (9, "patch", 2)
-    assert (made.options.restarts, made.options.views) == ("none", (3,))
+    made = optimizer.fide
+    assert (made.popsize, made.options.encoder, made.options.restarts) == (9, "patch", "none")
+    proposal = made.options.proposal
+    assert (proposal.buffer_generations, proposal.channel_subsets) == (2, (3,))
 
 
 @pytest.mark.parametrize(("workers", "expected"), [(1, 9), (9, 9), (30, 30)])
 def test_a_generation_has_a_candidate_for_each_worker(workers: int, expected: int) -> None:
     optimizer = fide(workers=workers)
     optimizer.ask()
-    assert optimizer._engine.fide.popsize == expected  # 4 + 3 ln 6 = 9
+    assert optimizer.fide.popsize == expected  # 4 + 3 ln 6 = 9
 
 
 def test_the_target_may_be_set_until_the_search_begins() -> None:

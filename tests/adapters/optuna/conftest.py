@@ -10,12 +10,12 @@ import numpy as np
 import optuna
 import pytest
 from optuna.distributions import BaseDistribution, FloatDistribution
-from optuna.trial import BaseTrial
+from optuna.trial import BaseTrial, FrozenTrial
 
 from fide_adapters.optuna import FIDESampler
+from fide_adapters.optuna.study import StudyState
 from fide_plugins import FIDE
-from fide_plugins.images import Float32
-from fide_plugins.points import Float64
+from fide_plugins.types import Float32, Float64
 
 pytest.register_assert_rewrite("optuna.testing.pytest_samplers")
 
@@ -65,21 +65,36 @@ class Bench:
         return np.array([[t.params[name] for name in self.names] for t in trials])
 
 
+def with_attributes(bench: Bench, attributes: dict[str, Any], value: float = 0.5) -> FrozenTrial:
+    """A completed trial of the bench's space, with these attributes."""
+    return optuna.create_trial(
+        params=dict.fromkeys(bench.names, 0.5),
+        distributions=bench.space,
+        value=value,
+        system_attrs=attributes,
+    )
+
+
 def counts_of(study: optuna.Study) -> dict[str, int]:
-    sampler = study.sampler
-    assert isinstance(sampler, FIDESampler)
-    return sampler.counts(study)
+    return Bench.sampler_of(study).counts(study)
+
+
+def state_of(study: optuna.Study) -> StudyState:
+    """What the study's sampler knows; only tests look into it."""
+    state = Bench.sampler_of(study)._state
+    assert state is not None
+    return state
 
 
 def asked_by_core(bench: Bench, trials: int, **settings: Any) -> Float64:
-    """Candidates (n, 5) of the core, told one by one."""
+    """Candidates (n, 5) of the core, asked by generations as a replica hands them out."""
     core = FIDE(5, bench.target, **{"seed": 0, "popsize": 6, **settings})
     asked = []
     while core.evaluations < trials:
-        x = core.ask(1)
-        asked.append(x[0])
-        core.tell(x, bench.render(x[0])[None])
-    return np.array(asked)
+        X = core.ask()
+        asked.append(X)
+        core.tell(X, np.stack([bench.render(x) for x in X]))
+    return np.concatenate(asked)[:trials]
 
 
 @pytest.fixture

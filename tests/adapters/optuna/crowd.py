@@ -61,10 +61,10 @@ def belief(study: optuna.Study) -> dict[str, Any]:
     sampler = study.sampler
     assert isinstance(sampler, FIDESampler)
     counts = sampler.counts(study)
-    assert sampler._memory is not None
-    model = next(reversed(sampler._memory._models.values()))
-    candidate = model._replica.candidate(0).x.tolist()
-    return {"counts": counts, "at": model.at, "next": candidate, "pid": os.getpid()}
+    assert sampler._state is not None
+    optimizer = sampler._state.optimizer
+    candidate = optimizer.replica.candidate(0).x.tolist()
+    return {"counts": counts, "at": optimizer.at, "next": candidate, "pid": os.getpid()}
 
 
 def work(worker: int, where: str, trials: int, folder: Path, dies: int) -> None:

@@ -1,0 +1,331 @@
+"""FIDE as a Nevergrad optimizer, and its configuration.
+
+Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
+`_internal_tell_candidate` are `ask(1)` and `tell` of `fide_plugins.FIDE` in the coordinates of
+`parametrization.Cube`.  The rules:
+
+- A candidate that was asked is reported as the point that FIDE gave, whatever rounding, integers
+  and choices have made of its value.  A candidate that was not asked (a suggestion, one of another
+  member of a portfolio) is injected.  One whose generation is complete is late, see
+  `fide_plugins.population`.
+- The search uses the loss with Nevergrad's penalties; the proposer uses the image.  Losses that are
+  NaN or infinite, or 5e20, with which Nevergrad replaces them, rank last; nothing is learned from
+  their images.
+- A candidate that violates a cheap constraint is withdrawn.
+- An image is used while it is told; no reference to it is kept.
+- The recommendation is the best candidate told; if ``parametrization.function.deterministic`` is
+  False, it is the mean of the search distribution.
+- A dump during `minimize` holds the candidates that the executor evaluates, without their results.
+  They are asked first when the search continues.
+
+Nevergrad's optimizers are extended by overriding underscored methods; of other underscored names
+only `_callbacks`, `_num_ask`, `_running_jobs` and `_finished_jobs` are used, for `ask` and for
+dumps, and `_meta` of candidates, which Nevergrad's own optimizers use in the same way.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from nevergrad.common import errors
+from nevergrad.optimization import base
+
+from fide_adapters.image_loss import Result, read_result
+from fide_adapters.nevergrad.parametrization import Cube
+from fide_adapters.nevergrad.search import Evaluation, Search
+from fide_plugins.errors import ImageError
+from fide_plugins.options import make_options
+from fide_plugins.types import Float64
+from fide_plugins.validation.points import new_seed
+from fide_plugins.views import Views
+from fide_plugins.views.views import views_of
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["IMAGE", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
+
+IMAGE = "fide:image"
+"""Key of ``candidate._meta`` for an image that goes through a portfolio."""
+
+_ASKED = "fide:asked"  # key of the point that FIDE gave
+_FAILED = 5.0e20  # what Nevergrad makes of NaN and infinity
+
+
+class NoImagesWarning(errors.InefficientSettingsWarning):  # type: ignore[misc]  # no types there
+    """FIDE gets no images, so it is CMA-ES."""
+
+
+class TargetImage:
+    """A target as a setting: comparable, and with a short name.
+
+    image, mask, weights: anything that `fide_plugins.FIDE` takes.
+    views: what they are; its arrays are read-only.
+    """
+
+    def __init__(self, image: object, mask: object = None, weights: object = None) -> None:
+        self.views = Views.read(image, mask, weights)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TargetImage) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    def __repr__(self) -> str:
+        views = self.views
+        content = views.target.tobytes() + views.version.encode()
+        return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
+
+
+def _as_setting(target: object, mask: object, weights: object) -> TargetImage | None:
+    if isinstance(target, TargetImage) and mask is None and weights is None:
+        return target
+    views = views_of(target, mask, weights)
+    return None if views is None else TargetImage(views)
+
+
+class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
+    """FIDE for one parametrization; made by `ParametrizedFIDE`."""
+
+    def __init__(
+        self,
+        parametrization: Any,
+        budget: int | None = None,
+        num_workers: int = 1,
+        *,
+        config: ParametrizedFIDE,
+    ) -> None:
+        super().__init__(parametrization, budget=budget, num_workers=num_workers)
+        settings = config.config()
+        target = settings["target"]
+        views = None if target is None else target.views
+        self._search = Search(settings, views, self.num_workers)
+        self._cube: Cube | None = None  # made when the search begins
+        self._drawn: list[Any] = []  # candidates that Nevergrad has drawn in this call of ask
+        self._repeated: deque[Any] = deque()  # candidates of a dump, to ask again
+        self._evaluation: Evaluation | None = None  # of the candidate that is being told
+
+    @property
+    def target(self) -> Any:
+        """Image to find, float32 (H, W, 3) in [0, 1], read-only; None if there is none.
+
+        For several views it is a list.  Set it to any target that `fide_plugins.FIDE` takes, before
+        the first `ask` or `tell`; raises ImageError or ProtocolError otherwise.
+        """
+        views = self._search.target
+        return None if views is None else views.targets
+
+    @target.setter
+    def target(self, image: object) -> None:
+        self._search.target = None if image is None else Views.read(image)
+
+    @property
+    def fide(self) -> FIDE:
+        """The FIDE that searches, to inspect; ProtocolError before the first `ask` or `tell`."""
+        return self._search.fide
+
+    @property
+    def num_images(self) -> int:
+        """Number of candidates that were told with an image or features."""
+        return self._search.num_images
+
+    # -- ask ---------------------------------------------------------------------------------------
+
+    def ask(self) -> Any:
+        """Next candidate, as in Nevergrad."""
+        if self._repeated:
+            for callback in self._callbacks.get("ask", []):
+                callback(self)
+            self._num_ask += 1
+            return self._repeated.popleft()
+        asked = None
+        try:
+            asked = super().ask()
+        finally:
+            drawn, self._drawn = self._drawn, []
+            for candidate in drawn:
+                if candidate is not asked and _ASKED in candidate._meta:
+                    self.fide.withdraw([candidate._meta.pop(_ASKED)])
+        return asked
+
+    def _internal_ask_candidate(self) -> Any:
+        cube = self._start()
+        x = self.fide.ask(1)[0]
+        candidate = self.parametrization.spawn_child()
+        candidate.set_standardized_data(cube.from_cube(x), reference=self.parametrization)
+        candidate._meta[_ASKED] = x
+        self._drawn.append(candidate)
+        return candidate
+
+    def _start(self) -> Cube:
+        """Begin the search if it has not begun; returns its cube."""
+        if self._cube is None:
+            cube = Cube(self.parametrization)
+            self._search.start(cube, self._rng)  # fails if the encoder has no weights, for example
+            self._cube = cube
+            if self.target is None:
+                self._warn_of_no_images("has no target")
+        return self._cube
+
+    def _warn_of_no_images(self, why: str) -> None:
+        self._warn(
+            f"FIDE {why}, so it is CMA-ES; set optimizer.target and tell images, "
+            "tell(candidate, loss, image=...), or return ImageLoss(loss, image)",
+            NoImagesWarning,
+        )
+
+    # -- tell --------------------------------------------------------------------------------------
+
+    def tell(
+        self,
+        candidate: Any,
+        loss: Any,
+        constraint_violation: Any = None,
+        penalty_style: Any = None,
+        *,
+        image: object = None,
+        features: object = None,
+        version: str | None = None,
+    ) -> None:
+        """Report the result of a candidate.
+
+        Parameters
+        ----------
+        candidate, constraint_violation, penalty_style
+            as in Nevergrad.
+        loss
+            the lower the better; an `ImageLoss`; an image, whose loss is then computed; a pair
+            (loss, image) or (loss, None); or several losses, as in Nevergrad.
+        image
+            of the candidate: anything that `fide_plugins.FIDE` takes, or an `ImageRef`.  Through a
+            portfolio it comes as ``candidate._meta["fide:image"]``.
+        features
+            (T, C), in place of an image: its tokens, computed with the optimizer's encoder.
+        version
+            attribute `version` of the encoder that made the features, which must equal that of the
+            optimizer's encoder; None: it is not compared.
+
+        Raises
+        ------
+        ImageError, FeaturesError, LossError
+            all ValueErrors, before anything changes.
+        """
+        result = read_result(loss)
+        if image is not None or features is not None:
+            if result.image is not None or result.features is not None:
+                raise ImageError("a candidate's image is told once: in the loss or as an argument")
+            result = Result(result.loss, image, features, version)
+        self._start()
+        meta = getattr(candidate, "_meta", {})
+        if result.image is None and result.features is None:
+            result = result._replace(image=meta.get(IMAGE))
+        self._evaluation = self._search.check(result)
+        meta.pop(IMAGE, None)
+        try:
+            super().tell(candidate, self._evaluation.loss, constraint_violation, penalty_style)
+        finally:
+            self._evaluation = None
+
+    def _internal_tell_candidate(self, candidate: Any, loss: float) -> None:
+        cube = self._start()
+        self._take_image(candidate)
+        evaluation, self._evaluation = self._evaluation or Evaluation(loss), None
+        x = candidate._meta.pop(_ASKED, None)
+        if x is None:
+            x = cube.to_cube(candidate.get_standardized_data(reference=self.parametrization))
+        self._search.tell(x, loss if loss < _FAILED else np.inf, evaluation)
+        if self._search.lacks_images:
+            self._warn_of_no_images("gets no images")
+
+    def _take_image(self, candidate: Any) -> None:
+        """Use the image that a callback has attached since `tell` was called."""
+        image = candidate._meta.pop(IMAGE, None)
+        if image is not None and self._evaluation is not None and not self._evaluation.has_image:
+            self._evaluation = self._search.check(Result(self._evaluation.loss, image))
+
+    def _internal_provide_recommendation(self) -> Float64 | None:
+        if self.parametrization.function.deterministic or not self._search.started:
+            return None  # the best candidate told
+        return self._start().from_cube(self.fide.recommend())
+
+    # -- dump --------------------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        jobs = [*self._finished_jobs, *self._running_jobs]
+        for candidate, _ in jobs:
+            self._take_image(candidate)
+        return {
+            **self.__dict__,
+            "_num_ask": self._num_ask - len(jobs),
+            "_repeated": deque([*self._repeated, *(candidate for candidate, _ in jobs)]),
+            "_running_jobs": [],
+            "_finished_jobs": deque(),
+            "_drawn": [],
+            "_evaluation": None,
+        }
+
+
+class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Nevergrad has no types
+    """FIDE with settings; it uses images, and not only their losses.
+
+    Call it as any Nevergrad optimizer: ``(parametrization, budget=None, num_workers=1)``.
+
+    Parameters
+    ----------
+    target
+        image to find, or a list of views, anything that `fide_plugins.FIDE` takes; None: set
+        ``optimizer.target`` before the first `ask`, or search without images, which is CMA-ES.
+    mask, weights
+        which pixels of the target count, as in `fide_plugins.FIDE`.
+    loss
+        of images that are told without a loss: a name in `fide_plugins.losses`, or a callable from
+        images (n, H, W, 3) to (n,) numbers; None: "mse".
+    preset, encoder, popsize, device
+        as in `fide_plugins.FIDE`, but a generation has at least as many candidates as there are
+        workers.
+    seed
+        of the search; None: drawn from ``parametrization.random_state`` at the first `ask`.
+    options
+        any other fields of `fide_plugins.options.Options`, by name.
+
+    Raises
+    ------
+    ImageError, OptionError, UnknownNameError
+        all ValueErrors: the target or an option is not valid.
+    TypeError
+        for an unknown argument.
+    """
+
+    def __init__(
+        self,
+        *,
+        target: object = None,
+        mask: object = None,
+        weights: object = None,
+        loss: str | Callable[..., object] | None = None,
+        preset: str = "balanced",
+        encoder: str | None = None,
+        popsize: int | None = None,
+        device: str = "auto",
+        seed: int | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
+        make_options(preset, {"encoder": encoder, "popsize": popsize, **(options or {})})
+        settings = {
+            "target": _as_setting(target, mask, weights),
+            "mask": None,  # which the target has
+            "weights": None,
+            "loss": loss,
+            "preset": preset,
+            "encoder": encoder,
+            "popsize": popsize,
+            "device": device,
+            "seed": None if seed is None else new_seed(seed),
+            "options": None if options is None else dict(options),
+        }
+        super().__init__(Optimizer, settings, as_config=True)

@@ -1,0 +1,190 @@
+"""The FIDE inside a Nevergrad optimizer: made late, and dumped without images.
+
+Nevergrad makes many optimizers only to inspect them, lets users seed an optimizer after it was
+made, and dumps optimizers by pickling.  So FIDE is made, and PyTorch imported, with the first
+candidate; and a dump holds FIDE's state as arrays, without images, encoder and networks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from fide_adapters.image_loss import ImageReader, Result
+from fide_adapters.nevergrad.parametrization import Cube
+from fide_plugins.errors import ImageError, LossError, ProtocolError
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views import Views
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from fide_plugins.fide import FIDE
+
+__all__ = ["Evaluation", "Search"]
+
+_NO_TARGET = np.zeros((1, 1, 3), np.float32)  # no image is compared with it
+
+
+class Evaluation(NamedTuple):
+    """A checked result of a candidate.
+
+    loss: as it goes to Nevergrad, which checks it.
+    batch: image (1, H, W, 3).
+    features: tokens (1, T, C), in place of an image.
+    """
+
+    loss: Any
+    batch: Float32 | None = None
+    features: Tensor | None = None
+
+    @property
+    def has_image(self) -> bool:
+        """Whether there is an image, or features of one."""
+        return self.batch is not None or self.features is not None
+
+
+class Search:
+    """FIDE with the settings of a `ParametrizedFIDE`.
+
+    settings: its configuration.
+    target: targets and weights of the views, or None.
+    workers: number of candidates that are evaluated at the same time; a generation has no fewer.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], target: Views | None, workers: int) -> None:
+        self._settings, self._workers = settings, workers
+        self.num_images = 0
+        """Candidates told with an image or features."""
+        self._fide: FIDE | None = None
+        self._snapshot: dict[str, Any] | None = None  # of the FIDE to restore
+        self.target = target
+
+    @property
+    def target(self) -> Views | None:
+        """Targets and weights of the views."""
+        return self._target
+
+    @target.setter
+    def target(self, target: Views | None) -> None:
+        if self.started:
+            raise ProtocolError(
+                "the target cannot be changed after the search has begun; set it before the first "
+                "ask or tell, or make another optimizer and tell it the known results"
+            )
+        self._target = target
+        self._read = None if target is None else ImageReader(target)
+
+    @property
+    def started(self) -> bool:
+        """Whether the search has begun."""
+        return self._fide is not None or self._snapshot is not None
+
+    def start(self, cube: Cube, rng: np.random.RandomState) -> None:
+        """Make FIDE, with the seed of the settings or one from `rng`."""
+        from fide_plugins.fide import FIDE
+        from fide_plugins.options import make_options
+        from fide_plugins.search.cma_es import default_popsize
+
+        s = self._settings
+        options = {**(s["options"] or {}), "encoder": s["encoder"]}
+        size = make_options(s["preset"], {**options, "popsize": s["popsize"]}).popsize
+        if self.target is None:
+            options |= {"proposer": "none", "encoder": "dense"}
+        options = {"memory_mb": 0.0, **options}  # for the next target, which there never is
+        self._fide = FIDE(
+            cube.dim,
+            _NO_TARGET if self.target is None else self.target,
+            loss=None if self.target is None else s["loss"],
+            popsize=max(size or max(4, default_popsize(cube.dim)), self._workers),
+            x0=cube.mean,
+            sigma0=cube.std,
+            preset=s["preset"],
+            seed=int(rng.randint(2**63, dtype=np.int64)) if s["seed"] is None else s["seed"],
+            device=s["device"],
+            **options,
+        )
+
+    @property
+    def fide(self) -> FIDE:
+        """The FIDE of this search, which must have begun; made again after a dump was loaded."""
+        if self._fide is None:
+            if self._snapshot is None:
+                raise ProtocolError("the search begins with the first ask or tell")
+            from fide_plugins.fide import FIDE
+
+            known = self.target is not None
+            target = self.target if known else _NO_TARGET
+            settings = {**self._snapshot["settings"], "target": target, "weights": None}
+            snapshot = {**self._snapshot, "settings": settings}
+            loss = self._settings["loss"] if known else None
+            self._fide = FIDE.restore(snapshot, loss, self._settings["device"])
+            self._snapshot = None
+        return self._fide
+
+    # -- results -----------------------------------------------------------------------------------
+
+    def check(self, result: Result) -> Evaluation:
+        """Check a result before anything changes; the search must have begun.
+
+        Raises
+        ------
+        ImageError, FeaturesError, LossError
+            all ValueErrors: the image or the features are not valid, or a loss is missing.
+        """
+        if result.image is not None and result.features is not None:
+            raise ImageError("a candidate is told with its image or with features, not with both")
+        if self._read is None:
+            if result.loss is None:
+                raise LossError(
+                    "a loss of images needs a target: set optimizer.target before the first ask, "
+                    "or tell the loss with the image"
+                )
+            return Evaluation(result.loss)
+        if result.features is not None:
+            if result.loss is None:
+                raise LossError("features must be told with a loss")
+            return Evaluation(result.loss, features=self._check_features(result))
+        if result.image is None:
+            return Evaluation(result.loss)
+        batch, loss = self._read(result.image), result.loss
+        if loss is None:
+            loss = float(self.fide.evaluator.loss.compute(batch)[0])
+        return Evaluation(loss, batch)
+
+    def _check_features(self, result: Result) -> Tensor:
+        import torch
+
+        from fide_plugins.validation.features import as_features
+
+        fide, device = self.fide, torch.device("cpu")  # FIDE moves them to its own device
+        shape = (1, *fide.features_shape)
+        return as_features(
+            [result.features], shape, fide.encoder, version=result.version, device=device
+        )
+
+    def tell(self, x: Float64, loss: float, evaluation: Evaluation) -> None:
+        """Report point x (d,) with its loss, including penalties."""
+        self.fide.tell(x[None], evaluation.batch, [loss], features=evaluation.features)
+        self.num_images += evaluation.has_image
+
+    @property
+    def lacks_images(self) -> bool:
+        """Whether a whole generation of candidates was told without an image."""
+        return self.num_images == 0 and self.fide.evaluations >= self.fide.popsize
+
+    # -- dump --------------------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = {**self.__dict__, "_fide": None}
+        if self._fide is not None:
+            from fide_plugins.runtime.saving import as_arrays
+
+            snapshot = self._fide.snapshot()
+            del snapshot["settings"]["target"], snapshot["settings"]["weights"]  # which this has
+            if snapshot["state"]["best"] is not None:
+                snapshot["state"]["best"]["image"] = None
+            state["_snapshot"] = as_arrays(snapshot)
+        return state

@@ -1,1 +1,0 @@
-"""The parts of `fide_adapters.nevergrad`; that module is the door."""

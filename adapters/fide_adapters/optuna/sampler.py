@@ -1,0 +1,359 @@
+"""The sampler, its independent sampler, and objectives that return images."""
+
+from __future__ import annotations
+
+import threading
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler, RandomSampler
+from optuna.storages import BaseStorage
+from optuna.study import Study, StudyDirection
+from optuna.trial import FrozenTrial, Trial, TrialState
+from torch import Tensor
+
+from fide_adapters.image_loss import read_result
+from fide_adapters.optuna.artifacts import ImageArtifacts
+from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
+from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
+from fide_adapters.optuna.study import StudyState
+from fide_plugins.errors import OptionError, ProtocolError
+from fide_plugins.losses.base import as_losses
+from fide_plugins.validation.points import new_seed, whole_number
+from fide_plugins.views.views import views_of
+
+__all__ = ["FIDESampler", "NumberedSampler", "image_objective"]
+
+
+class NumberedSampler(RandomSampler):
+    """Uniform parameters from (seed, number of the trial, name of the parameter).
+
+    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
+    """
+
+    def __init__(self, seed: int | None = None) -> None:
+        super().__init__(seed)
+        self._entropy = np.random.SeedSequence(seed).entropy
+
+    def reseed_rng(self) -> None:
+        """Continue with a seed from the operating system."""
+        super().reseed_rng()
+        self._entropy = np.random.SeedSequence().entropy
+
+    def sample_independent(
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Uniform value, equal for equal trial number and name."""
+        key = (trial.number, zlib.crc32(param_name.encode()))
+        seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)
+        once = RandomSampler(int(seeds[0]))
+        return once.sample_independent(study, trial, param_name, param_distribution)
+
+
+class FIDESampler(BaseSampler):
+    """Find the parameters whose image is the target.
+
+    Parameters
+    ----------
+    target
+        image to find, or a list of views, as for `fide_plugins.FIDE`; None: there are no images,
+        and the search is CMA-ES.
+    mask, weights
+        which pixels count, as for `fide_plugins.FIDE`.
+    loss
+        of an image for which `tell_image` gets no loss: a name in `fide_plugins.losses`, or a
+        callable from images to (n,) numbers; None: "mse".
+    encoder, popsize, preset, sigma0, device, **options
+        as for `fide_plugins.FIDE`.
+    seed
+        the same seed gives the same study if one worker runs it.  Give all workers the same seed,
+        or none of them; then the storage keeps one for all.
+    search_space
+        distributions by name, if they are known before the first trial; None: the parameters that
+        the last ten trials had in common.
+    n_startup_trials
+        number of trials that the independent sampler draws first.
+    independent_sampler
+        of parameters that are not searched together, such as conditional ones; None: uniform.
+    consider_pruned_trials
+        whether a pruned trial counts, with its last intermediate value.
+    artifact_store
+        of `optuna.artifacts`: `tell_image` stores each image there, and trials without features
+        are evaluated from their images there.
+
+    Raises
+    ------
+    ImageError, OptionError, UnknownNameError, LossError
+        all ValueErrors: the target or an option is not valid.
+    """
+
+    def __init__(
+        self,
+        target: object = None,
+        *,
+        loss: str | Callable[..., object] | None = None,
+        encoder: str | None = None,
+        popsize: int | None = None,
+        preset: str = "balanced",
+        sigma0: float = 1 / 6,
+        seed: int | None = None,
+        device: str = "auto",
+        mask: object = None,
+        weights: object = None,
+        search_space: Mapping[str, BaseDistribution] | None = None,
+        n_startup_trials: int = 0,
+        independent_sampler: BaseSampler | None = None,
+        consider_pruned_trials: bool = False,
+        artifact_store: Any = None,
+        **options: Any,
+    ) -> None:
+        image = views_of(target, mask, weights)
+        given = {"encoder": encoder, "popsize": popsize, **options}
+        optimizer = OptimizerSettings(image, loss, preset, sigma0, device, given)
+        if image is None and (loss is not None or artifact_store is not None):
+            raise OptionError("a loss of images and an artifact store need a target: set target=")
+        warnings = WarnOnce()
+        self._settings = Settings(
+            optimizer,
+            None if seed is None else new_seed(seed),
+            None if image is None else ImageEvaluator(optimizer.make_evaluator),
+            None if artifact_store is None else ImageArtifacts(artifact_store, warnings),
+            consider_pruned_trials,
+            warnings,
+        )
+        self._search_space = check_space(search_space)
+        self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
+        self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
+        self._reseeded = False
+        self._state: StudyState | None = None
+        self._lock = threading.RLock()
+
+    # -- images ------------------------------------------------------------------------------------
+
+    def tell_image(self, trial: Any, image: object, loss: float | None = None) -> float:
+        """Record the image of a trial, and return its loss, for the objective to return.
+
+        trial: that of the objective.  Nothing is recorded for a `FrozenTrial` or `FixedTrial`, so
+            an objective can be called with the best trial.
+        image: of the target's size, anything that `fide_plugins.FIDE` takes, or an `ImageRef`; for
+            a list of targets a list of them.
+        loss: None: the sampler's own loss of the image, which must be minimized.
+
+        The image is encoded at once and not kept.  Raises `ImageError` or `LossError`, both
+        ValueErrors, or `ProtocolError` for a sampler without target, before anything is recorded.
+        """
+        images = self._images()
+        batch = images.read(image)
+        if loss is None and isinstance(trial, Trial) and _maximizes(trial.study):
+            raise ProtocolError(
+                "the sampler's own loss must be minimized, but the study maximizes; give a loss, "
+                "or create the study with direction='minimize'"
+            )
+        value = images.loss(batch) if loss is None else float(as_losses([loss], 1)[0])
+        if isinstance(trial, Trial):
+            self._record(trial.study, trial.storage, trial, images.tokens(batch))
+            if self._settings.artifacts is not None:
+                self._settings.artifacts.save(trial, images.evaluator.views.split(batch))
+        return value
+
+    def tell_features(
+        self, trial: Any, features: object, loss: float, *, version: str | None = None
+    ) -> float:
+        """Record the features of a trial's image, computed elsewhere, and return the loss.
+
+        features: (T, C) or (1, T, C), from `encoders.make(NAME)(images)`, where NAME is the
+            sampler's encoder and the images have the target's size.
+        version: attribute `version` of the encoder that made the features, which must equal that
+            of the sampler's encoder; None: it is not compared.
+
+        Raises `FeaturesError`, a ValueError; otherwise as `tell_image`.
+        """
+        tokens = self._images().check(features, version)
+        value = float(as_losses([loss], 1)[0])
+        if isinstance(trial, Trial):
+            self._record(trial.study, trial.storage, trial, tokens)
+        return value
+
+    def image_objective(self, function: Callable[[Trial], Any]) -> Callable[[Trial], float]:
+        """Make an objective from a function that returns an image; see `image_objective`."""
+        return image_objective(function, self)
+
+    def _images(self) -> ImageEvaluator:
+        if self._settings.images is None:
+            raise ProtocolError("images need a target: FIDESampler(target=...)")
+        return self._settings.images
+
+    def _record(
+        self, study: Study, storage: BaseStorage, trial: Trial | FrozenTrial, tokens: Tensor
+    ) -> None:
+        codec = self._images().codec
+        record = write_image(codec.digest, codec.pack(tokens))
+        write_attribute(storage, trial, IMAGE, record)
+        with self._lock:
+            self._state_of(study).keep(trial.number, tokens)
+
+    # -- what Optuna calls -------------------------------------------------------------------------
+
+    def infer_relative_search_space(
+        self, study: Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """Return the parameters that are searched together, by name."""
+        with self._lock:
+            relative = self._state_of(study).update(study, trial.number)
+            if relative.completed < self._n_startup_trials:
+                return {}
+            return dict(relative.current if self._search_space is None else self._search_space)
+
+    def sample_relative(
+        self, study: Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Return the next candidate, and record in the trial which one it is."""
+        self._raise_error_if_multi_objective(study)
+        if self._settings.images is None:
+            self._settings.warnings.log("target", "FIDESampler without a target is CMA-ES")
+        if not search_space:
+            return {}
+        with self._lock:
+            return self._state_of(study).ask(study, trial, search_space)
+
+    def sample_independent(
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Return a value of the independent sampler, or of the first candidate in trial 0."""
+        self._raise_error_if_multi_objective(study)
+        own = isinstance(self._independent_sampler, NumberedSampler) and not self._reseeded
+        if trial.number == 0 and own and not self._n_startup_trials:
+            with self._lock:
+                state = self._state_of(study)
+                return state.first(study, trial, param_name, param_distribution)
+        return self._independent_sampler.sample_independent(
+            study, trial, param_name, param_distribution
+        )
+
+    def before_trial(self, study: Study, trial: FrozenTrial) -> None:
+        """Notify the independent sampler."""
+        self._independent_sampler.before_trial(study, trial)
+
+    def after_trial(
+        self,
+        study: Study,
+        trial: FrozenTrial,
+        state: TrialState,
+        values: Sequence[float] | None,
+    ) -> None:
+        """Record the features of an image that the objective has put in the artifact store."""
+        self._independent_sampler.after_trial(study, trial, state, values)
+        self._check_parameters(trial, state)
+        with self._lock:
+            known = self._state_of(study)
+            if state is TrialState.FAIL:
+                known.features.pop(trial.number, None)
+                return
+            tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)
+            if tokens is not None:
+                self._record(study, storage_of(study), trial, tokens)
+
+    def _check_parameters(self, trial: FrozenTrial, state: TrialState) -> None:
+        """Warn of a trial that lacks a parameter of `search_space`."""
+        if self._search_space is None or state is not TrialState.COMPLETE:
+            return
+        missing = self._search_space.keys() - trial.params.keys()
+        if missing:
+            self._settings.warnings.warn(
+                "search_space",
+                f"trial {trial.number} has no {', '.join(sorted(missing))}, which search_space "
+                "names, so it is left out; name only parameters that every trial has",
+            )
+
+    def reseed_rng(self) -> None:
+        """Reseed the independent sampler; candidates differ between threads without that."""
+        self._reseeded = True
+        self._independent_sampler.reseed_rng()
+
+    # -- what was learned --------------------------------------------------------------------------
+
+    def counts(self, study: Study) -> dict[str, int]:
+        """How many finished trials of the study counted as what, for its latest search space.
+
+        - "member": a candidate of the generation that was current when the trial was processed.
+        - "late": a candidate of an earlier generation of the same search, or one asked when all
+          candidates of the generation were pending.
+        - "altered": a candidate of the current generation, but with other parameters, because some
+          were fixed by the user or another machine rounds differently.
+        - "injected": never asked for by FIDE (enqueued, added, drawn by another sampler), or asked
+          for in a search that is over.
+        - "image": how many of these had an image.
+        - "left out": failed, pruned, or of another search space.
+        - "waiting": completed, but not processed before an earlier trial finishes or is skipped.
+
+        A key may be absent if its count is zero.  See `fide_plugins.distributed.replica`.
+        """
+        with self._lock:
+            return self._state_of(study).counts(study, self._search_space)
+
+    def _state_of(self, study: Study) -> StudyState:
+        if self._state is None or not self._state.is_of(study):
+            self._state = StudyState(study, self._settings)
+        return self._state
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_lock"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.RLock()
+
+
+def image_objective(
+    function: Callable[[Trial], Any], sampler: FIDESampler | None = None
+) -> Callable[[Trial], float]:
+    """Make an objective from a function of a trial that returns an image.
+
+    function: may also return (loss, image), an `ImageLoss`, or a loss without image.
+    sampler: None: that of the study, also inside a `PartialFixedSampler`.
+
+    The objective raises ProtocolError if the study has no FIDESampler.
+
+        study.optimize(image_objective(render), n_trials=1000)
+    """
+
+    def objective(trial: Trial) -> float:
+        result = read_result(function(trial))
+        if result.image is None and result.features is None:
+            return result.loss  # type: ignore[no-any-return]  # Optuna checks it
+        teller = sampler or _sampler_of(trial)
+        if result.image is None:
+            return teller.tell_features(trial, result.features, result.loss, version=result.version)
+        return teller.tell_image(trial, result.image, result.loss)
+
+    return objective
+
+
+def _sampler_of(trial: Trial) -> FIDESampler:
+    sampler: Any = trial.study.sampler if isinstance(trial, Trial) else None
+    while sampler is not None and not isinstance(sampler, FIDESampler):
+        sampler = getattr(sampler, "_base_sampler", None)  # PartialFixedSampler has no other name
+    if sampler is None:
+        raise ProtocolError(
+            "image_objective found no FIDESampler in the trial's study; name it: "
+            "image_objective(function, sampler)"
+        )
+    return sampler
+
+
+def _maximizes(study: Study) -> bool:
+    return study.direction is StudyDirection.MAXIMIZE

@@ -1,0 +1,125 @@
+"""The settings of a sampler, and the optimizers that are made with them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from optuna.distributions import BaseDistribution, distribution_to_json
+from optuna.samplers import BaseSampler
+
+from fide_adapters.optuna.artifacts import ImageArtifacts
+from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.storage import WarnOnce
+from fide_plugins.errors import OptionError
+from fide_plugins.fide import FIDE
+from fide_plugins.options import make_options
+from fide_plugins.validation.evaluation import Evaluator
+from fide_plugins.validation.points import standard_deviation
+from fide_plugins.views import Views
+
+__all__ = ["OptimizerSettings", "Settings", "check_sampler", "check_space"]
+
+_NO_TARGET = np.zeros((16, 16, 3), np.float32)
+
+
+def check_space(space: object) -> dict[str, BaseDistribution] | None:
+    """Copy of a search space, or None; raises OptionError (a ValueError) for anything else."""
+    if space is None:
+        return None
+    named = isinstance(space, Mapping) and all(isinstance(name, str) for name in space)
+    if not named or not all(isinstance(d, BaseDistribution) for d in space.values()):  # type: ignore[attr-defined]
+        raise OptionError(
+            "search_space must have distributions by name, such as "
+            f"{{'x': FloatDistribution(0, 1)}}, not {space!r}"
+        )
+    return dict(space)  # type: ignore[call-overload,no-any-return]
+
+
+def check_sampler(sampler: object) -> BaseSampler | None:
+    """Return an Optuna sampler, or None; raises OptionError (a ValueError) for anything else."""
+    if sampler is None or isinstance(sampler, BaseSampler):
+        return sampler
+    raise OptionError(f"independent_sampler must be an Optuna sampler, not {sampler!r}")
+
+
+@dataclass(frozen=True)
+class OptimizerSettings:
+    """The settings of `FIDE` that do not depend on the search space.
+
+    target: targets and weights of the views; None: nothing is proposed, which leaves CMA-ES.
+    Others as for `FIDE`; they raise what `FIDE` raises.
+    """
+
+    target: Views | None
+    loss: str | Callable[..., object] | None
+    preset: str
+    sigma0: float
+    device: str
+    options: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        make_options(self.preset, self.options)
+        standard_deviation(self.sigma0)
+
+    def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
+        """Eight characters; optimizers with equal digests and seeds ask the same candidates."""
+        options = asdict(make_options(self.preset, self.options))
+        described = {name: distribution_to_json(space[name]) for name in space}
+        text = json.dumps([options, self.sigma0, self.target is None, described], sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
+
+    def make_evaluator(self) -> Evaluator:
+        """Encoder and loss for the target, which must be given."""
+        made = make_options(self.preset, self.options)
+        for_network = made.proposer == "diffusion"
+        return Evaluator(
+            self.target, self.loss, made.encoder, device=self.device, for_network=for_network
+        )
+
+    def make(self, dim: int, seed: int, images: ImageEvaluator | None = None) -> FIDE:
+        """Optimizer of at least one parameter, with the encoder and loss of `images` if given."""
+        # memory is for the next target, which there never is
+        options, loss = {"memory_mb": 0.0, **self.options}, self.loss
+        target: object = self.target
+        if target is None:
+            target = _NO_TARGET
+            options |= {"proposer": "none", "encoder": "dense"}
+        elif images is not None:
+            options["encoder"], loss = images.evaluator.encoder, images.evaluator.loss
+        return FIDE(
+            dim,
+            target,
+            loss=loss,
+            seed=seed,
+            sigma0=self.sigma0,
+            preset=self.preset,
+            device=self.device,
+            **options,
+        )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings of a sampler.
+
+    seed: None: that of the study.
+    images: None without a target.
+    artifacts: None without an artifact store.
+    consider_pruned: whether pruned trials count, with their last intermediate value.
+    """
+
+    optimizer: OptimizerSettings
+    seed: int | None
+    images: ImageEvaluator | None
+    artifacts: ImageArtifacts | None
+    consider_pruned: bool
+    warnings: WarnOnce = field(default_factory=WarnOnce)
+
+    def make_optimizer(self, dim: int, seed: int) -> FIDE:
+        """Optimizer of so many parameters; all share one encoder and one loss."""
+        return self.optimizer.make(dim, seed, self.images)

@@ -1,0 +1,229 @@
+"""What a sampler knows of one study.  It can be read again, except features in full precision."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from optuna.distributions import BaseDistribution
+from optuna.study import Study
+from optuna.trial import FrozenTrial, TrialState
+from torch import Tensor
+
+from fide_adapters.optuna import storage
+from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.search_space import RelativeSpace, Space
+from fide_adapters.optuna.settings import Settings
+from fide_adapters.optuna.storage import ASK, IMAGE, SEED, TrialReader, Trials
+from fide_adapters.optuna.study_optimizer import Evaluation, StoredFeaturesNeeded, StudyOptimizer
+from fide_adapters.optuna.trials import History, loss_of
+from fide_plugins.types import Float64
+
+__all__ = ["StudyState"]
+
+_MOST_OPTIMIZERS = 4
+_MOST_FEATURES = 1000  # trials; none waits as long as that while this sampler is in use
+_YOUNG = 64  # trials; beyond, all workers have read the same seed
+_FIRST_DIM = 64  # parameters that the first trial is expected to have at most
+
+
+class StudyState:
+    """The state of a sampler in one study."""
+
+    def __init__(self, study: Study, settings: Settings) -> None:
+        self.features: dict[int, Tensor] = {}
+        """Features (T, C), in full precision, of trials that are not processed, by number."""
+        self._settings = settings
+        self._storage: object = storage.storage_of(study)
+        self._study = storage.id_of(study)
+        self._reader = TrialReader()
+        self._trials: Trials = []
+        self._seed = settings.seed
+        self._history = History(settings.warnings)
+        self._relative = RelativeSpace(settings.warnings)
+        self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
+        self._first = np.empty(0)  # coordinates of the first candidate
+        self._distributions: dict[str, BaseDistribution] = {}  # the latest search space
+        self._space, self._digest = Space({}), ""
+
+    def is_of(self, study: Study) -> bool:
+        """Whether this is the study; for an unpickled sampler, whether it has the same name."""
+        if self._storage is None and self._study == storage.id_of(study):
+            self._storage = storage.storage_of(study)
+        same_storage = self._storage is storage.storage_of(study)
+        return same_storage and self._study[0] == storage.id_of(study)[0]
+
+    # -- before a trial ----------------------------------------------------------------------------
+
+    def update(self, study: Study, number: int = 0) -> RelativeSpace:
+        """Read what is new in the storage; returns the search space of trials before `number`."""
+        self._trials = self._reader.read(study)
+        news = self._history.update(self._trials)
+        for trial in news.finished:
+            self._relative.add(trial)
+        if not self._relative.completed:
+            before = (t for t in self._trials[:number] if t.state is TrialState.RUNNING)
+            self._relative.begin(next((t.distributions for t in before if t.params), {}))
+        for optimizer in self._optimizers.values():
+            if not optimizer.agrees(news):
+                optimizer.restart()
+        self._agree_on_seed(study)
+        return self._relative
+
+    def _agree_on_seed(self, study: Study) -> None:
+        """Without a seed of its own, a sampler uses the study's, and draws it if there is none."""
+        young = self._seed is None or len(self._trials) < _YOUNG
+        if self._settings.seed is not None or not young:
+            return
+        seed, valid = storage.read_seed(study)
+        if not valid:
+            self._settings.warnings.warn(
+                SEED,
+                f"the study's attribute {SEED!r} was not written by FIDESampler, and is replaced",
+            )
+        if seed is None:
+            seed = storage.write_seed(study)
+        if seed != self._seed:
+            self._seed = seed
+            self._optimizers.clear()
+            self._first = np.empty(0)
+
+    def first(
+        self, study: Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+    ) -> Any:
+        """Value of one parameter of the first trial, whose search space is not known yet.
+
+        It is that of the first candidate of the search, as far as parameters are suggested in the
+        order of `Space`; otherwise it belongs to another candidate of the same distribution.
+        """
+        self._agree_on_seed(study)
+        before, space = Space(trial.distributions).dim, Space({name: distribution})
+        return space.decode(self._first_candidate(before + space.dim)[before:])[name]
+
+    def _first_candidate(self, dim: int) -> Float64:
+        """Coordinates (dim,) of the first candidate, which start alike for any number of them."""
+        if len(self._first) < dim:
+            make = self._settings.make_optimizer
+            self._first = make(max(_FIRST_DIM, 2 * dim), self._seed or 0).ask(1)[0]
+        return self._first[:dim]
+
+    def ask(
+        self, study: Study, trial: FrozenTrial, distributions: Mapping[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Parameters of a trial; writes into the trial which candidate they are."""
+        self._search(distributions)
+        if self._space.dim == 0:
+            return self._space.decode(np.empty(0))
+        if trial.number >= len(self._trials):
+            self.update(study)
+        optimizer = self._optimizer()
+        evaluation = partial(self._evaluation, study)
+        optimizer.process(self._trials, evaluation)
+        skipped = optimizer.skip_overdue(self._trials, trial.number, evaluation)
+        self._release_features(optimizer)
+        late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
+        ask, params = optimizer.ask(self._trials, trial.number, skipped, late)
+        storage.write_attribute(storage.storage_of(study), trial, ASK, ask.to_json())
+        return params
+
+    def _search(self, distributions: Mapping[str, BaseDistribution]) -> None:
+        """Make these the current search space."""
+        if distributions != self._distributions:
+            self._distributions, self._space = dict(distributions), Space(distributions)
+            self._digest = self._settings.optimizer.digest_of(self._space.distributions)
+
+    def _optimizer(self) -> StudyOptimizer:
+        """Optimizer of the current search space; of those used least recently some are dropped."""
+        digest = self._digest
+        optimizer = self._optimizers.get(digest)
+        if optimizer is None:
+            make = partial(self._settings.make_optimizer, self._space.dim, self._seed or 0)
+            optimizer = StudyOptimizer(self._space, make, self._history, digest)
+            self._optimizers[digest] = optimizer
+        self._optimizers.move_to_end(digest)
+        while len(self._optimizers) > _MOST_OPTIMIZERS:
+            self._optimizers.popitem(last=False)
+        return optimizer
+
+    # -- results -----------------------------------------------------------------------------------
+
+    def _evaluation(self, study: Study, trial: FrozenTrial, only_stored: bool) -> Evaluation | None:
+        """Loss and features of a finished trial; None if it does not count.
+
+        only_stored: whether to use features only as they are stored.
+        Raises StoredFeaturesNeeded if the features are known only as they are stored.
+        """
+        settings = self._settings
+        loss = loss_of(study, trial, settings.consider_pruned, settings.warnings)
+        if loss is None:
+            return None
+        if settings.images is None:
+            return loss, None
+        if not only_stored and trial.number in self.features:
+            return loss, self.features[trial.number]
+        record = trial.system_attrs.get(IMAGE)
+        if record is None:
+            return loss, self.from_artifact(study, trial)
+        stored = self._stored(trial.number, record, settings.images)
+        if stored is not None and not only_stored:
+            raise StoredFeaturesNeeded
+        return loss, stored
+
+    def _stored(self, number: int, record: Any, images: ImageEvaluator) -> Tensor | None:
+        code = storage.read_image(record, images.codec.digest)
+        tokens = None if code is None else images.codec.unpack(code)
+        if tokens is None:
+            self._settings.warnings.warn(
+                IMAGE,
+                f"the attribute {IMAGE!r} of trial {number} does not belong to this target and "
+                "encoder, so the trial counts without its image",
+            )
+        return tokens
+
+    def from_artifact(self, study: Study, trial: FrozenTrial) -> Tensor | None:
+        """Features of the trial's image in the artifact store, if there is one."""
+        images, artifacts = self._settings.images, self._settings.artifacts
+        if images is None or artifacts is None:
+            return None
+        image = artifacts.load(trial, storage.storage_of(study), images.evaluator.views)
+        return None if image is None else images.tokens(image)
+
+    def keep(self, number: int, tokens: Tensor) -> None:
+        """Keep the features (T, C) of a trial in full precision until it is processed."""
+        self.features[number] = tokens
+        if len(self.features) > _MOST_FEATURES:
+            del self.features[min(self.features)]
+
+    def _release_features(self, optimizer: StudyOptimizer) -> None:
+        for number in [n for n in self.features if optimizer.is_processed(n)]:
+            del self.features[number]
+
+    def counts(
+        self, study: Study, distributions: Mapping[str, BaseDistribution] | None
+    ) -> dict[str, int]:
+        """How many trials counted as what, in the latest search space.
+
+        distributions: the search space, if none was asked for yet; None: the relative one.
+        """
+        relative = self.update(study)
+        if not self._distributions:
+            self._search(relative.current if distributions is None else distributions)
+        if self._space.dim == 0:
+            return {}
+        optimizer = self._optimizer()
+        optimizer.process(self._trials, partial(self._evaluation, study))
+        self._release_features(optimizer)
+        done = (t.number for t in self._trials if t.state is TrialState.COMPLETE)
+        waiting = sum(not optimizer.is_processed(number) for number in done)
+        return {**optimizer.counts, **({"waiting": waiting} if waiting else {})}
+
+    @property
+    def optimizer(self) -> StudyOptimizer:
+        """Optimizer of the search space that was used last."""
+        return next(reversed(self._optimizers.values()))
+
+    def __getstate__(self) -> Mapping[str, Any]:
+        return {**self.__dict__, "_storage": None, "_trials": []}

@@ -1,1 +1,0 @@
-"""The parts of `fide_adapters.optuna`; that module is the door."""

@@ -1,0 +1,180 @@
+"""`fit` with several workers: what it costs, how busy they are, what it finds.
+
+    python benchmarks/fit_workers.py loss --seeds 0-39 --out runs/fit_workers.jsonl
+    python benchmarks/fit_workers.py table --out runs/fit_workers.jsonl
+    python benchmarks/fit_workers.py busy
+    python benchmarks/fit_workers.py cost
+
+loss: Voronoi, 8 cells (40 parameters), 64 px, 1,000 renders by one worker and by eight.  Eight
+workers are simulated: each render takes 100 ms of a clock of their own, give or take a tenth, so
+results arrive in an order as of real workers, without waiting.  Every run is one line of the output
+file; a second call does what is missing.
+busy: eight worker processes and a renderer of 100 ms.
+cost: milliseconds of CPU time of a candidate, by hand and by `fit`, the least of several
+repetitions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from quality import append, rows_of
+
+import fide_tasks
+from fide_plugins import FIDE, fit
+
+BUDGET, WORKERS, SECONDS = 1000, 8, 0.1
+MARKS = (250, 500, 1000)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=["loss", "table", "busy", "cost"])
+    parser.add_argument("--seeds", default="0-9")
+    parser.add_argument("--out", type=Path, default=Path("runs/fit_workers.jsonl"))
+    arguments = parser.parse_args()
+    if arguments.what == "loss":
+        first, last = map(int, arguments.seeds.split("-"))
+        measure_losses(range(first, last + 1), arguments.out)
+    if arguments.what == "busy":
+        busy()
+    elif arguments.what == "cost":
+        cost()
+    else:
+        print(table(rows_of(arguments.out)))
+
+
+# -- loss ------------------------------------------------------------------------------------------
+
+
+class SimulatedWorkers(Executor):
+    """Renders at once, and hands out a result when all workers are taken: the one due first."""
+
+    def __init__(self, number: int, seed: int) -> None:
+        self._number, self._rng = number, np.random.default_rng(seed)
+        self._now, self._count = 0.0, 0
+        self._running: list[tuple[float, int, Future[Any], Any]] = []
+        self._full = threading.Condition()
+        threading.Thread(target=self._hand_out, daemon=True).start()
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        result = function(*args, **kwargs)
+        with self._full:
+            due = self._now + SECONDS * self._rng.uniform(0.9, 1.1)
+            heapq.heappush(self._running, (due, self._count, future, result))
+            self._count += 1
+            self._full.notify()
+        return future
+
+    def _hand_out(self) -> None:
+        while True:
+            with self._full:
+                full = self._full.wait_for(lambda: len(self._running) >= self._number, timeout=0.5)
+                if not self._running:
+                    continue
+                due, _, future, result = heapq.heappop(self._running)
+                self._now = due if full else self._now
+            future.set_result(result)
+
+
+def measure_losses(seeds: range, out: Path) -> None:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    done = {(row["seed"], row["workers"]) for row in rows_of(out)}
+    for seed in seeds:
+        for workers in (1, WORKERS):
+            if (seed, workers) not in done:
+                append(out, losses(seed, workers))
+
+
+def losses(seed: int, workers: int) -> dict[str, Any]:
+    """Best losses of one run; target and optimizer have the same seed."""
+    task = fide_tasks.make("voronoi", size=64, seed=seed)
+    several = {"workers": workers, "executor": SimulatedWorkers(workers, seed)}
+    where: dict[str, Any] = {"workers": 0} if workers == 1 else several
+
+    def render(x: Any) -> Any:
+        return task.render(x[None])[0]
+
+    result = fit(render, task.target, task.dim, BUDGET, seed=seed, progress=False, **where)
+    found = {str(mark): float(result.curve[mark - 1, 1]) for mark in MARKS}
+    return {"seed": seed, "workers": workers, "losses": found}
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    by = {(row["seed"], row["workers"]): row["losses"] for row in rows}
+    seeds = sorted({s for s, w in by if w == 1} & {s for s, w in by if w == WORKERS})
+    lines = [f"{len(seeds)} seeds", "| renders | one worker | eight | ratio | 95 % of it |"]
+    for mark in map(str, MARKS):
+        one, eight = (np.log([by[s, w][mark] for s in seeds]) for w in (1, WORKERS))
+        ratios = eight - one
+        spread = 1.96 * ratios.std(ddof=1) / len(seeds) ** 0.5
+        numbers = one.mean(), eight.mean(), ratios.mean(), ratios.mean() - spread
+        cells = [f"{np.exp(number):.3g}" for number in (*numbers, ratios.mean() + spread)]
+        lines.append(f"| {mark} | {' | '.join(cells[:3])} | {cells[3]} to {cells[4]} |")
+    return "\n".join(lines)
+
+
+# -- time ------------------------------------------------------------------------------------------
+
+
+def busy() -> None:
+    """Print the fraction of the time that workers render, without and with their start."""
+    target = np.full((64, 64, 3), 0.5)
+
+    def render(x: Any) -> Any:
+        import time
+
+        import numpy as np
+
+        start = time.perf_counter()
+        image = np.full((64, 64, 3), x.mean())
+        time.sleep(0.1 - (time.perf_counter() - start))
+        return image
+
+    times: list[float] = []
+    result = fit(
+        render, target, 40, BUDGET, workers=WORKERS, seed=0, progress=False,
+        callbacks=lambda event: times.append(time.perf_counter()),
+    )  # fmt: skip
+    rate = (len(times) - 100) / (times[-1] - times[99])
+    print(f"busy {rate * SECONDS / WORKERS:.1%} after the first 100 renders, all {result.busy:.1%}")
+
+
+def cost() -> None:
+    """Print CPU milliseconds a candidate."""
+    task = fide_tasks.make("voronoi", size=64, seed=0)
+    image, number = task.render(np.full((1, task.dim), 0.5))[0], 400
+
+    def by_hand(seed: int) -> None:
+        opt = FIDE(task.dim, task.target, seed=seed)
+        for _ in range(number):
+            x = opt.ask(1)
+            opt.tell(x, [image])
+
+    def by_fit(seed: int) -> None:
+        fit(lambda x: image, task.target, task.dim, number, workers=0, seed=seed, progress=False)
+
+    least = {by_hand: np.inf, by_fit: np.inf}
+    for _ in range(8):
+        for function in least:
+            start = time.process_time()
+            function(0)
+            least[function] = min(least[function], time.process_time() - start)
+    hand, whole = (1e3 * seconds / number for seconds in least.values())
+    print(f"by hand {hand:.3f} ms, fit {whole:.3f} ms, difference {whole - hand:.3f} ms")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""The forward model compared with the inverse one: loss against renders, asked in different ways.
+
+    python benchmarks/forward.py blobs lamps spline --arms both/all both/8 both/1 dfols/1
+    python benchmarks/forward.py --table
+
+A cell is a task, a target, an arm and a seed, and a line of benchmarks/results/forward.jsonl,
+appended when it is done; a second call does what is missing.  An arm is a proposer and a way to
+ask: whole generations (all), 8 at a time, or one by one; "more" proposes more from the beginning.
+A run ends at an MSE of 1e-11; marks beyond its end repeat the last value.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from forward_scenes import SCENES, SmoothScene
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_plugins import optimizers
+
+MARKS = (100, 200, 300, 500, 1000, 2000)
+GOALS = (1e-4, 1e-6)
+RESULTS = Path(__file__).parent / "results" / "forward.jsonl"
+MORE = {"share": 0.5, "share_rate": 0.3}
+PROPOSERS: dict[str, dict[str, Any]] = {
+    "inverse": {"proposer": "linear"},
+    "forward": {"proposer": "forward"},
+    "both": {"proposer": "both"},
+    "inverse-more": {"proposer": "linear", **MORE},
+    "both-more": {"proposer": "both", **MORE},
+}
+TASKS: dict[str, tuple[range, dict[str, Any]]] = {
+    "spline": (range(60, 63), {"target": "random"}),
+    "voronoi": (range(40, 43), {}),
+    "robot": (range(500, 505), {}),
+}
+
+Cell: TypeAlias = dict[str, Any]
+Floats: TypeAlias = NDArray[np.float64]
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    arguments = parse_arguments()
+    if not arguments.table:
+        run_missing(list(grid(arguments)), arguments)
+    print(table(read(arguments.out), arguments))
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("tasks", nargs="*", default=[*SCENES, "spline", "voronoi", "robot"])
+    add("--arms", nargs="+", default=["inverse/all", "forward/all", "both/all", "both/1"])
+    add("--targets", type=int, default=3)
+    add("--seeds", type=int, default=1)
+    add("--budget", type=int, default=2000)
+    add("--set", nargs="*", default=[], metavar="KEY=VALUE", help="options of FIDE")
+    add("--label", default="", help="added to the names of the arms")
+    add("--out", type=Path, default=RESULTS)
+    add("--table", action="store_true")
+    return parser.parse_args()
+
+
+def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+    """All cells, targets outermost."""
+    for number in range(arguments.targets):
+        for seed in range(arguments.seeds):
+            for task in arguments.tasks:
+                for arm in arguments.arms:
+                    known = TASKS[task][0] if task in TASKS else range(100)
+                    if number < len(known):
+                        name = arm + arguments.label
+                        yield {"task": task, "target": known[number], "arm": name, "seed": seed}
+
+
+def run_missing(cells: list[Cell], arguments: argparse.Namespace) -> None:
+    """Run what the file does not have."""
+    done = [
+        {key: row[key] for key in ("task", "target", "arm", "seed")} for row in read(arguments.out)
+    ]
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    for cell in cells:
+        if cell not in done:
+            row = run(cell, arguments.budget, arguments)
+            with arguments.out.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+
+
+def run(cell: Cell, budget: int, arguments: argparse.Namespace) -> Cell:
+    """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
+    task = make_task(cell["task"], cell["target"])
+    name, _, asked = cell["arm"].removesuffix(arguments.label).partition("/")
+    settings = dict(pair.split("=", 1) for pair in arguments.set)
+    options = {key: json.loads(value) for key, value in settings.items()}
+    if name in PROPOSERS:
+        options = {**PROPOSERS[name], **options}
+        optimizer = optimizers.make("fide", task.dim, task.target, seed=cell["seed"], **options)
+    else:
+        optimizer = optimizers.make(name, task.dim, task.target, seed=cell["seed"])
+    n = None if asked == "all" else int(asked)
+    start, rendering, losses = time.process_time(), 0.0, np.empty(0)
+    while len(losses) < budget and not (len(losses) and losses.min() < 1e-11):
+        X = optimizer.ask() if n is None else optimizer.ask(n)
+        before = time.process_time()
+        images = task.render(X)
+        mse = np.square(images.astype(np.float64) - task.target).mean(axis=(1, 2, 3))
+        rendering += time.process_time() - before
+        optimizer.tell(X, images, mse)
+        losses = np.concatenate([losses, mse])
+    best = np.minimum.accumulate(losses)
+    reached = [int(np.argmax(best <= goal)) + 1 if best[-1] <= goal else None for goal in GOALS]
+    ms = 1000 * (time.process_time() - start - rendering) / len(losses)
+    marks = [float(best[min(mark, len(best)) - 1]) for mark in MARKS]
+    return {**cell, "losses": marks, "reached": reached, "ms": round(ms, 3)}
+
+
+def make_task(name: str, target: int) -> Any:
+    """A scene of this benchmark, or a task at 112 px."""
+    if name in SCENES:
+        return SmoothScene(name, target)
+    return fide_tasks.make(name, size=112, seed=target, **TASKS[name][1])
+
+
+def read(path: Path) -> list[Cell]:
+    """Rows of the file."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def table(rows: list[Cell], arguments: argparse.Namespace) -> str:
+    """Geometric means at the marks; median renders until the goals, and how many got there."""
+    head = "| task | arm | n | " + " | ".join(map(str, MARKS)) + " | until 1e-4 | until 1e-6 | ms |"
+    lines = [head, "|" + "---|" * (head.count("|") - 1)]
+    for task in arguments.tasks:
+        arms = list(dict.fromkeys(row["arm"] for row in rows if row["task"] == task))
+        for arm in arms:
+            several = [row for row in rows if (row["task"], row["arm"]) == (task, arm)]
+            means = np.exp(
+                np.log(np.maximum([row["losses"] for row in several], 1e-12)).mean(axis=0)
+            )
+            cells = [f"{mean:.1e}" for mean in means]
+            cells += [_reached([row["reached"][i] for row in several]) for i in range(len(GOALS))]
+            ms = float(np.mean([row["ms"] for row in several]))
+            lines.append(f"| {task} | {arm} | {len(several)} | {' | '.join(cells)} | {ms:.2f} |")
+    return "\n".join(lines)
+
+
+def _reached(renders: list[int | None]) -> str:
+    there = [r for r in renders if r is not None]
+    return f"{np.median(there):.0f} ({len(there)}/{len(renders)})" if there else "-"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,233 @@
+"""Renders until a scene is solved: how well the moves find the global optimum.
+
+    python benchmarks/moves.py voronoi8 robot --targets 40-49 --seeds 0-1 --out runs/moves.jsonl
+    python benchmarks/moves.py --table runs/moves.jsonl
+
+Every run (scene, target, seed, configuration) is one line of the output file, appended when it is
+done; a second call does what is missing. A run ends when its scene is solved or its budget spent.
+A configuration is an optimizer with options, `--configuration NAME OPTIMIZER key=value ...`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_plugins import optimizers
+
+MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)
+
+Row = dict[str, Any]
+Render = Callable[[NDArray[np.float64]], NDArray[np.float32]]
+
+
+class Scene(NamedTuple):
+    """A task with its options, the loss at which it is solved, and the renders it may take.
+
+    size: pixels of a side.
+    """
+
+    task: str
+    options: dict[str, Any]
+    solved: float
+    budget: int
+    size: int = 112
+
+
+SCENES = {
+    "voronoi8": Scene("voronoi", {}, 1e-3, 4000),
+    "voronoi16": Scene("voronoi", {"cells": 16}, 1e-3, 10_000),
+    "voronoi32": Scene("voronoi", {"cells": 32}, 1e-3, 50_000),
+    "robot": Scene("robot", {}, 2e-5, 5000),
+    "spline": Scene("spline", {"target": "random"}, 1e-3, 5000),
+    "sheets": Scene("sheets", {}, 1e-4, 4000),
+    "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
+    "sprites": Scene("sprites", {}, 1e-3, 5000, 64),
+    "stick_figure": Scene("stick_figure", {}, 1e-5, 5000, 64),
+    "arm": Scene("arm", {}, 1e-6, 5000, 64),
+    "lens": Scene("lens", {}, 1e-5, 5000, 64),
+    "ball": Scene("ball", {}, 1e-6, 2000, 64),
+}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    arguments = parse_arguments()
+    if arguments.table:
+        print(table(read(arguments.table)))
+        return
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    done = {key(row) for row in read(arguments.out)}
+    for planned_run in planned_runs(arguments):
+        if key(planned_run) in done:
+            continue
+        row = run(planned_run, arguments.optimizer, arguments.options)
+        with arguments.out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{key(row)}: {row['solved_at']} {row['best']:.2g}", file=sys.stderr, flush=True)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=", ".join(SCENES))
+    parser.add_argument("--targets", type=span, default=range(40, 50), metavar="A-B")
+    parser.add_argument("--seeds", type=span, default=range(1), metavar="A-B")
+    parser.add_argument(
+        "--configuration",
+        nargs="+",
+        default=["balanced", "fide"],
+        metavar="NAME",
+        help="a name for the table, the optimizer, and its options as key=value",
+    )
+    parser.add_argument("--budget", type=int, default=None)
+    parser.add_argument("--out", type=Path, default=Path("runs/moves.jsonl"))
+    parser.add_argument("--table", type=Path)
+    arguments = parser.parse_args()
+    unknown = set(arguments.scenes) - set(SCENES)
+    if unknown:
+        parser.error(f"a scene is one of {', '.join(SCENES)}, not {', '.join(sorted(unknown))}")
+    arguments.configuration, *rest = arguments.configuration
+    arguments.optimizer, *pairs = rest or ["fide"]
+    arguments.options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
+    return arguments
+
+
+def span(text: str) -> range:
+    """A range such as 40-49, or one number."""
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def literal(text: str) -> Any:
+    """A Python literal, or the text itself."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    for seed in arguments.seeds:
+        for scene in arguments.scenes:
+            for target in arguments.targets:
+                yield {
+                    "scene": scene,
+                    "target": target,
+                    "seed": seed,
+                    "configuration": arguments.configuration,
+                    "size": SCENES[scene].size,
+                    "budget": arguments.budget or SCENES[scene].budget,
+                }
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return tuple(
+        row[name] for name in ("scene", "target", "seed", "configuration", "size", "budget")
+    )
+
+
+def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
+    """One run: when it was solved, and its best loss at every mark."""
+    scene = SCENES[planned_run["scene"]]
+    dim, target, render = make(scene, planned_run["size"], planned_run["target"])
+    opt = optimizers.make(optimizer, dim, target, seed=planned_run["seed"], **options)
+    best, solved_at = np.inf, None
+    marks: dict[str, float] = {}
+    while opt.evaluations < planned_run["budget"] and solved_at is None:
+        X = opt.ask()
+        images = render(X)
+        losses = np.square(images - target, dtype=np.float64).mean(axis=(1, 2, 3))
+        for i, loss in enumerate(losses.tolist(), opt.evaluations + 1):
+            best = min(best, loss)
+            marks |= {str(i): best} if i in MARKS else {}
+            solved_at = i if solved_at is None and best <= scene.solved else solved_at
+        opt.tell(X, images, losses)
+    times = {name: round(1e3 * s / opt.evaluations, 3) for name, s in opt.times.items()}
+    return {
+        **planned_run,
+        "solved_at": solved_at,
+        "best": best,
+        "marks": marks,
+        "overhead_ms": times,
+    }
+
+
+def make(scene: Scene, size: int, seed: int) -> tuple[int, NDArray[np.float32], Render]:
+    """Number of parameters, target and renderer of a scene."""
+    if scene.task == "sheets":
+        return sheets(size, seed)
+    task = fide_tasks.make(scene.task, size, seed, **scene.options)
+    return task.dim, task.target, task.render
+
+
+def sheets(size: int, seed: int) -> tuple[int, NDArray[np.float32], Render]:
+    """Three large ellipses, painted over each other in the order of their parameters.
+
+    Nine parameters each: x, y, two axes, angle, color and opacity. Nothing is redundant.
+    """
+    rng = np.random.default_rng((seed, 3))
+
+    def render(X: NDArray[np.float64]) -> NDArray[np.float32]:
+        return np.stack([_sheet(x.reshape(3, 9), size) for x in X])
+
+    x_star = rng.uniform(0.15, 0.85, 27)
+    return 27, render(x_star[None])[0], render
+
+
+def _sheet(things: NDArray[np.float64], size: int) -> NDArray[np.float32]:
+    frame = np.full((size, size, 3), 0.9, np.float32)
+    for x, y, a, b, angle, *color, opacity in things.tolist():
+        mask = np.zeros((size, size), np.uint8)
+        center = (round(x * size * 16), round(y * size * 16))
+        axes = (round((0.15 + 0.35 * a) * size * 16), round((0.15 + 0.35 * b) * size * 16))
+        points = cv2.ellipse2Poly((0, 0), axes, 0, 0, 360, 6).astype(np.float64)
+        turn = np.pi * angle
+        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        outline = np.rint(points @ rotation + center).astype(np.int32)
+        cv2.fillPoly(mask, [outline], 255, cv2.LINE_AA, 4)
+        alpha = (mask / np.float32(255) * np.float32(0.5 + 0.5 * opacity))[:, :, None]
+        frame += alpha * (np.array(color, np.float32) - frame)
+    return frame
+
+
+def read(path: Path) -> list[Row]:
+    """Rows of a file; none if there is no such file."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def table(rows: list[Row]) -> str:
+    """Share solved by each mark, and the median of renders, in Markdown."""
+    lines = [
+        "| scene | configuration | runs | solved by " + " / ".join(map(str, MARKS)) + " | median |"
+    ]
+    lines.append("|---|---|---:|---|---:|")
+    names = ("scene", "configuration")
+    for kind in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
+        group = [row for row in rows if tuple(row[name] for name in names) == kind]
+        at = np.array([row["solved_at"] or np.inf for row in group])
+        most = max(row["budget"] for row in group)
+        counts = [str(int((at <= mark).sum())) for mark in MARKS if mark <= most]
+        middle = float(np.sort(at)[len(at) // 2])
+        solved = " / ".join(counts)
+        lines.append(f"| {kind[0]} | {kind[1]} | {len(group)} | {solved} | {middle:.0f} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

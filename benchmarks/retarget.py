@@ -1,0 +1,149 @@
+"""Frames of a video, each found from those before it by `FIDE.retarget`, against fresh searches.
+
+    python benchmarks/retarget.py run voronoi --frames 60
+    MUJOCO_GL=egl python benchmarks/retarget.py run robot --frames 60
+    python benchmarks/retarget.py table
+
+Every parameter moves along a sine of its own, slowly.  For every tenth frame a fresh search renders
+`--fresh` images (2,000); its loss then is the goal.  By `retarget` each frame is rendered until it
+has the median of these goals, at most `--most` times.  Every frame is a line of the file `--out`,
+beside which the optimizer is saved after each: what is there already is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from quality import append, machine
+
+import fide_tasks
+from fide_plugins import FIDE
+from fide_plugins.types import Float32, Float64
+
+RESULTS = Path(__file__).parent / "results" / "retarget.jsonl"
+AMPLITUDE = 0.1  # of the box
+PERIODS = (40, 120)  # frames
+EVERY = 10  # frames, of which a fresh search is made
+BATCH = 5  # candidates asked at once
+
+
+def frames_of(task: fide_tasks.Task, n: int, seed: int) -> Float32:
+    """Images (n, H, W, 3) of a scene in which every parameter swings about the task's answer."""
+    assert task.x_star is not None
+    rng = np.random.default_rng(seed)
+    period, phase = rng.uniform(*PERIODS, task.dim), rng.uniform(0, 2 * np.pi, task.dim)
+    swing = np.sin(2 * np.pi * np.arange(n)[:, None] / period + phase)  # (n, d)
+    center: Float64 = np.clip(task.x_star, AMPLITUDE, 1 - AMPLITUDE)
+    return task.render(center + AMPLITUDE * swing)
+
+
+def search(opt: FIDE, task: fide_tasks.Task, most: int, goal: float = 0.0) -> tuple[int, float]:
+    """Renders until the loss is at most `goal`, at most `most`, and the loss."""
+    before = opt.evaluations
+    while opt.evaluations - before < most:
+        X = opt.ask(min(BATCH, most - opt.evaluations + before))
+        opt.tell(X, task.render(X))
+        if opt.best is not None and opt.best.loss <= goal:
+            break
+    assert opt.best is not None
+    return opt.evaluations - before, opt.best.loss
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """All frames of one video."""
+    task = fide_tasks.make(arguments.task, size=arguments.size, seed=arguments.seed)
+    frames = frames_of(task, arguments.frames, arguments.seed)
+    names = ("task", "size", "seed", "frames", "fresh", "preset", "proposer")
+    cell = {name: getattr(arguments, name) for name in names}
+    known = {row["frame"]: row for row in rows(arguments.out, cell) if row["kind"] == "fresh"}
+    options = {"preset": arguments.preset, "seed": arguments.seed, "proposer": arguments.proposer}
+    for t in range(0, arguments.frames, EVERY):
+        if t not in known:
+            n, loss = search(FIDE(task.dim, frames[t], **options), task, arguments.fresh)
+            known[t] = {"renders": n, "loss": loss}
+            append(arguments.out, {**cell, "kind": "fresh", "frame": t, **known[t], **here()})
+    goal = float(np.median([row["loss"] for row in known.values()]))
+    done = len([row for row in rows(arguments.out, cell) if row["kind"] == "retarget"])
+    # without its checkpoint a video begins again; of the same frame the last line counts
+    saved = arguments.out.with_suffix(f".{arguments.task}.{arguments.seed}.checkpoint")
+    done = done if saved.exists() else 0
+    opt = FIDE.load(saved) if done else FIDE(task.dim, frames[0], **options)
+    for t in range(done, arguments.frames):
+        if t:
+            opt.retarget(frames[t])
+        n, loss = search(opt, task, arguments.most if t else 10 * arguments.fresh, goal)
+        print(f"frame {t}: {n} renders, loss {loss:.3g}, goal {goal:.3g}", flush=True)
+        opt.save(saved)
+        found = {"kind": "retarget", "frame": t, "renders": n, "loss": loss, "goal": goal}
+        append(arguments.out, {**cell, **found, **here()})
+    saved.unlink(missing_ok=True)
+
+
+def here() -> dict[str, Any]:
+    return {"machine": machine()}
+
+
+def rows(path: Path, cell: dict[str, Any]) -> list[dict[str, Any]]:
+    """Lines of the file that belong to one video."""
+    if not path.exists():
+        return []
+    every = [json.loads(line) for line in path.read_text().splitlines()]
+    return [row for row in every if all(row[name] == cell[name] for name in cell)]
+
+
+def table(path: Path) -> str:
+    """Of all videos, in Markdown."""
+    lines = [
+        "| scene | frames | goal: loss of a fresh search | renders a frame: median, mean, 90 % "
+        "| reached it | fresh search |",
+        "|---|---|---|---|---|---|",
+    ]
+    videos: dict[tuple[Any, ...], dict[int, dict[str, Any]]] = {}
+    for line in path.read_text().splitlines():
+        row = json.loads(line)
+        if row["kind"] == "retarget":
+            key = (row["task"], row["size"], row["seed"], row["proposer"], row["fresh"])
+            videos.setdefault(key, {})[row["frame"]] = row
+    for (task, size, seed, proposer, fresh), found in videos.items():
+        later = [row for frame, row in found.items() if frame]
+        renders = [row["renders"] for row in later]
+        reached = sum(row["loss"] <= row["goal"] for row in later)
+        spread = (
+            f"{np.median(renders):.0f}, {np.mean(renders):.0f}, {np.quantile(renders, 0.9):.0f}"
+        )
+        lines.append(
+            f"| {task}, {size} px, seed {seed}, {proposer} | {len(found)} | {found[0]['goal']:.2g} "
+            f"| {spread} | {reached} of {len(later)} | {fresh:,} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("task", nargs="?", default="voronoi")
+    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--size", type=int, default=112)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--fresh", type=int, default=2000, help="renders of a fresh search")
+    parser.add_argument("--most", type=int, default=1000, help="renders of a frame, at most")
+    parser.add_argument("--preset", default="balanced")
+    parser.add_argument("--proposer", default="linear")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
+    if arguments.what == "table":
+        print(table(arguments.out))
+    else:
+        run(arguments)
+
+
+if __name__ == "__main__":
+    main()

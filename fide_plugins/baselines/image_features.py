@@ -1,0 +1,78 @@
+"""Baselines that learn from features of images, and not only from their losses."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins.baselines.base import Baseline
+from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.runtime.schema import Sides
+from fide_plugins.types import Float32
+from fide_plugins.validation.points import whole_number
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["ImageBased"]
+
+
+class ImageBased(Baseline):
+    """A baseline to which images must be told; losses beside them are optional, as always.
+
+    target: image to fit, required.
+    encoder: name in `fide_plugins.encoders`.
+    channels: number of leading channels of its tokens that are used; None: all.  The first three of
+        "dense" are the mean colors of (at most) 14 x 14 patches.
+    """
+
+    def __init__(
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        encoder: str = "dense",
+        channels: int | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(dim, target, **options)
+        if self.target is None:
+            raise ImageError(f"{self.name} learns from images and needs a target; got none")
+        from fide_plugins import encoders  # PyTorch takes a second
+        from fide_plugins.runtime.devices import resolve_device
+
+        self.encoder = encoder
+        where = resolve_device(self.device, for_network=encoders.uses_network(encoder))
+        self._encoder = encoders.make(encoder, device=where)
+        self._tokens, most = self._encoder.shape(*self.target.shape[:2])
+        if channels is not None and whole_number("channels", channels, 1) > most:
+            raise OptionError(f"channels must be at most {most} for {encoder}, not {channels}")
+        self.channels = channels
+        self.target_features: Float32 = self._encode(self.target[None])[0]
+        """Features (f,) of the target."""
+
+    @cached_property
+    def target_tokens(self) -> Tensor:
+        """Tokens (T, C) of the target."""
+        return self.tokens_of(self.target_features[None])[0]
+
+    def tokens_of(self, features: Float32) -> Tensor:
+        """Tokens (n, T, C) from features (n, f), f = T C."""
+        import torch  # takes a second
+
+        return torch.from_numpy(features).reshape(len(features), self._tokens, -1)
+
+    def _encode(self, batch: Float32 | None) -> Float32:
+        if batch is None:
+            raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
+        tokens = self._encoder.compute(batch)[..., : self.channels]  # (n, T, C)
+        features: Float32 = tokens.flatten(1).cpu().numpy().astype(np.float32)
+        return features
+
+    def _sides(self) -> Sides:
+        return super()._sides() | {"f": len(self.target_features)}
+
+    def _own_settings(self) -> dict[str, Any]:
+        return {"encoder": self.encoder, "channels": self.channels}

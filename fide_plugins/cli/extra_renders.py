@@ -1,0 +1,97 @@
+"""Renders outside of the loop of a fit: the first one, and those of further solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins.errors import ImageError, RenderError
+from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
+from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.images import as_target
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["check_first", "outcomes"]
+
+
+def check_first(
+    render: Callable[[Any], object],
+    optimizer: FIDE,
+    targets: Sequence[Float32],
+    names: Sequence[str],
+    workers: int,
+    timeout: float | str | None,
+) -> None:
+    """Render where the search begins, as a fit would render it, and check the images.
+
+    targets: (H, W, 3), one for each view; names: of the targets, for messages.
+    workers, timeout: as for `fit`.
+
+    Raises RenderError if there is no image, ImageError (a ValueError) if there is not one of the
+    target's size for each view.
+    """
+    (outcome,) = outcomes(render, optimizer, optimizer.x0[None], min(workers, 1), timeout)
+    if isinstance(outcome, Failed):
+        raise RenderError(f"the first render failed: {_shown(outcome)}")
+    images = _images(outcome.image, len(targets))
+    for target, name, image in zip(targets, names, images, strict=True):
+        _check_size(target.shape[:2], as_target(image).shape[:2], name)
+
+
+def outcomes(
+    render: Callable[[Any], object],
+    optimizer: FIDE,
+    X: Float64,
+    workers: int,
+    timeout: float | str | None,
+) -> list[Outcome]:
+    """Outcomes of rendering points X (n, dim); arguments as for `fit`."""
+    renderer = Renderer(render, optimizer.space)
+    limit = None if timeout is None else seconds_of("timeout", timeout)
+    pool = workers_for(renderer, workers, None, limit)
+    found: list[Outcome] = []
+    try:
+        for first in range(0, len(X), max(1, workers)):
+            tasks = [pool.submit(x) for x in X[first : first + max(1, workers)]]
+            for task in tasks:
+                try:
+                    task.exception(limit)
+                    found.append(pool.outcome(task))
+                except TimeoutError:
+                    pool.abandon(task)
+                    found.append(Failed(f"it did not end within {limit:g} s (--timeout)"))
+    finally:
+        pool.close()
+    return found
+
+
+def _shown(failed: Failed) -> str:
+    """All that is known, once: a traceback ends with the reason."""
+    told = failed.reason in failed.details
+    return failed.details if told else f"{failed.reason}\n{failed.details}".rstrip()
+
+
+def _images(image: Any, views: int) -> list[Any]:
+    several = isinstance(image, list | tuple) and np.ndim(image[0]) >= 2
+    found = list(image) if several else [image]
+    if len(found) != views:
+        raise ImageError(
+            f"there are {views} targets, and the renderer gives {len(found)} images; it must "
+            "return a list with one image for each target"
+        )
+    return found
+
+
+def _check_size(target: tuple[int, ...], image: tuple[int, ...], name: str) -> None:
+    if target != image:
+        raise ImageError(
+            f"{name} has {target[1]} x {target[0]} pixels, and the renderer's image has "
+            f"{image[1]} x {image[0]}; render at the target's size, or reduce the target (--size "
+            "is its longer side)"
+        )

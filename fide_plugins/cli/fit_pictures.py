@@ -1,0 +1,48 @@
+"""Pictures that `fide fit` reads: targets, masks, weights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fide_plugins.errors import OptionError
+
+__all__ = ["pictures", "weights_of"]
+
+
+def pictures(paths: list[str], side: int | None) -> list[Any]:
+    """Pictures (H, W, 3) of files, the longer side at most `side`."""
+    from fide_plugins.validation import images
+
+    return [images.load(path, max_side=side) for path in paths]
+
+
+def weights_of(name: str, given: list[str] | None, targets: list[str], side: int | None) -> Any:
+    """What `FIDE` takes as `mask` or `weights`; None if none are given.
+
+    name: "mask" or "weights".  given: a file for each target, or "alpha" for the target's own alpha
+    channel; a single "alpha" for that of each.
+
+    Raises OptionError unless there is one for each target, ImageError for a target without alpha.
+    """
+    from fide_plugins.views.weights import ALPHA
+
+    if given is None:
+        return None
+    if given == [ALPHA]:
+        given = given * len(targets)
+    if len(given) != len(targets):
+        raise OptionError(
+            f"{len(given)} of --{name} for {len(targets)} targets; give --{name} once for each"
+        )
+    read = [
+        _alpha(target, side) if one == ALPHA else pictures([one], side)[0]
+        for one, target in zip(given, targets, strict=True)
+    ]
+    return read[0] if len(read) == 1 else read
+
+
+def _alpha(path: str, side: int | None) -> Any:
+    from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.validation.images import alpha_of
+
+    return alpha_of(read_pixels(path, side), path)

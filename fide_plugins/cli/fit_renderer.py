@@ -1,0 +1,231 @@
+"""`fide fit TARGET --renderer FILE.py:NAME` and ``--command '...'``: a renderer of one's own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from fide_plugins.cli.arguments import free_directory, optimizer_options
+from fide_plugins.cli.fit_pictures import pictures, weights_of
+from fide_plugins.cli.live import page_of
+from fide_plugins.cli.messages import duration, note, number, paragraph, plain
+from fide_plugins.cli.own_renderer import function_of, program_of, space_of
+from fide_plugins.errors import FideError, OptionError, RenderError
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+    from fide_plugins.fitting.fitting import Fitting
+    from fide_plugins.fitting.rendering import Outcome
+    from fide_plugins.types import Float64
+
+__all__ = ["OWN", "execute"]
+
+OWN = (
+    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until_stalled", "encoder",
+    "learned",
+)  # fmt: skip
+"""Arguments that no model has."""
+_BUDGET, _WORKERS = 2000, 8
+_TIMEOUT = 60.0  # seconds of a program, where none are given
+_SUMMARY = (
+    *("task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations"),
+    *("best_loss", "mse", "wall_s", "render_s", "overhead_s", "x_best"),
+)
+"""Keys of the JSON of a run."""
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_plugins.cli.running import USAGE_ERRORS, continuation
+    from fide_plugins.fitting.fitting import FitInterrupted
+
+    who, args.optimizer = "fide fit", "fide"
+    with _warnings_as_notes(who):
+        try:
+            fitting, out, again = _prepare(args, command)
+        except RenderError as error:
+            note(f"{who}: {paragraph(error)}")
+            return 1
+        except USAGE_ERRORS as error:
+            note(f"{who}: {paragraph(error)}")
+            return 2
+        if fitting.record.evaluations:
+            note(f"continuing {plain(out)} after {fitting.record.evaluations} renders")
+        try:
+            with page_of(out) if args.live else nullcontext():
+                result = fitting.execute()
+            _keep_pictures(again, result, out)
+        except FitInterrupted as stop:
+            note(f"{who}: {stop} after {stop.result.evaluations} renders, saved in {plain(out)}")
+            note(f"continue with: {continuation(command, str(out))}")
+            return 128 + stop.signum
+        except (FideError, OSError) as error:
+            note(f"{who}: the run failed: {paragraph(error)}")
+            return 1
+    if args.json:
+        print(json.dumps(_summary(result, out), allow_nan=False), flush=True)
+    else:
+        _report(result, out)
+    return 0
+
+
+Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
+"""Renders points (n, dim) outside of the loop, as the fit renders them."""
+
+
+def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
+    """Everything checked, with one render; the run directory; and what renders further points."""
+    from fide_plugins.cli.extra_renders import check_first, outcomes
+    from fide_plugins.experiments.run.directory import read_run
+    from fide_plugins.fitting.one_call import prepare
+    from fide_plugins.fitting.stopping import Stopping
+
+    render, space, timeout = _renderer(args)
+    targets = pictures(args.targets, args.size)
+    endless = args.budget is None and (args.time is not None or args.until_stalled)
+    budget = None if endless else args.budget or _BUDGET
+    workers = _WORKERS if args.workers is None else args.workers
+    out = free_directory(args, Path(args.targets[0]).stem)
+
+    def check(optimizer: FIDE) -> None:
+        if read_run(out) is None:
+            check_first(render, optimizer, targets, args.targets, workers, timeout)
+
+    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
+        return outcomes(render, optimizer, X, workers, timeout)
+
+    fitting = prepare(
+        render,
+        targets[0] if len(targets) == 1 else targets,
+        space,
+        stopping=Stopping.of(budget, args.time, args.stop_at, bool(args.until_stalled)),
+        workers=workers,
+        seed=args.seed,
+        timeout=timeout,
+        options=_options(args),
+        out=out,
+        resume=args.resume,
+        command=command,
+        callbacks=_callbacks(args),
+        progress=_progress(),
+        check=check,
+    )
+    return fitting, out, again
+
+
+def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
+    """The renderer, its space, and the time-out of a worker."""
+    from fide_plugins.fitting.durations import seconds_of
+
+    space = space_of(args.space)
+    if args.renderer is not None:
+        return *function_of(args.renderer, space), args.timeout
+    if len(args.templates) != len(args.targets):
+        raise OptionError(
+            f"{len(args.templates)} commands for {len(args.targets)} targets; give --command once "
+            "for each target, in the same order"
+        )
+    templates = args.templates[0] if len(args.templates) == 1 else args.templates
+    limit = _TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
+    # the program is stopped before its worker, so that its output is known
+    return *program_of(templates, space, limit), None if args.timeout is None else limit + 5
+
+
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the optimizer."""
+    options = {"loss": args.loss, **optimizer_options(args)}
+    for name in ("encoder", "learned"):
+        if getattr(args, name) is not None:
+            options[name] = getattr(args, name)
+    for name in ("mask", "weights"):
+        read = weights_of(name, getattr(args, name), args.targets, args.size)
+        if read is not None:
+            options[name] = read
+    return options
+
+
+def _callbacks(args: argparse.Namespace) -> list[Any]:
+    """What --live needs; without it `fide watch` reads checkpoints."""
+    from fide_plugins.watch import LiveFile
+
+    return [LiveFile()] if args.live else []
+
+
+def _keep_pictures(again: Again, result: Any, out: Path) -> None:
+    """Render further solutions for `fide solutions`; those that fail stay without an image.
+
+    Each is one render, which the budget does not count.  Those that are stored already stay.
+    """
+    import numpy as np
+
+    from fide_plugins.experiments.solutions import pictures as stored
+    from fide_plugins.fitting.pictures import side_by_side
+    from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.validation.images import as_target
+
+    known = stored.read(out)
+    points = [one.x for one in result.solutions[1:]]
+    new = [x for x in points if stored.of(known, x) is None]
+    if not new:
+        return
+    for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
+        if isinstance(outcome, Rendered):
+            views = outcome.image if isinstance(outcome.image, list) else [outcome.image]
+            known.append((x, side_by_side([as_target(one) for one in views])))
+    kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
+    if kept:
+        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+
+
+def _progress() -> Any:
+    """A bar in a terminal, lines elsewhere."""
+    import sys
+
+    from fide_plugins.cli.progress import lines
+
+    return True if sys.stderr.isatty() else lines("fide fit")
+
+
+@contextmanager
+def _warnings_as_notes(who: str) -> Iterator[None]:
+    """Within this block, warnings are messages, without place and line."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *rest: note(f"{who}: {paragraph(message)}")
+        yield
+
+
+def _summary(result: Any, out: Path) -> dict[str, Any]:
+    """Totals for JSON."""
+    from fide_plugins.experiments.run.directory import read_run
+
+    run = read_run(out)
+    totals = {} if run is None else run["totals"]
+    return {
+        **{key: totals[key] for key in _SUMMARY},
+        "params": _as_data(result.params),
+        "status": result.status.code,
+        "stopped": result.stopped,
+        "failures": result.failures,
+    }
+
+
+def _as_data(params: Any) -> Any:
+    return params.tolist() if hasattr(params, "tolist") else params
+
+
+def _report(result: Any, out: Path) -> None:
+    loss = None if result.best is None else result.best.loss
+    failed = f", {result.failures} renders failed" if result.failures else ""
+    print(f"best loss {number(loss)} after {result.evaluations} renders{failed}")
+    print(f"{duration(result.seconds)}, stopped by {result.stopped.replace('_', '-')}")
+    if isinstance(result.params, dict):
+        from fide_plugins.renderers.naming import described
+
+        print(plain(described(result.params)))
+    print(plain(result.status))
+    print(f"look at {plain(out)}/best.png, or: fide solutions {plain(out)}")

@@ -1,0 +1,156 @@
+"""Learn once what pictures say of a renderer's parameters, for every later picture.
+
+    fide learn scene.py:render --renders 100000 --out scene.fide --workers 2
+    fide learn --command 'povray scene.pov +O{out} Sun={sun}' --space space.toml --out m.fide
+    fide learn robot --renders 60000 --time 30m --out robot.fide
+    fide fit photo.png --renderer scene.py:render --learned scene.fide
+
+SOURCE is FILE.py:NAME (or module:NAME), a function of your own, or the name of a built-in task. The
+renders are kept in MODEL.renders: with --resume the same command goes on where it was interrupted,
+and --renders may be larger.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.cli.arguments import add_space_argument, setting, whole
+from fide_plugins.cli.messages import complain, note, paragraph, plain
+from fide_plugins.cli.own_renderer import function_of, program_of, space_of
+from fide_plugins.errors import FideError, OptionError, RenderError
+
+__all__ = ["add_arguments", "execute"]
+
+_EVERY = 5.0  # seconds between lines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide learn``."""
+    add = parser.add_argument
+    add("source", nargs="?", metavar="SOURCE", help="FILE.py:NAME, or see: fide list tasks")
+    add("--command", metavar="'PROGRAM ...'", dest="template", help="your program")
+    add_space_argument(parser)
+    add("--timeout", default="60", metavar="TIME", help="of a program, such as 60 or 2m (60)")
+    add("--renders", type=whole(100), default=100_000, metavar="N",
+        help="of random parameters (100000)")  # fmt: skip
+    add("--size", type=whole(16), default=64, metavar="PX", help="longer side of images (64)")
+    add("--passes", type=whole(1), default=10, metavar="N", help="over the renders, at most (10)")
+    add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
+    add("--workers", type=whole(1), default=1, metavar="N", help="processes that render (1)")
+    add("--seed", type=whole(0), default=0, metavar="N", help="of parameters and network (0)")
+    add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
+        help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
+    add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
+    add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
+    add("--resume", action="store_true", help="go on with the renders that are there")
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_plugins.cli.running import USAGE_ERRORS
+
+    who = "fide learn"
+    try:
+        arguments = _arguments(args)
+        _check_free(args)
+    except RenderError as error:
+        note(f"{who}: {paragraph(error)}")
+        return 1
+    except USAGE_ERRORS as error:
+        return complain(who, error)
+    return _learn(args, command, arguments)
+
+
+def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, Any]) -> int:
+    """Learn, with messages and exit codes."""
+    from fide_plugins.learning import learn
+
+    who = "fide learn"
+    try:
+        model = learn(**arguments, on_progress=_Lines())
+    except KeyboardInterrupt:
+        words = command if "--resume" in command else [*command, "--resume"]
+        note(f"{who}: stopped; what was rendered is kept in {plain(args.out)}.renders")
+        note(f"continue with: {plain(shlex.join(words))}")
+        return 130
+    except (OptionError, ImportError) as error:
+        return complain(who, error)
+    except (FideError, OSError) as error:
+        note(f"{who}: it stopped: {paragraph(error)}")
+        return 1
+    print(model.report)
+    print(f"use it with: --learned {plain(args.out)}")
+    return 0
+
+
+def _check_free(args: argparse.Namespace) -> None:
+    """Raise OptionError if something is there and nobody asked to go on with it."""
+    folder = Path(f"{args.out}.renders")
+    for there in (args.out, folder):
+        if there.exists() and not args.resume:
+            raise OptionError(f"{there} is there already; add --resume, or name another --out")
+
+
+def _arguments(args: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of `learn`."""
+    from fide_plugins.fitting.durations import seconds_of
+
+    render, space = _renderer(args)
+    return {
+        "render": render,
+        "space": space,
+        "renders": args.renders,
+        "size": args.size,
+        "passes": args.passes,
+        "time": None if args.time is None else seconds_of("time", args.time),
+        "workers": args.workers,
+        "seed": args.seed,
+        "store_limit": args.store_limit,
+        "out": args.out,
+    }
+
+
+def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
+    """What renders, and its space; None for a task, which knows its own."""
+    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.renderers.function import is_reference
+
+    if (args.source is None) == (args.template is None):
+        raise OptionError("name either a SOURCE or a --command; see fide learn --help")
+    space = space_of(args.space)
+    if args.template is not None:
+        return program_of(args.template, space, seconds_of("timeout", args.timeout))
+    if is_reference(args.source):
+        return function_of(args.source, space)
+    if space is not None:
+        raise OptionError(f"--space is for your own renderer; {args.source} has its own space")
+    return _task(args), None
+
+
+def _task(args: argparse.Namespace) -> Any:
+    from fide_plugins.experiments.run.prepare import make_task
+
+    return make_task(args.source, args.size, 0, dict(args.task_set))
+
+
+class _Lines:
+    """Lines of progress on standard error."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._last = now, now()
+
+    def __call__(self, progress: Any) -> None:
+        late = self._now() - self._last >= _EVERY
+        if progress.stage == "train":
+            note(
+                f"pass {progress.done}/{progress.total}  held-out renders: "
+                f"{-progress.held_out:.2f} nats better than the prior"
+            )
+        elif late or progress.done == progress.total:
+            self._last = self._now()
+            note(f"renders {progress.done}/{progress.total}")

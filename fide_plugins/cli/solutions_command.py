@@ -1,0 +1,80 @@
+"""Show distinct good candidates of a run, side by side: as a picture and as a table.
+
+    fide solutions runs/scene
+    fide solutions runs/scene -k 3 -o answers.png
+
+A picture may have several explanations. Each column of the table is one of them, with its loss, its
+parameters in their units, and their standard deviations where they are known. Parameters that the
+picture does not determine are named. Nothing is rendered.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.cli.arguments import whole
+from fide_plugins.cli.messages import complain, number, plain
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide solutions``."""
+    add = parser.add_argument
+    add("directory", type=Path, metavar="DIR", help="run directory")
+    add("-o", "--output", type=Path, metavar="FILE", help="the picture (DIR/solutions.png)")
+    add("-k", type=whole(1), default=5, metavar="K", help="at most so many (5)")
+    add("--json", action="store_true", help="one line of JSON instead of the table")
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_plugins.cli.running import USAGE_ERRORS
+    from fide_plugins.experiments import solutions
+    from fide_plugins.runtime import files
+
+    try:
+        found = solutions.read(args.directory, args.k)
+        if not found.solutions:
+            return complain("fide solutions", f"{args.directory} has no image yet; let it run")
+        output = args.output or args.directory / "solutions.png"
+        files.write_bytes(output, solutions.figure(found))
+    except USAGE_ERRORS as error:
+        return complain("fide solutions", error)
+    if args.json:
+        print(json.dumps([_data(one) for one in found.solutions], allow_nan=False))
+        return 0
+    print("\n".join(_table(found, solutions.rows(found.solutions))))
+    print(f"look at {plain(output)}")
+    return 0
+
+
+def _table(found: Any, rows: Any) -> list[str]:
+    """Lines of the table: one column a solution."""
+    head = [("solution", [str(i + 1) for i in range(len(found.solutions))])]
+    head += [(f"loss ({plain(found.loss)})", [number(one.loss) for one in found.solutions])]
+    cells = head + [(plain(row.name), [plain(value) for value in row.values]) for row in rows]
+    first = max(len(name) for name, _ in cells)
+    widths = [max(len(values[i]) for _, values in cells) for i in range(len(found.solutions))]
+    lines = [
+        "  ".join([f"{name:{first}}", *(f"{v:>{w}}" for v, w in zip(values, widths, strict=True))])
+        for name, values in cells
+    ]
+    open_ones = [plain(row.name) for row in rows if not row.determined]
+    if open_ones:
+        lines.append(f"not determined by the picture: {', '.join(open_ones)}")
+    return lines
+
+
+def _data(solution: Any) -> dict[str, Any]:
+    std = solution.std
+    return {
+        "loss": solution.loss,
+        "evaluation": solution.evaluation,
+        "x": solution.x.tolist(),
+        "params": solution.params,
+        "std": None if std is None else std.tolist(),
+    }

@@ -1,0 +1,48 @@
+"""Show a run in the browser while it goes on.
+
+    fide watch runs/mine
+    fide watch runs/mine --port 8765 --no-browser
+
+DIR is the directory of a run, of `fide run` or `fide fit` (--out). The page is served on 127.0.0.1,
+to this machine only, until Ctrl-C. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from pathlib import Path
+
+from fide_plugins.cli.messages import complain, plain
+
+__all__ = ["add_arguments", "execute"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide watch``."""
+    add = parser.add_argument
+    add("directory", type=Path, metavar="DIR", help="directory of a run")
+    add("--port", type=int, default=0, metavar="P", help="port of 127.0.0.1 (any that is free)")
+    add("--no-browser", action="store_true", help="only print the address")
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_plugins.watch import serve
+
+    if not args.directory.is_dir():
+        return complain("fide watch", f"there is no directory {plain(args.directory)}")
+    try:
+        server, url = serve(args.directory, args.port)
+    except (OSError, ValueError, OverflowError) as error:
+        return complain("fide watch", f"cannot serve on port {args.port}: {plain(error)}")
+    print(f"{url} shows {plain(args.directory)}; Ctrl-C ends it", flush=True)
+    if not args.no_browser:
+        import webbrowser
+
+        webbrowser.open(url)
+    try:
+        threading.Event().wait()
+    finally:
+        server.close()
+    return 0

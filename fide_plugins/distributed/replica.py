@@ -1,0 +1,230 @@
+"""One optimizer in many processes: each keeps a replica, and all are told the same in one order.
+
+Nothing is shared but the *log*, which somebody keeps (a database, say): points with their losses
+and features, in an order on which all agree.  An optimizer is a function of its seed and of what it
+was told, so replicas that were told the same log propose the same candidates, and
+
+- a candidate has a name, (generation, slot), that means the same to everybody: who knows that slots
+  0 to 4 are out may take slot 5 without asking anybody;
+- slots have no end: those beyond the generation's size are drawn from the same distribution, by a
+  generator made from (seed, generation, slot), so that drawing them changes nothing; as soon as
+  half of the generation is known, who asks for one is better off with the `newest`, though;
+- who comes later, or was away, catches up by being told the log; nothing is rendered again.
+
+Rounding that differs from machine to machine, or features that are not known to all their digits
+everywhere, may change a candidate a little; it is then told as what was rendered.  They must not
+change *when a search is over*, and whether images or losses *alone* say where the next one begins:
+these decide what the next generation is for and how large it is. Whoever asks in a generation says
+in which one its search `began`, and whether by losses `alone`, and the others follow.
+
+What an entry of the log counts for is its `Role`:
+
+========  ========================================================================================
+member    a candidate of the present generation: as if one optimizer had asked it
+altered   asked in the present generation and yet not the candidate of that name: a parameter was
+          fixed by somebody, or another machine rounds otherwise
+late      asked in an earlier generation of the present search, or in this one when all of its
+          candidates were pending
+injected  all others: never asked, or asked in an earlier search
+========  ========================================================================================
+
+All but injected candidates count towards the generation in which they arrive, altered and late ones
+with their steps cut to what a sample's may be (`search.cma_es`); injected ones as in `FIDE.tell`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from fide_plugins.distributed.preview import preview_candidate
+from fide_plugins.fide import FIDE
+from fide_plugins.population import Candidate, Population
+from fide_plugins.runtime.saving import as_arrays
+from fide_plugins.search.moves.policy import Stage
+from fide_plugins.types import Float64
+from fide_plugins.validation.points import as_points
+
+__all__ = ["Replica", "Role"]
+
+_ROUNDING = 1e-9  # of a parameter: what is lost on the way through a user's scale and a database
+
+
+class Role(StrEnum):
+    """What an entry of the log counts for."""
+
+    MEMBER = "member"
+    ALTERED = "altered"
+    LATE = "late"
+    INJECTED = "injected"
+
+
+class Replica:
+    """An optimizer that is told a log, and that nobody else asks or tells.
+
+    snap: what a candidate (d,) becomes before it is rendered, where parameters are whole numbers,
+        choices, or of a scale of their own.
+    """
+
+    def __init__(self, optimizer: FIDE, snap: Callable[[Float64], Float64] = np.copy) -> None:
+        self.optimizer = optimizer
+        self._snap = snap
+        self.generation = 0
+        """Number of the present generation."""
+        self.began = 0
+        """Generation in which the present search, or its tests or restart candidates, began."""
+        self.alone = False
+        """Whether the present search began where losses alone said, without images."""
+        self._batches: dict[int, list[Candidate]] = {}  # of the present generation
+        self._taken: set[int] = set()  # slots of the present generation that were told
+
+    @property
+    def _population(self) -> Population:
+        return self.optimizer.state.population
+
+    @property
+    def size(self) -> int:
+        """Entries that make the present generation complete."""
+        self._open()
+        return self._population.size
+
+    def candidate(self, slot: int) -> Candidate:
+        """Candidate of the present generation in that slot, from 0."""
+        self._open()
+        batch, row = divmod(slot, self.size)
+        if batch not in self._batches:
+            seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=(self.generation, batch))
+            more = Population()
+            self.optimizer.draw(more, np.random.default_rng(seed))
+            self._batches[batch] = more.hand_out_all()
+        return self._batches[batch][row]
+
+    def newest(self, slot: int, out: int) -> Candidate:
+        """Better one than the candidate in that slot, if the generation does not need that.
+
+        out: entries that are still to be told; with these and those told the generation may be
+            complete, and then what is asked now is for the next one.
+
+        It is drawn from what is known when it is asked (see `preview`), so it differs from worker
+        to worker, and from one moment to the next.
+        """
+        if slot >= self.size <= self._population.evaluated + out:
+            key = (self.generation, slot, 1)  # never that of `candidate`
+            seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
+            preview = preview_candidate(self.optimizer, np.random.default_rng(seed))
+            if preview is not None:
+                return preview
+        return self.candidate(slot)
+
+    def is_candidate(self, slot: int, x: Float64) -> bool:
+        """Whether x (d,) is what becomes of the candidate in that slot."""
+        return bool(np.abs(self._snap(self.candidate(slot).x) - x).max() <= _ROUNDING)
+
+    def tell(
+        self,
+        x: Float64,
+        loss: float,
+        tokens: Tensor | None = None,
+        *,
+        generation: int | None = None,
+        slot: int = 0,
+        proposed: bool = False,
+        over: bool | None = None,
+        alone: bool | None = None,
+    ) -> Role:
+        """Next entry of the log; says what it counts for.
+
+        x: (d,) in [0, 1], what was rendered.  tokens: (T, C) of its image, if that is known.
+        generation, slot: name of the candidate that was asked; None if it was not.
+        proposed: whether the one who asked had it from a proposer, should it be unknown here.
+        over: whether somebody began a search, tests or restart candidates after this generation;
+            None: nobody has drawn the next one yet.
+        alone: whether they began it by losses alone; None as for `over`.
+        Raises as `FIDE.tell`, before anything changes.
+        """
+        self._open()
+        optimizer = self.optimizer
+        self._check(x, loss, tokens)
+        role, x = self._register(x, generation, slot, proposed)
+        stage, completed = self._stage_of_search(), self._population.generations
+        features = None if tokens is None else tokens[None]
+        optimizer.search_over = over
+        optimizer.search_guided = None if alone is None else not alone
+        beginnings = optimizer.state.moves.alone
+        try:
+            optimizer.tell(x[None], losses=np.array([loss]), features=features)
+        finally:  # what training raises comes after the generation was completed
+            optimizer.search_over = optimizer.search_guided = None
+            if self._population.generations != completed:
+                self.generation += 1
+                self._batches, self._taken = {}, set()
+                if self._stage_of_search() != stage:
+                    self.began = self.generation
+                    self.alone = optimizer.state.moves.alone != beginnings
+        return role
+
+    def _check(self, x: Float64, loss: float, tokens: Tensor | None) -> None:
+        """Raise what `FIDE.tell` raises, before anything changes."""
+        as_points(x[None], self.optimizer.dim)
+        features = None if tokens is None else tokens[None]
+        judge = self.optimizer.evaluator
+        judge.evaluate(1, None, np.array([loss]), features)
+
+    def _open(self) -> None:
+        """Draw the candidates of the generation; what is still out of others is forgotten."""
+        if 0 not in self._batches:
+            self._population.forget_pending()
+            self.optimizer.draw_generation()
+            self._batches[0] = self._population.hand_out_all()
+
+    def _register(
+        self, x: Float64, generation: int | None, slot: int, proposed: bool
+    ) -> tuple[Role, Float64]:
+        """Make the population expect x, unless it is injected."""
+        if generation is None or generation < self.began:
+            return Role.INJECTED, x
+        is_open = generation == self.generation
+        is_known = is_open and self.is_candidate(slot, x)
+        if is_known and slot not in self._taken:
+            known = self.candidate(slot)
+            self._taken.add(slot)
+            if slot >= self.size:
+                self._population.adopt(known.x, known.z, proposed=known.proposed, maker=known.maker)
+            return Role.MEMBER, known.x
+        z = self.optimizer.state.descent.near(x[None])[0]
+        self._population.adopt(x, z, proposed=proposed, late=True)
+        beyond = is_open and not is_known and slot >= self.size
+        return (Role.LATE if generation < self.generation or beyond else Role.ALTERED), x
+
+    def _stage_of_search(self) -> tuple[Stage, int]:
+        return self.optimizer.state.stage, self.optimizer.state.searches
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the optimizer's settings; arrays are those in use, not copies."""
+        return {
+            "optimizer": as_arrays(self.optimizer.state_dict()),
+            "generation": self.generation,
+            "began": self.began,
+            "alone": self.alone,
+            "batches": self._batches,
+            "taken": self._taken,
+        }
+
+    @classmethod
+    def from_state(
+        cls,
+        optimizer: FIDE,
+        state: Mapping[str, Any],
+        snap: Callable[[Float64], Float64] = np.copy,
+    ) -> Replica:
+        """Go on where `state_dict` was taken, with a new optimizer of the same settings."""
+        replica = cls(optimizer, snap)
+        optimizer.load_state_dict(state["optimizer"])
+        replica.generation, replica.began = state["generation"], state["began"]
+        replica.alone = state["alone"]
+        replica._batches, replica._taken = dict(state["batches"]), set(state["taken"])
+        return replica

@@ -1,0 +1,114 @@
+"""A user's own encoder: any callable of a batch.
+
+    def encode(images):            # float32 (n, H, W, 3) in [0, 1], a copy
+        return features            # (n, T, C) or (n, C), floating point, finite; array or tensor
+
+The features of an image must not depend on the rest of its batch, and T and C only on the image
+size.  Attributes of the callable that are used where they exist: `version` (a string that changes
+whenever features do), `channel_subsets` (see `PatchEncoder`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.errors import FeaturesError
+from fide_plugins.runtime.callables import differs, name_of, tried_on
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float32
+
+__all__ = ["OwnEncoder", "check_encoder"]
+
+_RULE = (
+    "an encoder takes images, float32 (n, H, W, 3) in [0, 1], and returns finite floats, (n, T, C) "
+    "or (n, C)"
+)
+
+
+class OwnEncoder(PatchEncoder):
+    """A callable as an encoder, with checks of what it returns.
+
+    name: that of the callable; under which it is registered, if it is.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        *,
+        name: str | None = None,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        super().__init__(device=device)
+        self.name = name_of(function) if name is None else name
+        self.version = str(getattr(function, "version", f"own:{self.name}"))
+        self.channel_subsets = tuple(getattr(function, "channel_subsets", (None,)))
+        self._function = function
+        self._shapes: dict[tuple[int, int], tuple[int, int]] = {}
+
+    def shape(self, height: int, width: int) -> tuple[int, int]:
+        """(T, C) for images of that size, by a black one."""
+        if (height, width) not in self._shapes:
+            self.compute(np.zeros((1, height, width, 3), np.float32))
+        return self._shapes[height, width]
+
+    @torch.no_grad()
+    def compute(self, batch: Float32) -> torch.Tensor:
+        """Tokens (n, T, C) of a canonical batch; raises FeaturesError."""
+        with user_threads:
+            made = self._function(batch.copy())
+        tokens = self._checked(made, len(batch))
+        size = batch.shape[1], batch.shape[2]
+        known = self._shapes.setdefault(size, (tokens.shape[1], tokens.shape[2]))
+        if tokens.shape[1:] != known:
+            raise FeaturesError(
+                f"the encoder {self.name!r} must give the same (T, C) for all images of a size: "
+                f"{known} before, now {tuple(tokens.shape[1:])}"
+            )
+        return tokens.to(self.device)
+
+    def _checked(self, made: Any, n: int) -> torch.Tensor:
+        try:
+            tokens = made if isinstance(made, torch.Tensor) else torch.from_numpy(np.asarray(made))
+        except (TypeError, ValueError) as error:
+            raise FeaturesError(f"{self._rule(made)}: {error}") from error
+        if tokens.ndim == 2:
+            tokens = tokens[:, None]  # one token
+        if tokens.ndim != 3 or len(tokens) != n or 0 in tokens.shape[1:]:
+            raise FeaturesError(f"{self._rule(made)} of shape {tuple(np.shape(made))} for n = {n}")
+        if not tokens.is_floating_point():
+            raise FeaturesError(f"{self._rule(made)} of {tokens.dtype}")
+        tokens = tokens.detach().float().clone()  # the function may use its array again
+        if not torch.isfinite(tokens).all():
+            raise FeaturesError(f"{self._rule(made)} with NaN or infinity")
+        return tokens
+
+    def _rule(self, made: object) -> str:
+        return f"{_RULE}; {self.name!r} returned a {type(made).__name__}"
+
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
+        raise AssertionError("`compute` calls the function")
+
+
+def check_encoder(encoder: PatchEncoder, target: Float32) -> None:
+    """Try an encoder on the target (H, W, 3) and its negative; raises FeaturesError.
+
+    What it gives for the two must be what it gives for each alone.
+    """
+    if not isinstance(encoder, OwnEncoder):
+        return
+
+    def compute(batch: Float32) -> Any:
+        return encoder.compute(batch).cpu().numpy()
+
+    together, alone = tried_on(target, compute, f"the encoder {encoder.name!r}", FeaturesError)
+    if differs(together, alone):
+        raise FeaturesError(
+            f"the encoder {encoder.name!r} must give an image the same features in every batch, "
+            "but two images together have others than each alone; normalize each image for itself, "
+            "and switch layers that depend on the batch off (model.eval())"
+        )

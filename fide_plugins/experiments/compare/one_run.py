@@ -1,0 +1,188 @@
+"""One run of a comparison: the state of its directory, and its execution.
+
+A run is finished when `run.json` says so and the tables have the checksums that it names.  A
+damaged run is deleted and repeated.  A run that fails leaves its traceback in `error.txt`; the
+next call tries it again.
+"""
+
+from __future__ import annotations
+
+import shutil
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from fide_plugins.errors import CheckpointError
+from fide_plugins.experiments.compare.plan import Plan, RunKey
+from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
+from fide_plugins.experiments.run.directory import (
+    TABLES,
+    RunDirectoryError,
+    check_settings,
+    checksum,
+    read_run,
+)
+from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.runtime import files
+
+__all__ = ["ERROR", "Outcome", "State", "examine", "run_one"]
+
+ERROR = "error.txt"
+_LOCK = ".lock"
+_COUNTED = ("dim", "evaluations", "best_evaluation", "rounds", "wall_s")
+_LOSSES = ("best_loss", "reference_loss", "recommended_loss")  # None where there is none
+
+
+@dataclass(frozen=True)
+class State:
+    """State of a run's directory.
+
+    kind: "finished"; "started", to be continued; "missing"; "damaged", to be repeated.
+    why: what is wrong with a damaged run.
+    """
+
+    kind: Literal["finished", "started", "missing", "damaged"]
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of one run.
+
+    kind: "done" now; "kept", finished before; "failed"; "interrupted", and saved; "busy", locked by
+        another process.
+    note: what failed, or why the run was repeated.
+    totals: totals in `run.json` of a finished run.
+    signum: the signal that interrupted the run.
+    """
+
+    key: RunKey
+    kind: Literal["done", "kept", "failed", "interrupted", "busy"]
+    note: str = ""
+    totals: dict[str, Any] | None = None
+    signum: int = 0
+
+
+def examine(folder: Path, settings: dict[str, Any]) -> State:
+    """State of the run in `folder`.
+
+    Raises RunDirectoryError (a FileExistsError), naming the setting that differs, if the folder
+    holds a run with other settings.
+    """
+    try:
+        run = read_run(folder)
+    except RunDirectoryError as error:
+        return State("damaged", str(error))
+    except OSError as error:
+        return State("damaged", f"{folder}: {error}")
+    if run is None:
+        return State("missing")
+    check_settings(run["settings"], settings, f"{folder} holds a run")
+    if run.get("status") != "finished":
+        return State("started")
+    for name in TABLES:
+        try:
+            if checksum(folder / name) != run["checksums"][name]:
+                return State("damaged", f"{folder / name} was changed or cut short")
+        except (OSError, KeyError, TypeError) as error:
+            return State("damaged", f"{folder / name} cannot be checked: {error!r}")
+    wrong = _wrong_totals(run.get("totals"))
+    if wrong:
+        return State("damaged", f"{folder / 'run.json'} has no valid {wrong}")
+    return State("finished")
+
+
+def run_one(
+    plan: Plan,
+    key: RunKey,
+    settings: dict[str, Any],
+    out: Path,
+    command: list[str] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Outcome:
+    """Execute or continue one run of the comparison in `out`.
+
+    settings: settings that define the run, see `Plan.check`.
+
+    A run that fails does not raise.  Raises OSError if the folder cannot be written, and
+    RunDirectoryError (a FileExistsError) if it holds a run with other settings.
+    """
+    folder = out / key.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    with files.locked(folder / _LOCK) as mine:
+        if not mine:
+            return Outcome(key, "busy", "another process executes it")
+        state = examine(folder, settings)
+        if state.kind == "finished":
+            return Outcome(key, "kept", totals=_totals(folder))
+        if state.kind == "damaged":
+            _clear(folder)
+        try:
+            run, note = _prepare(plan, key, folder, command)
+            run.execute(on_progress)
+        except Interrupted as stop:
+            return Outcome(key, "interrupted", str(stop), signum=stop.signum)
+        except (Exception, SystemExit) as error:
+            files.write_text(folder / ERROR, traceback.format_exc())
+            return Outcome(key, "failed", f"{type(error).__name__}: {error}")
+        (folder / ERROR).unlink(missing_ok=True)
+        note = f"repeated, because it was damaged: {state.why}" if state.why else note
+        return Outcome(key, "done", note, _totals(folder))
+
+
+def _prepare(plan: Plan, key: RunKey, folder: Path, command: list[str] | None) -> tuple[Run, str]:
+    """The run, continued if possible; otherwise a new one, and the reason."""
+    configuration = plan.configuration(key.configuration)
+
+    def attempt() -> Run:
+        return prepare(
+            key.task,
+            configuration.name,
+            key.loss,
+            configuration.budget or plan.budget,
+            key.seed,
+            size=plan.size,
+            task_seed=plan.task_seed,
+            task_options=plan.task_options,
+            options=plan.options_of(configuration),
+            out=folder,
+            resume=True,
+            command=command,
+            keep=plan.keep,
+        )
+
+    try:
+        return attempt(), ""
+    except CheckpointError as error:
+        _clear(folder)
+        return attempt(), f"repeated, because it could not be continued: {error}"
+
+
+def _wrong_totals(totals: Any) -> str:
+    """Name of the first missing or invalid total of a finished run; empty if all are valid."""
+    if not isinstance(totals, dict):
+        return "totals"
+    times, judged = totals.get("times"), totals.get("judged")
+    numbers = {name: totals.get(name) for name in _COUNTED}
+    numbers |= {name: totals.get(name, "") for name in _LOSSES if totals.get(name, "") is not None}
+    if not isinstance(times, dict) or not isinstance(judged, dict):
+        return "times or judgment"
+    numbers |= {part: times.get(part) for part in PARTS}
+    numbers |= {name: value for name, value in judged.items() if value is not None}
+    wrong = [k for k, v in numbers.items() if isinstance(v, bool) or not isinstance(v, int | float)]
+    return wrong[0] if wrong else "" if totals["evaluations"] >= 1 else "evaluations"
+
+
+def _clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif path.name != _LOCK:
+            path.unlink()
+
+
+def _totals(folder: Path) -> dict[str, Any] | None:
+    run = read_run(folder)
+    return None if run is None else run.get("totals")

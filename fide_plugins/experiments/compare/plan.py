@@ -1,0 +1,169 @@
+"""The plan of a comparison: tasks x losses x configurations x seeds, checked before the start."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fide_plugins import losses as losses_module, optimizers
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
+from fide_plugins.experiments.run import Keep
+from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
+from fide_plugins.types import Float32
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["Checked", "Plan", "RunKey"]
+
+
+class RunKey(NamedTuple):
+    """Identity of one run within a comparison; configuration: its label."""
+
+    task: str
+    loss: str
+    configuration: str
+    seed: int
+
+    @property
+    def folder(self) -> Path:
+        """Run directory, relative to that of the comparison."""
+        names = (as_file_name(name) for name in (self.task, self.loss, self.configuration))
+        return Path("cells", *names, f"seed-{self.seed}")
+
+    def __str__(self) -> str:
+        return f"{self.task} {self.loss} {self.configuration} seed {self.seed}"
+
+
+class Checked(NamedTuple):
+    """Result of `Plan.check`.
+
+    settings: settings that define each run, in the order of the plan.
+    targets: target of each task, (H, W, 3).
+    """
+
+    settings: dict[RunKey, dict[str, Any]]
+    targets: dict[str, Float32]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a comparison runs.
+
+    For one task and one loss, all configurations have the same target and the same budget, and
+    start from the center of the same box.  Runs with the same seed form a pair.
+
+    tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
+    budget: renders of each run.
+    size, task_seed, task_options: arguments with which each task is made.
+    options: options of all optimizers; an optimizer that lacks one of them is refused.
+    metrics: losses that measure every improvement, whichever loss is minimized.
+
+    Raises OptionError (a ValueError) if a list is empty or names something twice.
+    """
+
+    tasks: tuple[str, ...]
+    configurations: tuple[Configuration, ...]
+    losses: tuple[str, ...] = ("mse",)
+    seeds: int = 10
+    budget: int = 5000
+    size: int = 224
+    task_seed: int = 0
+    task_options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+    metrics: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole_number("seeds", self.seeds, 1)
+        whole_number("budget", self.budget, 1)
+        labels = tuple(configuration.label for configuration in self.configurations)
+        named = {"task": self.tasks, "optimizer": labels, "loss": self.losses}
+        for what, names in named.items():
+            if not names:
+                raise OptionError(f"a comparison needs at least one {what}; name one")
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise OptionError(f"the {what} {twice[0]!r} is named twice; name each once")
+
+    @property
+    def keep(self) -> Keep:
+        """What every run records."""
+        return Keep(metrics=self.metrics, film=True, summary=False, checkpoint=False)
+
+    def runs(self) -> Iterator[RunKey]:
+        """All runs, seeds outermost, so that the finished runs can be compared at any time."""
+        for seed in range(self.seeds):
+            for task in self.tasks:
+                for loss in self.losses:
+                    for configuration in self.configurations:
+                        yield RunKey(task, loss, configuration.label, seed)
+
+    def configuration(self, label: str) -> Configuration:
+        """The configuration with this label."""
+        return next(each for each in self.configurations if each.label == label)
+
+    def options_of(self, configuration: Configuration) -> dict[str, Any]:
+        """Options of the plan, overridden by those of the configuration."""
+        return {**self.options, **configuration.options}
+
+    def check(self) -> Checked:
+        """Make every task, loss and optimizer once; returns settings of all runs, and targets.
+
+        Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
+        package, OSError for missing weights.
+        """
+        for configuration in self.configurations:
+            _check_options(configuration, self.options_of(configuration))
+        settings: dict[RunKey, dict[str, Any]] = {}
+        targets: dict[str, Float32] = {}
+        for name in self.tasks:
+            task = make_task(name, self.size, self.task_seed, self.task_options)
+            target = targets[name] = target_of(task)
+            for loss in {*self.losses, *self.metrics}:
+                losses_module.make(loss, target)
+            for key in self.runs():
+                if key.task != name:
+                    continue
+                configuration = self.configuration(key.configuration)
+                options = self.options_of(configuration)
+                budget = configuration.budget or self.budget
+                if key.seed == 0:
+                    _check_budget(configuration, budget, task.dim, target, key.loss, options)
+                known = settings_of(
+                    task, target, configuration.name, key.loss, budget, key.seed,
+                    self.task_options, options, self.keep,
+                )  # fmt: skip
+                settings[key] = json.loads(json.dumps(known))  # as it is read back
+        return Checked({key: settings[key] for key in self.runs()}, targets)
+
+
+def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:
+    known = optimizers.options(configuration.name)
+    unknown = sorted(set(options) - set(known)) if known else []
+    if unknown and unknown[0] not in configuration.options:
+        raise OptionError(
+            f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
+            f"as NAME:{unknown[0]}={options[unknown[0]]}"
+        )
+    clash = sorted({"loss", "seed"} & set(options))
+    if clash:
+        raise OptionError(f"{clash[0]} is a setting of the comparison, not of one optimizer")
+
+
+def _check_budget(
+    configuration: Configuration,
+    budget: int,
+    dim: int,
+    target: Any,
+    loss: str,
+    options: dict[str, Any],
+) -> None:
+    optimizer = optimizers.make(configuration.name, dim, target, loss=loss, seed=0, **options)
+    if budget < optimizer.popsize:
+        raise OptionError(
+            f"the budget of {budget} renders is below one population of {configuration.label}, "
+            f"which is {optimizer.popsize} for {dim} parameters; give more renders, or a smaller "
+            "popsize"
+        )

@@ -1,0 +1,163 @@
+"""Reads a comparison back from its directory."""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import FideError
+from fide_plugins.experiments.compare.directory import digest, read_record, runs_of
+from fide_plugins.experiments.compare.one_run import ERROR, examine
+from fide_plugins.experiments.compare.plan import RunKey
+from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
+from fide_plugins.experiments.run.parallel import WORKERS
+from fide_plugins.types import Float64
+
+__all__ = ["AXES", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
+
+AXES = ("renders", "seconds", "rounds")
+"""Horizontal axes of a convergence curve; rounds: see `experiments.run.parallel`."""
+
+
+class NoResultsError(FideError, FileNotFoundError):
+    """A folder holds no comparison."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Best loss so far of one run, as a step function with m steps.
+
+    at: position of the steps along each of `AXES`, (m,).
+    ends: end of the run along each of `AXES`.
+    loss: (m,), decreasing.
+    metrics: other losses of the same images by name, (m,).
+    """
+
+    at: dict[str, Float64]
+    ends: dict[str, float]
+    loss: Float64
+    metrics: dict[str, Float64]
+
+    def value(self, axis: str, x: npt.ArrayLike, metric: str | None = None) -> Float64:
+        """Value at each of `x`: NaN before the first step, the last value after the end."""
+        values = self.loss if metric is None else self.metrics[metric]
+        index = np.searchsorted(self.at[axis], x, side="right") - 1
+        padded = np.append(values, np.nan)  # index -1 gives NaN
+        result: Float64 = padded[index]
+        return result
+
+    def reaches(self, axis: str, loss: float) -> float:
+        """Position of the first value that is at most `loss`; infinity if there is none."""
+        hits = np.flatnonzero(self.loss <= loss)
+        return float(self.at[axis][hits[0]]) if len(hits) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """One run of a comparison as its directory holds it.
+
+    status: "finished", "failed", "unfinished", "missing" or "damaged"; why: what went wrong.
+    run: contents of `run.json`.
+    curve: None unless the run is finished.
+    """
+
+    key: RunKey
+    folder: Path
+    status: Literal["finished", "failed", "unfinished", "missing", "damaged"]
+    why: str = ""
+    run: dict[str, Any] = field(default_factory=dict)
+    curve: Curve | None = None
+
+    @property
+    def totals(self) -> dict[str, Any]:
+        """Totals of a finished run."""
+        totals: dict[str, Any] = self.run["totals"]
+        return totals
+
+    @property
+    def final(self) -> float:
+        """Noise-free loss of the best candidate; infinity if no loss was finite."""
+        loss = self.totals["reference_loss"]
+        return np.inf if loss is None else float(loss)
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All runs of a comparison, in the order of its plan, and its record."""
+
+    path: Path
+    settings: dict[str, Any]
+    calls: list[dict[str, Any]]
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    runs: list[StoredRun]
+
+
+def read(path: str | os.PathLike[str]) -> Results:
+    """Read the comparison in the folder `path`.
+
+    Raises NoResultsError (a FileNotFoundError) if there is none, RunDirectoryError (a
+    FileExistsError) if its record is damaged.
+    """
+    folder = Path(path)
+    record = read_record(folder)
+    if record is None and read_run(folder) is not None:
+        raise NoResultsError(
+            f"{folder} holds a single run, and a report is of a comparison; look at the run by: "
+            f"fide watch {folder} or: fide solutions {folder}"
+        )
+    if record is None:
+        raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
+    runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
+    return Results(
+        folder,
+        record["settings"],
+        record["calls"],
+        record.get("versions", {}),
+        record.get("machine", {}),
+        runs,
+    )
+
+
+def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
+    folder = out / key.folder
+    error = folder / ERROR
+    try:
+        run = read_run(folder) or {}
+        state = examine(folder, run.get("settings", {}))
+        if state.kind == "finished":
+            if digest(run["settings"]) != identity:
+                raise ValueError(f"it holds a run with other settings: {run['settings']}")
+            return StoredRun(key, folder, "finished", "", run, _curve(folder, run))
+        if error.exists():
+            return StoredRun(key, folder, "failed", error.read_text("utf-8", "replace"), run)
+    except (RunDirectoryError, OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        return StoredRun(key, folder, "damaged", str(problem) or repr(problem))
+    if state.kind == "damaged":
+        return StoredRun(key, folder, "damaged", state.why)
+    return StoredRun(key, folder, "unfinished" if state.kind == "started" else "missing")
+
+
+def _curve(folder: Path, run: dict[str, Any]) -> Curve:
+    with open(folder / "improvements.csv", newline="", encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
+    columns = dict(zip(names, table, strict=True))
+    totals = run["totals"]
+    at = {
+        "renders": columns.pop("evaluation") + 1,
+        "seconds": columns.pop("seconds"),
+        "rounds": columns.pop(f"round_of_{WORKERS}"),
+    }
+    ends = {
+        "renders": float(totals["evaluations"]),
+        "seconds": float(totals["wall_s"]),
+        "rounds": float(totals["rounds"]),
+    }
+    return Curve(at, ends, columns.pop("loss"), columns)

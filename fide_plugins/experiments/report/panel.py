@@ -1,0 +1,201 @@
+"""A panel: the results of all configurations for one task and one loss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fide_plugins.experiments.compare.results import Results, StoredRun
+from fide_plugins.experiments.report import statistics
+from fide_plugins.experiments.report.labels import short_names
+from fide_plugins.experiments.report.statistics import Paired, Success
+from fide_plugins.experiments.run.record import PARTS
+
+__all__ = ["SIGNIFICANT", "Panel", "Row", "panels"]
+
+SIGNIFICANT = 0.05
+"""Adjusted p below which a difference is called significant."""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One configuration.
+
+    label: its label; name: its short name; index: its position in the plan.
+    runs: finished runs by seed, at least one; planned: number of runs in the plan.
+    """
+
+    label: str
+    name: str
+    index: int
+    runs: tuple[StoredRun, ...]
+    planned: int
+
+    @cached_property
+    def finals(self) -> list[float]:
+        """Final loss of each run."""
+        return [run.final for run in self.runs]
+
+    @property
+    def median(self) -> float:
+        """Median of the final losses."""
+        return float(statistics.quantiles(self.finals)[2])
+
+    @property
+    def budget(self) -> int:
+        """Renders of each run."""
+        return int(self.runs[0].totals["evaluations"])
+
+    @property
+    def ranked(self) -> list[StoredRun]:
+        """Runs from best to worst."""
+        return sorted(self.runs, key=lambda run: run.final)
+
+    @property
+    def typical(self) -> StoredRun:
+        """The median run; of two middle runs the better one."""
+        return self.ranked[(len(self.runs) - 1) // 2]
+
+    def judged(self, metric: str) -> float:
+        """Median of another loss of the images that the runs found."""
+        values = [run.totals["judged"].get(metric) for run in self.runs]
+        numbers = [np.inf if value is None else value for value in values]
+        return float(statistics.quantiles(numbers)[2])
+
+    def milliseconds(self) -> dict[str, float]:
+        """Median time of one evaluation, by `PARTS` and "other"."""
+        split = []
+        for run in self.runs:
+            times = run.totals["times"]
+            parts = [times[part] for part in PARTS]
+            rest = run.totals["wall_s"] - sum(parts)
+            split.append([1e3 * s / run.totals["evaluations"] for s in (*parts, max(0.0, rest))])
+        return dict(zip((*PARTS, "other"), np.median(split, axis=0).tolist(), strict=True))
+
+    @property
+    def seconds(self) -> float:
+        """Median wall time of a run."""
+        return float(np.median([run.totals["wall_s"] for run in self.runs]))
+
+    @property
+    def rounds(self) -> float:
+        """Median number of rounds of parallel renders."""
+        return float(np.median([run.totals["rounds"] for run in self.runs]))
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Results for one task and one loss.
+
+    rows: configurations with a finished run, in the order of the plan.
+    unfinished: runs that are not finished.
+    threshold: loss that counts as success; stated: whether the user gave it.
+    """
+
+    task: str
+    loss: str
+    dim: int
+    rows: tuple[Row, ...]
+    unfinished: tuple[StoredRun, ...]
+    threshold: float
+    stated: bool
+
+    @property
+    def name(self) -> str:
+        """Task and loss, for titles."""
+        return f"{self.task}, {self.loss}"
+
+    @cached_property
+    def winner(self) -> Row:
+        """The row with the lowest median."""
+        return min(self.rows, key=lambda row: row.median)
+
+    @cached_property
+    def against_winner(self) -> dict[str, Paired]:
+        """Paired test against each other row that shares a seed, p adjusted for all tests."""
+        tests = {row.label: self._pairs(row) for row in self.rows if row is not self.winner}
+        found = {label: test for label, test in tests.items() if test is not None}
+        adjusted = statistics.adjusted([test.p for test in found.values()])
+        return {
+            label: replace(test, adjusted=p)
+            for (label, test), p in zip(found.items(), adjusted, strict=True)
+        }
+
+    def _pairs(self, row: Row) -> Paired | None:
+        """Compare runs of the same seed; if budgets differ, at the end of the smaller one."""
+        mine, theirs = ({run.key.seed: run for run in r.runs} for r in (row, self.winner))
+        seeds = sorted(set(mine) & set(theirs))
+        if not seeds:
+            return None
+        ends = min(row.budget, self.winner.budget)
+        same = row.budget == self.winner.budget
+        a, b = ([_loss(runs[s], None if same else ends) for s in seeds] for runs in (mine, theirs))
+        return statistics.paired(a, b)
+
+    def success(self, row: Row) -> Success:
+        """Number of runs whose final loss is at most the threshold."""
+        return Success.of(sum(map(self.succeeded, row.runs)), len(row.runs))
+
+    def succeeded(self, run: StoredRun) -> bool:
+        """Whether the final loss of a run is at most the threshold."""
+        return bool(np.isfinite(run.final)) and run.final <= self.threshold
+
+    def to_target(self, row: Row) -> float:
+        """Median number of renders to the threshold; infinity if half never reach it."""
+        return float(statistics.quantiles([self.renders_to_target(run) for run in row.runs])[2])
+
+    def renders_to_target(self, run: StoredRun) -> float:
+        """Renders after which a run reached the threshold; infinity if it is no success.
+
+        Losses during the run may be noisy, and success is judged without noise.  A run that
+        succeeds although no loss was that low counts from the evaluation of its best candidate.
+        """
+        if run.curve is None or not self.succeeded(run):
+            return np.inf
+        found = float(run.totals["best_evaluation"]) + 1.0
+        return min(run.curve.reaches("renders", self.threshold), found)
+
+    def significant(self, row: Row) -> bool:
+        """Whether the winner is significantly better than this row."""
+        test = self.against_winner.get(row.label)
+        return test is not None and test.adjusted < SIGNIFICANT and test.effect > 0
+
+
+def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
+    """All panels with a finished run; thresholds by "task/loss" or "loss"."""
+    order = list(dict.fromkeys(result.key.configuration for result in results.runs))
+    names = short_names(order)
+    made = []
+    for task, loss in dict.fromkeys((r.key.task, r.key.loss) for r in results.runs):
+        mine = [r for r in results.runs if (r.key.task, r.key.loss) == (task, loss)]
+        rows = []
+        for index, label in enumerate(order):
+            planned = [r for r in mine if r.key.configuration == label]
+            runs = sorted((r for r in planned if r.curve is not None), key=lambda r: r.key.seed)
+            if runs:
+                rows.append(Row(label, names[label], index, tuple(runs), len(planned)))
+        if rows:
+            stated = thresholds.get(f"{task}/{loss}", thresholds.get(loss))
+            threshold = _second_best(rows) if stated is None else stated
+            unfinished = tuple(r for r in mine if r.curve is None)
+            dim = int(rows[0].runs[0].totals["dim"])
+            made.append(
+                Panel(task, loss, dim, tuple(rows), unfinished, threshold, stated is not None)
+            )
+    return made
+
+
+def _second_best(rows: list[Row]) -> float:
+    """The second lowest median."""
+    medians = sorted(row.median for row in rows)
+    return medians[min(1, len(medians) - 1)]
+
+
+def _loss(run: StoredRun, renders: int | None) -> float:
+    """Final loss of a run, or its best loss after that many renders."""
+    if renders is None or run.curve is None:
+        return run.final
+    value = float(run.curve.value("renders", [renders])[0])
+    return np.inf if np.isnan(value) else value

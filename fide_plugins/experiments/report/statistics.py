@@ -1,0 +1,153 @@
+"""Quantiles and rank statistics of a few runs; no means, since losses have heavy tails.
+
+SciPy and NumPy compute all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from fide_plugins.experiments.compare.results import Curve
+from fide_plugins.types import Float64
+
+__all__ = ["QUANTILES", "Bands", "Paired", "Success", "adjusted", "bands", "paired", "quantiles"]
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_POINTS = 120  # points of a band, more than the eye can distinguish
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Quantiles over runs of the best loss so far; x: (n,); values: (5, n), by `QUANTILES`."""
+
+    x: Float64
+    values: Float64
+
+
+@dataclass(frozen=True)
+class Success:
+    """Number of n runs that reached a loss, and Wilson's 95 % interval of the success rate."""
+
+    reached: int
+    n: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, reached: int, n: int) -> Success:
+        """Success rate of `reached` out of `n` >= 1."""
+        interval = stats.binomtest(reached, n).proportion_ci(method="wilson")
+        return cls(reached, n, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Paired comparison of the runs of two configurations.
+
+    n: number of pairs; worse: number of pairs in which the first has the higher loss.
+    p: p-value of the two-sided Wilcoxon signed-rank test, exact for few pairs.
+    effect: matched-pairs rank-biserial correlation, from -1 (lower in every pair) to 1 (higher).
+    ratio: median of the ratios of losses.
+    adjusted: p adjusted for multiple tests.
+    """
+
+    n: int
+    worse: int
+    p: float
+    effect: float
+    ratio: float
+    adjusted: float = np.nan
+
+    @property
+    def smallest_p(self) -> float:
+        """The smallest p-value that n pairs can give."""
+        return min(1.0, 2.0 ** (1 - self.n))
+
+
+def quantiles(values: npt.ArrayLike, q: Sequence[float] = QUANTILES) -> Float64:
+    """Interpolated quantiles along the first axis; infinity counts as the highest value.
+
+    >>> quantiles([1.0, 2.0, np.inf], [0.5, 1.0])
+    array([ 2., inf])
+    """
+    array = np.asarray(values, np.float64)
+    found = np.quantile(np.where(np.isposinf(array), _HUGE, array), q, axis=0)
+    result: Float64 = np.where(found > _HUGE / 1e6, np.inf, found)
+    return result
+
+
+_HUGE = 1e300
+
+
+def bands(curves: Sequence[Curve], axis: str) -> Bands:
+    """Quantiles of `curves` at geometrically spaced points along an axis.
+
+    The band starts where all runs have a loss, and ends at the end of the median run.  A run that
+    has ended keeps its last loss.
+    """
+    begin = max(float(curve.at[axis][0]) if len(curve.loss) else np.inf for curve in curves)
+    end = float(np.median([curve.ends[axis] for curve in curves]))
+    if not np.isfinite(begin):
+        return Bands(np.zeros(0), np.zeros((len(QUANTILES), 0)))
+    begin, end = max(begin, end * 1e-6), max(begin, end)
+    x = np.geomspace(begin, end, _POINTS) if end > begin else np.array([begin])
+    x = np.unique(np.floor(x)) if axis != "seconds" else x
+    x[0], x[-1] = begin, end  # exact, without rounding errors
+    return Bands(x, quantiles([curve.value(axis, x) for curve in curves]))
+
+
+def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
+    """Compare `losses` (n,) with `others` (n,) pair by pair.
+
+    The test ranks differences of logarithms, so that 0.001 against 0.002 counts as much as 0.1
+    against 0.2.  If a loss is zero or negative, it ranks differences of losses.  An infinite loss
+    is worse than any other.
+    """
+    a, b = _finite(np.array([losses, others], np.float64))
+    positive = min(a.min(), b.min()) > 0
+    differences = np.log(a) - np.log(b) if positive else a - b
+    worse = int((differences > 0).sum())
+    ratio = float(np.median(a / b)) if positive else np.nan
+    if not differences.any():
+        return Paired(len(a), worse, 1.0, 0.0, ratio)
+    ranks = stats.rankdata(np.abs(differences))
+    effect = float((ranks * np.sign(differences)).sum() / ranks.sum())
+    return Paired(len(a), worse, _signed_rank(differences), effect, ratio)
+
+
+def _signed_rank(differences: Float64) -> float:
+    """Two-sided p-value; with ties or zeros and few pairs, exact over all sign changes."""
+    sizes = np.abs(differences)
+    regular = sizes.all() and len(np.unique(sizes)) == len(sizes)
+    if regular or len(sizes) > 12:
+        return float(stats.wilcoxon(differences).pvalue)
+    ranks = stats.rankdata(sizes)
+
+    def statistic(signed: Float64, axis: int) -> Float64:
+        total: Float64 = (ranks * np.sign(signed)).sum(axis=axis)
+        return total
+
+    test = stats.permutation_test(
+        (differences,), statistic, permutation_type="samples", n_resamples=np.inf, vectorized=True
+    )
+    return float(test.pvalue)
+
+
+def adjusted(p: Sequence[float]) -> list[float]:
+    """p-values adjusted for multiple tests, by Benjamini and Hochberg's false discovery rate."""
+    if not p:
+        return []
+    values: list[float] = stats.false_discovery_control(p).tolist()
+    return values
+
+
+def _finite(values: Float64) -> Float64:
+    """Replace infinite losses by a finite one that is worse than all others."""
+    finite = values[np.isfinite(values)]
+    worst = 10.0 * np.abs(finite).max(initial=1.0)
+    return np.where(np.isfinite(values), values, worst)

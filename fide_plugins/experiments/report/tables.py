@@ -1,0 +1,203 @@
+"""Tables of a report, for HTML, Markdown and a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
+from fide_plugins.experiments.run.parallel import WORKERS
+from fide_plugins.experiments.run.record import PARTS
+
+__all__ = ["Entry", "Table", "escaped", "losses", "markdown", "number", "ranking", "times"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry; sort: sort key; note: tooltip; series: index of the line style to show."""
+
+    text: str
+    sort: float | str
+    strong: bool = False
+    note: str = ""
+    series: int | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; columns: (name, explanation) of each; rows: entries."""
+
+    caption: str
+    columns: tuple[tuple[str, str], ...]
+    rows: tuple[tuple[Entry, ...], ...]
+
+
+def ranking(panel: Panel) -> Table:
+    """Losses, success, significance and cost of each configuration."""
+    budgets = len({row.budget for row in panel.rows}) > 1
+    at_the_end = "; if budgets differ, at the end of the smaller one" if budgets else ""
+    others = [m for m in _metrics(panel) if m != panel.loss]
+    columns = [
+        ("optimizer", "name and options"),
+        ("runs", "finished runs of those planned"),
+        *([("renders", "renders of each run")] if budgets else []),
+        (f"median {panel.loss}", "median over runs of the noise-free final loss"),
+        ("25 to 75 %", "quantiles over runs"),
+        *((f"median {name}", "median over runs of the same images") for name in others),
+        ("success", f"runs with a final loss of {number(panel.threshold)} or less"),
+        ("renders to it", "median over runs; none unless more than half of the runs succeed"),
+        ("times winner", f"median ratio of the losses of pairs{at_the_end}"),
+        (
+            "p",
+            f"p of the Wilcoxon signed-rank test against the winner, adjusted for all rivals; "
+            f"† if below {SIGNIFICANT}{at_the_end}",
+        ),
+        ("effect", "rank-biserial correlation: 1 if worse than the winner in every pair"),
+        ("seconds", "median wall time of a run"),
+    ]
+    rows = tuple(
+        (
+            _name(row, row is panel.winner),
+            _runs(row),
+            *([_number(row.budget)] if budgets else []),
+            _number(row.median, strong=row is panel.winner),
+            _range(row),
+            *(_number(row.judged(name)) for name in others),
+            _success(panel, row),
+            _number(panel.to_target(row)),
+            *_against_winner(panel, row),
+            _number(row.seconds),
+        )
+        for row in sorted(panel.rows, key=lambda row: row.median)
+    )
+    return Table(f"{panel.name}: results", tuple(columns), rows)
+
+
+def times(panel: Panel) -> Table:
+    """Time by part, and the rounds of parallel renders."""
+    columns = [
+        ("optimizer", "name and options"),
+        *((part, f"median milliseconds per evaluation: {part}") for part in (*PARTS, "other")),
+        ("seconds", "median wall time of a run"),
+        (f"rounds of {WORKERS}", f"rounds of a run with {WORKERS} parallel renderers"),
+        ("speed-up", f"renders per round, at most {WORKERS}"),
+    ]
+    rows = tuple(
+        (
+            _name(row),
+            *(_number(ms) for ms in row.milliseconds().values()),
+            _number(row.seconds),
+            _number(row.rounds),
+            _number(row.budget / max(row.rounds, 1.0)),
+        )
+        for row in panel.rows
+    )
+    return Table(f"{panel.name}: time", tuple(columns), rows)
+
+
+def losses(panel: Panel) -> Table:
+    """Final loss of every run, one row for each seed."""
+    seeds = sorted({run.key.seed for row in panel.rows for run in row.runs})
+    columns = [("seed", "seed of the optimizer; runs with the same seed form a pair")]
+    columns += [(row.name, f"final {panel.loss} of the run") for row in panel.rows]
+    rows = []
+    for seed in seeds:
+        found = [{run.key.seed: run.final for run in row.runs} for row in panel.rows]
+        lowest = min((f[seed] for f in found if seed in f), default=math.inf)
+        entries = [_number(f[seed], f[seed] == lowest) if seed in f else _NONE for f in found]
+        rows.append((_number(seed), *entries))
+    return Table(f"{panel.name}: every run", tuple(columns), tuple(rows))
+
+
+def markdown(table: Table) -> str:
+    """The table in Markdown, with aligned columns."""
+    texts = [[escaped(title) for title, _ in table.columns]]
+    texts += [[escaped(e.text, e.strong) for e in row] for row in table.rows]
+    widths = [max(3, *(len(row[i]) for row in texts)) for i in range(len(table.columns))]
+    lines = [_line(row, widths) for row in texts]
+    rule = [f"{'-' * widths[0]}", *(f"{'-' * (width - 1)}:" for width in widths[1:])]
+    return "\n".join([lines[0], _line(rule, widths), *lines[1:]])
+
+
+def escaped(text: str, strong: bool = False) -> str:
+    """Escape `text` for Markdown; strong: in bold."""
+    for sign in "\\`*_[]<>|":
+        text = text.replace(sign, f"\\{sign}" if sign != "|" else "\\|")
+    return f"**{text}**" if strong and text else text
+
+
+def number(value: float) -> str:
+    """Format a number with three significant digits.
+
+    >>> number(0.012345), number(12345), number(float("inf"))
+    ('0.0123', '12,345', 'none')
+    """
+    if not math.isfinite(value):
+        return "none"
+    return f"{value:,.0f}" if abs(value) >= 1000 or value == int(value) else f"{value:.3g}"
+
+
+_NONE = Entry("", math.inf)
+
+
+def _name(row: Row, strong: bool = False) -> Entry:
+    return Entry(
+        row.name,
+        row.name,
+        strong,
+        "" if row.name == row.label else row.label,
+        row.index,
+    )
+
+
+def _number(value: float, strong: bool = False) -> Entry:
+    return Entry(number(value), value if math.isfinite(value) else math.inf, strong)
+
+
+def _runs(row: Row) -> Entry:
+    whole = len(row.runs) == row.planned
+    text = f"{row.planned}" if whole else f"{len(row.runs)} of {row.planned}"
+    return Entry(text, len(row.runs))
+
+
+def _range(row: Row) -> Entry:
+    from fide_plugins.experiments.report.statistics import quantiles
+
+    low, high = quantiles(row.finals)[[1, 3]].tolist()
+    return Entry(f"{number(low)} to {number(high)}", high - low if math.isfinite(high) else high)
+
+
+def _success(panel: Panel, row: Row) -> Entry:
+    rate = panel.success(row)
+    note = f"95 % interval {rate.low:.0%} to {rate.high:.0%}"
+    return Entry(f"{rate.reached} of {rate.n}", rate.reached / rate.n, note=note)
+
+
+def _against_winner(panel: Panel, row: Row) -> tuple[Entry, Entry, Entry]:
+    """Ratio, p and effect."""
+    if row is panel.winner:
+        return Entry("winner", 1.0), Entry("", -1.0), Entry("", -2.0)
+    test = panel.against_winner.get(row.label)
+    if test is None:
+        return _NONE, _NONE, _NONE
+    mark = " †" if panel.significant(row) else ""
+    note = f"worse in {test.worse} of {test.n} pairs; p before adjusting {test.p:.2g}"
+    ratio = Entry("", math.inf) if math.isnan(test.ratio) else _number(test.ratio)
+    return (
+        ratio,
+        Entry(f"{test.adjusted:.2g}{mark}", test.adjusted, note=note),
+        Entry(f"{test.effect:.2g}", test.effect, note=note),
+    )
+
+
+def _metrics(panel: Panel) -> list[str]:
+    """Names of the losses that judged the runs of all rows."""
+    judged = (run.totals["judged"] for row in panel.rows for run in row.runs)
+    return list(dict.fromkeys(name for each in judged for name in each))
+
+
+def _line(texts: Iterable[str], widths: list[int]) -> str:
+    first, *rest = zip(texts, widths, strict=True)
+    aligned = [first[0].ljust(first[1]), *(text.rjust(width) for text, width in rest)]
+    return f"| {' | '.join(aligned)} |"

@@ -1,0 +1,39 @@
+"""One run: ask, render, evaluate, tell, for every optimizer; timed, recorded, resumable.
+
+    >>> from fide_plugins.experiments import run as harness
+    >>> result = harness.run("voronoi", "cma", budget=30, size=32, seed=0)
+    >>> result.evaluations
+    30
+    >>> result.best_loss == result.losses.min().item()
+    True
+
+`run` does everything.  `prepare` checks the arguments, opens the run directory and resumes; it
+returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `execute` failed runs.
+
+================  ==================================================================
+`prepare`         makes a `Run` from names and options, all checked
+`renderer_task`   a user's renderer as a task
+`loop`            the run loop
+`record`          history, progress and results of a run
+`outcome`         the result, from record and evaluation
+`record_schema`   schema of the history in a checkpoint
+`directory`       files of the run directory
+`judge`           noise-free evaluation of the result
+`pixel_samples`   rule for the number of samples per pixel
+`fidelity`        applies that rule in a run
+`parallel`        rounds that parallel renderers would need
+`signals`         Ctrl-C and SIGTERM
+`machine`         versions and hardware
+`film`            the film of a run: which images it keeps
+`figures`         PNG files: images, film frames, summary.png
+================  ==================================================================
+"""
+
+from __future__ import annotations
+
+from fide_plugins.experiments.run.loop import Run
+from fide_plugins.experiments.run.prepare import prepare, run
+from fide_plugins.experiments.run.record import Keep, Progress, RunResult
+from fide_plugins.experiments.run.signals import Interrupted
+
+__all__ = ["Interrupted", "Keep", "Progress", "Run", "RunResult", "prepare", "run"]

@@ -1,0 +1,288 @@
+"""The run directory: its files, and how they stay consistent.
+
+    run.json       settings, versions, machine, seeds, command, totals, status, limits; at the end
+                   also the checksums of the two tables
+    curve.csv      one line for each evaluation
+    improvements.csv   one line for each evaluation that was the best so far, with other metrics
+    best.png       the best image so far
+    target.png     the picture to find
+    frame-N.png    the best image after N renders, small, if a film is kept
+    reference.png  the image that judged the best candidate of a noisy task
+    summary.png    target, first render, best image, curve
+    run.ckpt       state of the loop; names the file of its optimizer
+    optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending
+
+Each file is replaced atomically.  The optimizer is written first, under a new name; then
+`run.ckpt`, which names it; then the old file is removed.  So a kill at any moment leaves a
+consistent pair.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import re
+import shlex
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins import optimizers
+from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.experiments.run import machine
+from fide_plugins.experiments.run.parallel import WORKERS, rounds
+from fide_plugins.experiments.run.record import Record, RunResult
+from fide_plugins.experiments.run.record_schema import check_record
+from fide_plugins.experiments.run.user_optimizer import complete
+from fide_plugins.runtime import checkpoint, files
+from fide_plugins.runtime.schema import IMPOSSIBLE
+
+if TYPE_CHECKING:
+    from fide_plugins.types import Float32, Optimizer
+
+__all__ = ["TABLES", "RunDirectory", "RunDirectoryError", "check_settings", "checksum", "read_run"]
+
+FORMAT = 2
+TABLES = ("curve.csv", "improvements.csv")
+_KIND = "run"
+_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+\.ckpt")
+
+
+class RunDirectoryError(FideError, FileExistsError):
+    """A directory belongs to another run, or is no run directory."""
+
+
+class RunDirectory:
+    """Directory of one run; made and checked before anything is rendered.
+
+    path: folder, made if it is missing.
+    settings: settings that define the run; a folder with other settings is refused.
+    resume: whether an existing run may be continued.
+    command: command line to record.
+    limits: when the run stops, where that is no setting: to be recorded, and changed by resuming.
+
+    Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        settings: dict[str, Any],
+        *,
+        resume: bool,
+        command: list[str] | None = None,
+        limits: dict[str, Any] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
+        files.check_writable(self.path)
+        self._run: dict[str, Any] = {
+            "format": FORMAT,
+            "status": "running",
+            "settings": self.settings,
+            "command": None if command is None else shlex.join(command),
+            "started": now(),
+            "resumed": [],
+        }
+        before = read_run(self.path)
+        if before is not None:
+            self._check(before, resume)
+            self._run = {**before, "status": "running"}
+            self._run["resumed"] = [*before.get("resumed", []), now()]
+        if limits is not None:
+            self._run["limits"] = limits
+        files.remove_leftovers(self.path)
+
+    # -- reading -----------------------------------------------------------------------------------
+
+    def restore(self, loss: object = None) -> tuple[Record, Optimizer] | None:
+        """State of the saved run; None if it never saved one.
+
+        loss: a user's own, which a checkpoint cannot hold; None: it holds its name.
+
+        Raises CheckpointError (a ValueError) if it is damaged.
+        """
+        path = self.path / "run.ckpt"
+        if not path.exists():
+            return None
+        state = checkpoint.read(path, _KIND)
+        try:
+            name = state["optimizer"]
+            if not _OPTIMIZER_FILE.fullmatch(name):
+                raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
+            check_record(state["record"], self.settings["dim"], self.settings["size"])
+            record = Record.from_state(state["record"])
+        except IMPOSSIBLE as error:
+            raise CheckpointError(f"{path}: impossible contents ({error})") from error
+        device = self.settings["options"].get("device")
+        loaded = optimizers.load(
+            self.settings["optimizer"], self.path / name, device=device, loss=loss
+        )
+        optimizer = complete(loaded, self.settings["dim"])
+        if optimizer.dim != self.settings["dim"]:
+            raise CheckpointError(f"{self.path / name}: an optimizer of {optimizer.dim} parameters")
+        return record, optimizer
+
+    def _check(self, before: dict[str, Any], resume: bool) -> None:
+        check_settings(before["settings"], self.settings, f"{self.path} holds a run")
+        if not resume:
+            raise RunDirectoryError(
+                f"{self.path} already holds a run with these settings; resume it (--resume), "
+                "or name another directory"
+            )
+
+    # -- writing -----------------------------------------------------------------------------------
+
+    def save(self, record: Record, optimizer: Optimizer) -> None:
+        """Write the state from which the run can continue."""
+        pending = 0 if record.pending is None else len(record.pending)
+        name = f"optimizer-{record.evaluations}-{pending}.ckpt"  # one name for each state
+        optimizer.save(self.path / name)
+        state = {"record": record.state(), "optimizer": name}
+        checkpoint.write(self.path / "run.ckpt", _KIND, state)
+        for old in self.path.glob("optimizer-*.ckpt"):
+            if old.name != name:
+                with suppress(OSError):
+                    old.unlink()
+
+    def write_curve(self, record: Record) -> None:
+        """Write `curve.csv`."""
+        losses, seconds = np.array(record.losses), np.array(record.seconds)
+        best = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
+        rows = zip(losses.tolist(), best.tolist(), seconds.tolist(), strict=True)
+        lines = ["evaluation,loss,best_loss,seconds"]
+        lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
+        files.write_text(self.path / "curve.csv", "\n".join(lines) + "\n")
+
+    def write_improvements(self, record: Record) -> None:
+        """Write `improvements.csv`."""
+        in_round = rounds(record.generations)
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
+        names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
+        writer.writerow(names)
+        for k, i in enumerate(record.improvements):
+            others = (repr(values[k]) for values in record.metrics.values())
+            where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
+            writer.writerow([*where, repr(record.losses[i]), *others])
+        files.write_text(self.path / "improvements.csv", buffer.getvalue())
+
+    def write_frame(self, mark: int, image: Float32) -> None:
+        """Write `frame-N.png`, the best image after `mark` renders."""
+        from fide_plugins.experiments.run.figures import as_png, thumbnail
+
+        files.write_bytes(self.path / f"frame-{mark}.png", as_png(thumbnail(image)))
+
+    def write_target(self, image: Float32) -> None:
+        """Write `target.png`, once."""
+        if (self.path / "target.png").exists():
+            return
+        from fide_plugins.experiments.run.figures import as_png
+
+        files.write_bytes(self.path / "target.png", as_png(image))
+
+    def write_best(self, image: Float32 | None) -> None:
+        """Write `best.png`."""
+        if image is not None:
+            from fide_plugins.experiments.run.figures import as_png
+
+            files.write_bytes(self.path / "best.png", as_png(image))
+
+    def write_reference(self, result: RunResult) -> None:
+        """Write `reference.png` if it differs from the best image of the run."""
+        from fide_plugins.experiments.run.figures import as_png, noisy
+
+        if result.reference is not None and noisy(result):
+            files.write_bytes(self.path / "reference.png", as_png(result.reference))
+
+    def write_summary(self, result: RunResult, target: Float32) -> None:
+        """Write `summary.png`."""
+        from fide_plugins.experiments.run.figures import summary
+
+        files.write_bytes(self.path / "summary.png", summary(result, target))
+
+    def write_run(self, status: str = "running", result: RunResult | None = None) -> None:
+        """Write `run.json`."""
+        self._run |= {
+            "status": status,
+            "versions": machine.versions(),
+            "machine": machine.machine(),
+            "load": machine.load(),
+            "written": now(),
+        }
+        if result is not None:
+            self._run["totals"] = {**result.summary(), **result.details()}
+        if status == "finished":
+            self._run["checksums"] = {name: checksum(self.path / name) for name in TABLES}
+        files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
+
+    def remove_checkpoint(self) -> None:
+        """Remove the state from which the run could continue."""
+        for path in [self.path / "run.ckpt", *self.path.glob("optimizer-*.ckpt")]:
+            with suppress(OSError):
+                path.unlink()
+
+
+def read_run(path: Path) -> dict[str, Any] | None:
+    """Contents of `run.json` in the folder `path`; None if there is none.
+
+    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
+    """
+    return read_json(path / "run.json", "run", _check_contents)
+
+
+def _check_contents(run: dict[str, Any]) -> None:
+    if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
+        raise ValueError("its settings are no dict, or its times of resuming no list")
+
+
+def read_json(
+    path: Path, kind: str, check: Callable[[dict[str, Any]], None]
+) -> dict[str, Any] | None:
+    """Record of a run or of a comparison (`kind`) in the file `path`; None if there is none.
+
+    check: raises ValueError, KeyError or TypeError for contents that cannot be.
+
+    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
+    """
+    if not path.exists():
+        return None
+    try:
+        record: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        if record["format"] != FORMAT:
+            raise ValueError(f"format {record['format']!r}, and this version reads {FORMAT}")
+        check(record)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunDirectoryError(
+            f"{path} is not the record of a {kind} of this version ({error}); "
+            "name another directory, or remove that file"
+        ) from error
+    return record
+
+
+def check_settings(there: dict[str, Any], here: dict[str, Any], what: str) -> None:
+    """Raise RunDirectoryError (a FileExistsError), naming the first setting that differs."""
+    for key in [*here, *(k for k in there if k not in here)]:
+        if there.get(key) != here.get(key):
+            raise RunDirectoryError(
+                f"{what} with other settings: {key} is "
+                f"{there.get(key)!r} there and {here.get(key)!r} here; "
+                "use the same settings, or name another directory"
+            )
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def now() -> str:
+    """Time of day in UTC, in the format of ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

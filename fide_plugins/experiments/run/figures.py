@@ -1,0 +1,160 @@
+"""Images and figures of a run, as PNG bytes; no window, no global state of matplotlib."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.experiments.run.record import PARTS, RunResult
+from fide_plugins.types import Float32
+
+__all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]
+
+THUMBNAIL = 160
+"""Longer side of a thumbnail, pixels."""
+
+_INK, _MUTED, _ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
+_PART_COLORS = {"render": "#64748b", "encode": "#0e7490", "train": "#c2410c", "search": "#a16207"}
+
+
+def as_png(image: Float32) -> bytes:
+    """PNG of an image (H, W, 3) in [0, 1]."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(np.rint(image * 255.0).astype(np.uint8)).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
+    """The image (H, W, 3), reduced if its longer side has more than `side` pixels."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = side / max(height, width)
+    if scale >= 1.0:
+        return image
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def summary(result: RunResult, target: Float32) -> bytes:
+    """PNG with the target, the first render, the best image, the loss curve and the time split."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 6.6), dpi=110, facecolor="white")
+    FigureCanvasAgg(figure)
+    panels = _panels(result, target)
+    images = figure.add_gridspec(
+        1, len(panels), left=0.03, right=0.975, top=0.885, bottom=0.475, wspace=0.05
+    )
+    curve = figure.add_axes((0.085, 0.145, 0.89, 0.275))
+    times = figure.add_axes((0.085, 0.055, 0.89, 0.018))
+    _title(figure, result)
+    for column, (name, note, image) in enumerate(panels):
+        _image(figure.add_subplot(images[0, column]), name, note, image)
+    _curve(curve, result)
+    _time_bar(times, result)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def noisy(result: RunResult) -> bool:
+    """Whether the reference image of the best candidate differs from its render."""
+    if result.image is None or result.reference is None:
+        return False
+    return not np.array_equal(result.image, result.reference)
+
+
+def _panels(result: RunResult, target: Float32) -> list[tuple[str, str, Float32]]:
+    """Name, note and image (H, W, 3) of each panel."""
+    blank = np.zeros_like(target)
+    start, best = result.first_image, result.image
+    panels = [
+        ("target", "", target),
+        ("first render", _mse(start, target), blank if start is None else start),
+        ("best", _mse(best, target), blank if best is None else best),
+    ]
+    if noisy(result) and result.reference is not None:
+        panels.append(("reference", f"MSE {result.mse:.3g}", result.reference))
+    return panels
+
+
+def _title(figure: Any, result: RunResult) -> None:
+    figure.text(
+        0.03, 0.955, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
+        fontsize=14, fontweight="bold", color=_INK, va="center",
+    )  # fmt: skip
+    facts = f"{result.dim} parameters   {result.evaluations:,} renders   seed {result.seed}"
+    figure.text(
+        0.975, 0.955, facts,
+        fontsize=10, color=_MUTED, va="center", ha="right",
+    )  # fmt: skip
+
+
+def _image(axes: Any, name: str, note: str, image: Float32) -> None:
+    large = max(image.shape[:2]) >= 300
+    axes.imshow(image, vmin=0, vmax=1, interpolation="antialiased" if large else "nearest")
+    axes.set_title(name, fontsize=11, color=_INK, loc="left", pad=4)
+    axes.set_title(note, fontsize=9, color=_MUTED, loc="right", pad=4)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("#d4d4d8")
+
+
+def _curve(axes: Any, result: RunResult) -> None:
+    """Every loss as a dot, the best loss so far as a line."""
+    losses = result.losses
+    finite = np.isfinite(losses)
+    index = np.arange(1, len(losses) + 1)
+    if finite.any():
+        best = np.minimum.accumulate(np.where(finite, losses, np.inf))
+        shown = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 4000)]
+        axes.scatter(index[shown], losses[shown], s=3, color=_MUTED, alpha=0.35, linewidths=0,
+                     label="each render", rasterized=True)  # fmt: skip
+        axes.step(index, np.where(np.isfinite(best), best, np.nan), where="post",
+                  color=_ACCENT, linewidth=2, label="best so far")  # fmt: skip
+        if (best[-1] > 0) and losses[finite].min() > 0:
+            axes.set_yscale("log")
+        axes.legend(loc="upper right", fontsize=8, frameon=False, markerscale=3)
+    axes.set_xlim(0, max(2, len(losses)))
+    axes.set_xlabel("renders", fontsize=9, color=_INK, labelpad=2)
+    axes.set_title(f"loss ({plain(result.loss)})", fontsize=9, color=_INK, loc="left", pad=4)
+    axes.tick_params(which="both", labelsize=8, colors=_MUTED)
+    axes.grid(axis="y", color="#e4e4e7", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _time_bar(axes: Any, result: RunResult) -> None:
+    """One bar, the wall time, with the fraction of each part."""
+    axes.axis("off")
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    total = max(result.wall_s, 1e-9)
+    labels, left = [], 0.0
+    for part in PARTS:
+        share = result.times[part] / total
+        axes.barh(0.5, share, left=left, height=1.0, color=_PART_COLORS[part])
+        if share >= 0.005:
+            labels.append((f"{part} {share:.0%}", _PART_COLORS[part]))
+        left += share
+    axes.barh(0.5, max(0.0, 1.0 - left), left=left, height=1.0, color="#e4e4e7")
+    axes.text(1.0, -0.5, f"{result.wall_s:.1f} s", fontsize=9, color=_INK, ha="right", va="top")
+    for i, (label, color) in enumerate(labels):
+        axes.text(0.13 * i, -0.5, label, fontsize=9, color=color, ha="left", va="top")
+
+
+def _mse(image: Float32 | None, target: Float32) -> str:
+    return "" if image is None else f"MSE {np.square(image.astype(np.float64) - target).mean():.3g}"
+
+
+def plain(text: str) -> str:
+    """`text`, escaped so that matplotlib does not read it as a formula."""
+    return text.replace("\\", "").replace("$", r"\$")

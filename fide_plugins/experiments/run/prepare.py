@@ -1,0 +1,226 @@
+"""Makes a run from names and options: task, target, loss, optimizer and directory, all checked."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from fide_plugins import losses as losses_module, optimizers
+from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.experiments.run import renderer_task
+from fide_plugins.experiments.run.directory import RunDirectory
+from fide_plugins.experiments.run.fidelity import Fidelity
+from fide_plugins.experiments.run.loop import Run
+from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
+from fide_plugins.experiments.run.task import Task, TaskInfo, name_of
+from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_plugins.types import Float32, Optimizer
+from fide_plugins.validation.images import as_target
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["make_task", "prepare", "run", "settings_of", "target_of"]
+
+
+def run(
+    task: str | Task,
+    optimizer: str | Callable[..., AskTell] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+    **settings: Any,
+) -> RunResult:
+    """Fit `task` with `optimizer`; arguments and errors as in :func:`prepare` and `Run.execute`."""
+    return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
+
+
+def prepare(
+    task: str | Task,
+    optimizer: str | Callable[..., AskTell] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    size: int | tuple[int, int] = 224,
+    task_seed: int = 0,
+    task_options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 5.0,
+    command: Sequence[str] | None = None,
+    keep: Keep | None = None,
+) -> Run:
+    """Check the arguments, and make or resume a run; only the target is rendered yet.
+
+    Parameters
+    ----------
+    task
+        name in `fide_tasks`; ``FILE.py:NAME`` for a user's renderer, see `renderer_task`; or a
+        `Task`.
+    size, task_seed, task_options
+        arguments of a task that is given by name; a user's renderer has its own size.  The option
+        `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
+        `pixel_samples`.
+    optimizer
+        name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
+        (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
+        optional, see `user_optimizer.UserOptimizer`.
+    loss
+        name in `fide_plugins.losses`, or a callable images -> (n,).
+    budget
+        number of candidates to render.  With `least_spp`, one in eighteen is rendered twice, which
+        does not count.
+    seed
+        seed of the optimizer, and of the renderer's noise.
+    options
+        options of the optimizer, such as popsize.
+    out
+        run directory; None writes nothing.
+    resume
+        continue the run in `out` if there is one; otherwise start it.
+    checkpoint_every
+        seconds between checkpoints, at least twenty times the time to write one.  A process that
+        is killed loses at most the results since the last one.  0: after every piece.
+    command
+        command line to record.
+    keep
+        what to record in addition to the losses; see `Keep`.
+
+    Raises
+    ------
+    OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors; OSError if
+    `out` cannot be written; ImportError if the task needs a package that is not installed;
+    RenderError if its target cannot be rendered.
+    """
+    budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
+    task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
+    if isinstance(task, str):
+        task = make_task(task, size, task_seed, task_options)
+    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
+    target = target_of(task)
+    judge = losses_module.resolve(loss, target, device=options.get("device"))
+    metrics = {name: losses_module.make(name, target) for name in keep.metrics}
+    settings = settings_of(
+        task, target, optimizer, judge.name, budget, seed, task_options, options, keep
+    )
+    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
+    record, directory = Record(), None
+    if out is not None:
+        _check_reloads(optimizer, searcher)
+        directory = RunDirectory(out, settings, resume=resume, command=_words(command))
+        record, searcher = _restored(directory, record, searcher, fidelity)
+        directory.write_run()
+    return Run(
+        task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
+        fidelity,
+    )  # fmt: skip
+
+
+def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
+    """OptionError if the optimizer cannot be loaded again from a run directory."""
+    if not isinstance(optimizer, str):
+        raise OptionError(
+            "a run with a directory needs its optimizer by name, to load it again; "
+            "see fide_plugins.optimizers.register"
+        )
+    if isinstance(searcher, UserOptimizer):
+        searcher.check_saves()
+
+
+def _restored(
+    directory: RunDirectory, record: Record, searcher: Optimizer, fidelity: Fidelity | None
+) -> tuple[Record, Optimizer]:
+    """Record and optimizer that the directory holds; those given, where it holds none."""
+    record, searcher = directory.restore() or (record, searcher)
+    if fidelity is not None and record.fidelity is not None:
+        fidelity.load_state_dict(record.fidelity)
+    return record, searcher
+
+
+def make_task(
+    name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
+) -> Task:
+    """Make the task `name` of `fide_tasks`, or that of a user's renderer.
+
+    Its option `spp` is the largest number of samples.
+    """
+    if renderer_task.is_reference(name):
+        return renderer_task.make(name, seed, options)
+    import fide_tasks
+
+    own = {key: value for key, value in options.items() if key != "least_spp"}
+    return fide_tasks.make(name, size, seed, **own)
+
+
+def settings_of(
+    task: Task,
+    target: Float32,
+    optimizer: str | Callable[..., AskTell],
+    loss: str,
+    budget: int,
+    seed: int,
+    task_options: Mapping[str, Any],
+    options: Mapping[str, Any],
+    keep: Keep,
+) -> dict[str, Any]:
+    """What defines a run, as its directory records it: other settings, another run."""
+    info = TaskInfo.of(task)
+    settings = {
+        "task": info.name,
+        "task_seed": info.seed,
+        "task_options": {k: v for k, v in task_options.items() if k not in info.incidental_options},
+        "size": list(target.shape[:2]),
+        "dim": task.dim,
+        "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
+        "optimizer": optimizer if isinstance(optimizer, str) else name_of(optimizer),
+        "options": dict(options),
+        "loss": loss,
+        "budget": budget,
+        "seed": seed,
+    }
+    if info.renderer is not None:
+        settings["renderer"] = info.renderer
+    if info.search_space is not None:
+        settings["space"] = info.search_space.to_dict()
+    if keep.metrics:
+        settings["metrics"] = list(keep.metrics)
+    return settings
+
+
+def _make_optimizer(
+    optimizer: str | Callable[..., AskTell],
+    task: Task,
+    target: Float32,
+    loss: str | Callable[..., object],
+    seed: int,
+    budget: int,
+    options: dict[str, Any],
+) -> Optimizer:
+    clash = sorted({"loss", "seed"} & set(options))
+    if clash:
+        raise OptionError(f"{clash[0]} is an argument of the run, not an option of its optimizer")
+    options = {"loss": loss, "seed": seed, **options}
+    if isinstance(optimizer, str):
+        if "budget" in optimizers.options(optimizer):  # some depend on the budget
+            options = {"budget": budget, **options}
+        space = TaskInfo.of(task).search_space or task.dim
+        return complete(optimizers.make(optimizer, space, target, **options), task.dim)
+    return complete(optimizer(task.dim, target, **options), task.dim)
+
+
+def target_of(task: Task) -> Float32:
+    """The target of a task; RenderError if the renderer fails."""
+    try:
+        return as_target(task.target)
+    except FideError:
+        raise
+    except RuntimeError as error:
+        raise RenderError(f"{name_of(task)} failed to render its target: {error}") from error
+
+
+def _words(command: Sequence[str] | None) -> list[str] | None:
+    return None if command is None else list(command)

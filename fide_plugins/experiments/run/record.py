@@ -1,0 +1,240 @@
+"""Progress, history and result of a run.
+
+Notation: a *piece* is a group of candidates that are rendered and told together; *overhead* is all
+time except rendering.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.experiments.run.parallel import rounds
+from fide_plugins.types import Float32, Float64
+
+__all__ = ["PARTS", "Keep", "Progress", "Record", "RunResult"]
+
+PARTS = ("render", "encode", "train", "search")
+"""Parts of the time of a run; encode includes the loss."""
+
+
+@dataclass(frozen=True)
+class Keep:
+    """What a run records in addition to the losses; none of it counts as time of the run.
+
+    metrics: names of losses that also measure every image that improves on the best loss.
+    film: small best images after 1, 3, 10, 30, ... renders; needs a run directory.
+    summary: a figure of the whole run, summary.png.
+    checkpoint: whether to keep the checkpoint of a finished run.
+    """
+
+    metrics: tuple[str, ...] = ()
+    film: bool = False
+    summary: bool = True
+    checkpoint: bool = True
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a run.
+
+    evaluations, budget: renders done and allowed.
+    best_loss: lowest loss so far; infinity before the first finite loss.
+    wall_s: seconds so far, without interruptions.
+    times: seconds by `PARTS`; the loop itself takes the rest.
+    """
+
+    evaluations: int
+    budget: int
+    best_loss: float
+    wall_s: float
+    times: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """Result and cost of a run.
+
+    Times are in seconds, without interruptions; `overhead_s` is all time except rendering.
+    `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics and
+    film; no other time includes them.
+
+    losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
+    best_loss: lowest loss; biased low for a noisy task.
+    reference_loss, mse: loss and mean squared error of the reference image of the best candidate;
+        of `image` if the task has no reference.
+    recommended_loss: loss of the reference image of the recommended candidate; NaN without one.
+    x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best during the run;
+        reference: (H, W, 3), noise-free image of x_best.  They are None if no candidate had a
+        finite loss.
+    first_image: (H, W, 3), first render of the run.
+    improvements: (m,), indices of evaluations that were the best so far.
+    metrics: other losses of these improvements by name, (m,).
+    judged: other losses of the reference image by name.
+    generations: (g,), number of candidates of each generation.
+    samples: sum of the samples per pixel of all renders if their number rises; else None.
+    status: what the optimizer knows of the run, in a sentence; None where it does not say.
+    """
+
+    task: str
+    optimizer: str
+    loss: str
+    seed: int
+    task_seed: int | None
+    dim: int
+    budget: int
+    evaluations: int
+    best_loss: float
+    best_evaluation: int
+    reference_loss: float
+    recommended_loss: float
+    mse: float
+    wall_s: float
+    judge_s: float
+    watch_s: float
+    times: dict[str, float]
+    x_best: Float64 | None
+    x_recommended: Float64 | None
+    image: Float32 | None
+    reference: Float32 | None
+    first_image: Float32 | None
+    losses: Float64
+    seconds: Float64
+    improvements: npt.NDArray[np.int64]
+    metrics: dict[str, Float64]
+    judged: dict[str, float]
+    generations: npt.NDArray[np.int64]
+    samples: int | None = None
+    status: str | None = None
+
+    @property
+    def render_s(self) -> float:
+        """Seconds spent rendering."""
+        return self.times["render"]
+
+    @property
+    def overhead_s(self) -> float:
+        """Seconds spent on anything but rendering."""
+        return self.wall_s - self.times["render"]
+
+    def summary(self) -> dict[str, Any]:
+        """Totals for JSON; numbers that are not finite become None."""
+        return {
+            "task": self.task,
+            "optimizer": self.optimizer,
+            "loss": self.loss,
+            "seed": self.seed,
+            "task_seed": self.task_seed,
+            "dim": self.dim,
+            "budget": self.budget,
+            "evaluations": self.evaluations,
+            "best_loss": _finite(self.best_loss),
+            "mse": _finite(self.mse),
+            "wall_s": self.wall_s,
+            "render_s": self.render_s,
+            "overhead_s": self.overhead_s,
+            "x_best": None if self.x_best is None else self.x_best.tolist(),
+        }
+
+    def details(self) -> dict[str, Any]:
+        """Further totals for JSON: the noise-free evaluation, and times by part."""
+        recommended = self.x_recommended
+        return {
+            "reference_loss": _finite(self.reference_loss),
+            "recommended_loss": _finite(self.recommended_loss),
+            "x_recommended": None if recommended is None else recommended.tolist(),
+            "judged": {name: _finite(value) for name, value in self.judged.items()},
+            "best_evaluation": self.best_evaluation,
+            "rounds": int(rounds(self.generations)[-1]) if len(self.generations) else 0,
+            "judge_s": self.judge_s,
+            "watch_s": self.watch_s,
+            "times": self.times,
+            **({} if self.samples is None else {"samples": self.samples}),
+            **({} if self.status is None else {"status": self.status}),
+        }
+
+
+@dataclass
+class Record:
+    """History of a run; it can be saved and restored.
+
+    losses, seconds: one entry for each evaluation.
+    improvements: evaluations that were the best so far; metrics: one entry for each improvement.
+    generations: number of candidates of each generation.
+    pending: (m, dim), candidates that were asked and not yet told.
+    fidelity: state of `Fidelity`, if the number of samples per pixel rises.
+    failures: renders that gave no image, where a run survives them.
+    """
+
+    losses: array[float] = field(default_factory=lambda: array("d"))
+    seconds: array[float] = field(default_factory=lambda: array("d"))
+    improvements: array[int] = field(default_factory=lambda: array("q"))
+    metrics: dict[str, array[float]] = field(default_factory=dict)
+    generations: array[int] = field(default_factory=lambda: array("q"))
+    times: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
+    wall_s: float = 0.0
+    watch_s: float = 0.0
+    best_loss: float = math.inf
+    best_evaluation: int = -1
+    x_best: Float64 | None = None
+    image: Float32 | None = None
+    first_image: Float32 | None = None
+    pending: Float64 | None = None
+    fidelity: dict[str, Any] | None = None
+    failures: int = 0
+
+    @property
+    def evaluations(self) -> int:
+        """Renders so far."""
+        return len(self.losses)
+
+    def add(self, X: Float64, images: Float32, losses: Float64) -> list[int]:
+        """Add a piece: candidates (n, dim), images (n, H, W, 3), losses (n,).
+
+        Returns the indices of the candidates that improved the best loss.
+        """
+        if self.first_image is None:
+            self.first_image = images[0].copy()
+        ranked = np.where(np.isfinite(losses), losses, np.inf)
+        before = np.minimum.accumulate(np.concatenate([[self.best_loss], ranked[:-1]]))
+        improved: list[int] = np.flatnonzero(ranked < before).tolist()
+        if improved:
+            winner = improved[-1]
+            self.best_loss = float(ranked[winner])
+            self.best_evaluation = self.evaluations + winner
+            self.x_best, self.image = X[winner].copy(), images[winner].copy()
+        self.improvements.extend(self.evaluations + i for i in improved)
+        self.losses.extend(losses.tolist())
+        self.seconds.extend([self.wall_s] * len(losses))
+        return improved
+
+    def judge_again(self, image: Float32, loss: float) -> None:
+        """Replace image and loss of the best candidate by those of another render."""
+        self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf
+
+    def state(self) -> dict[str, Any]:
+        """State for a checkpoint."""
+        fields: dict[str, Any] = dict(vars(self))
+        arrays = {key: np.array(fields[key], kind) for key, kind in _ARRAYS.items()}
+        metrics = {name: np.array(values) for name, values in self.metrics.items()}
+        return {**fields, **arrays, "metrics": metrics}
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> Record:
+        """Record with a state that `state` returned."""
+        arrays = {key: array(kind, state[key].tolist()) for key, kind in _ARRAYS.items()}
+        metrics = {name: array("d", values.tolist()) for name, values in state["metrics"].items()}
+        return cls(**{**state, **arrays, "metrics": metrics})
+
+
+_ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q", "generations": "q"}
+"""Array fields of a record, and their type codes for `array` and for NumPy."""
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,87 @@
+"""Solutions of a run directory.  Its checkpoints are data: nothing in it is executed."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
+from fide_plugins.experiments.solutions import pictures
+from fide_plugins.fitting.pictures import side_by_side
+from fide_plugins.runtime import checkpoint
+from fide_plugins.types import Float32, Solution
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["Found", "read"]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Solutions of a run, best first.
+
+    loss: name of the loss.
+    target: (H, W, 3), views side by side.
+    images: (H, W, 3) of each solution, None where none is stored.
+    """
+
+    loss: str
+    target: Float32
+    solutions: list[Solution]
+    images: list[Float32 | None]
+
+
+def read(directory: str | os.PathLike[str], k: int = 5) -> Found:
+    """Up to k solutions of the run in a directory.
+
+    Raises OptionError for a directory without a run, or with one of another optimizer than FIDE,
+    which alone knows several; CheckpointError if its checkpoint is damaged or not kept (all
+    ValueErrors); OSError.
+    """
+    path = Path(directory)
+    run = read_run(path)
+    if run is None:
+        raise OptionError(f"{path} is no run directory; give one that fide fit or fide run wrote")
+    settings = run["settings"]
+    if settings.get("optimizer") != "fide":
+        raise OptionError(
+            f"{path} is a run of {settings.get('optimizer')}, which keeps one solution: its best; "
+            "only fide knows several"
+        )
+    optimizer = _optimizer(path)
+    solutions = optimizer.solutions(k)
+    known = pictures.read(path)
+    images = [pictures.of(known, one.x) for one in solutions]
+    if solutions and images[0] is None and solutions[0].image is not None:
+        images[0] = side_by_side(solutions[0].image)
+    return Found(
+        str(settings.get("loss")),
+        side_by_side(optimizer.target),
+        solutions,
+        images,
+    )
+
+
+def _optimizer(path: Path) -> FIDE:
+    from fide_plugins.fide import FIDE
+
+    if not (path / "run.ckpt").exists():
+        raise RunDirectoryError(
+            f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
+        )
+    name: Any = checkpoint.read(path / "run.ckpt", "run").get("optimizer")
+    if not isinstance(name, str) or os.path.basename(name) != name:
+        raise CheckpointError(f"{path / 'run.ckpt'} names no optimizer's file, but {name!r}")
+    loaded = FIDE.load(path / name, loss=_no_loss)
+    return loaded
+
+
+def _no_loss(images: Any) -> Any:
+    """A loss in place of the user's own, which is not needed."""
+    return np.zeros(len(images[0] if isinstance(images, list) else images))  # a list of views

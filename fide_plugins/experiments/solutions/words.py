@@ -1,0 +1,97 @@
+"""Values of parameters in their units, with standard deviations; which ones are not determined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.renderers.naming import flat
+from fide_plugins.space import Choice, Kind, Space
+from fide_plugins.types import Solution
+
+__all__ = ["Row", "rows"]
+
+_OPEN = 0.2  # standard deviation, in units of the cube, of a parameter that is not determined
+# (a uniform one has 0.29)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter of several solutions.
+
+    name: with its unit.  values: one text a solution, with its standard deviation if it is known.
+    determined: False if its standard deviation in the best solution is nearly that of a uniform
+    distribution.
+    """
+
+    name: str
+    values: list[str]
+    determined: bool = True
+
+
+def rows(solutions: Sequence[Solution]) -> list[Row]:
+    """One row for each parameter of solutions of the same space (or all without one)."""
+    if not solutions:
+        return []
+    space = solutions[0].space
+    if space is None:
+        return [_row_of_x(i, solutions) for i in range(len(solutions[0].x))]
+    params = [dict(flat(space.decode(one.x))) for one in solutions]
+    return [_row(name, kind, space, solutions, params) for name, kind in space.parameters.items()]
+
+
+def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:
+    deviations = [None if one.std is None else float(one.std[i]) for one in solutions]
+    pairs = zip(solutions, deviations, strict=True)
+    values = [_text(float(one.x[i]), deviation) for one, deviation in pairs]
+    return Row(f"x[{i}]", values, _is_determined(deviations[0]))
+
+
+def _row(
+    name: str,
+    kind: Kind,
+    space: Space,
+    solutions: Sequence[Solution],
+    params: Sequence[dict[str, Any]],
+) -> Row:
+    axes = space.axes[name]
+    values, first = [], None
+    for i, (solution, given) in enumerate(zip(solutions, params, strict=True)):
+        std = None if solution.std is None or len(axes) != 1 else float(solution.std[axes[0]])
+        first = std if i == 0 else first
+        scaled = None if std is None else _in_units(kind, given[name], std)
+        values.append(_text(given[name], scaled))
+    label = name if kind.unit is None else f"{name} [{kind.unit}]"
+    return Row(label, values, isinstance(kind, Choice) or _is_determined(first))
+
+
+def _in_units(kind: Kind, value: Any, std: float) -> float | None:
+    """Standard deviation of a value, from that of its coordinate; None for a choice."""
+    if isinstance(kind, Choice):
+        return None
+    low, high, step, log = kind.scale
+    if log:  # d value / d x, with x linear in the logarithm
+        return std * float(value) * math.log((high + step / 2) / (low - step / 2))
+    return std * (high - low + step)
+
+
+def _is_determined(std: float | None) -> bool:
+    return std is None or std < _OPEN
+
+
+def _text(value: Any, std: float | None) -> str:
+    """Text of a value: digits down to the second one of its standard deviation.
+
+    >>> _text(25.0321, 0.0871), _text(0.02, None), _text(6, 0.3), _text("checker", None)
+    ('25.032 ± 0.087', '0.02', '6 ± 0.30', 'checker')
+    """
+    if std is None or not np.isfinite(std):
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+    digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
+    digits = min(digits, 9)
+    shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+    return f"{shown} ± {std:.{digits}f}"

@@ -1,0 +1,182 @@
+"""Results of a sweep: loss of each combination for a cost in seconds or renders; Pareto front.
+
+Losses during a run can be compared if all images have the same size and no noise.  If the sweep
+has several sizes or numbers of samples per pixel, or if images are noisy, a run counts only from
+its end, with the loss of its best candidate at the largest size and without noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fide_plugins import losses as losses_module
+from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
+from fide_plugins.experiments.compare.results import NoResultsError
+from fide_plugins.experiments.run.prepare import make_task, target_of
+from fide_plugins.experiments.run.task import Task, TaskInfo
+
+__all__ = ["AXES", "MARKS", "Combination", "Point", "best_within", "front", "read"]
+
+AXES = ("seconds", "renders")
+MARKS = 60
+"""Number of geometrically spaced costs at which a run is evaluated."""
+
+
+class Point(NamedTuple):
+    """Loss of a combination at a cost in seconds or renders."""
+
+    cost: float
+    loss: float
+    combination: Combination
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """One combination of options on one task.
+
+    name: label of the optimizer configuration; size, spp: task options.
+    runs: finished runs; finals: their final losses, (n,), comparable within the task.
+    anytime: whether losses during the runs are comparable too.
+    """
+
+    task: str
+    name: str
+    size: int
+    spp: int | None
+    runs: tuple[StoredRun, ...]
+    finals: tuple[float, ...]
+    anytime: bool
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The preset and the other options: "balanced", "popsize=30", "size=112"."""
+        options = dict(word.split("=", 1) for word in self.name.split(":")[1:])
+        options["size"] = str(self.size)
+        if self.spp is not None:
+            options["spp"] = str(self.spp)
+        preset = options.pop("preset")
+        return (preset, *(f"{name}={value}" for name, value in options.items()))
+
+    @property
+    def label(self) -> str:
+        """Preset and options as one text."""
+        return " ".join(self.words)
+
+    def end(self, axis: str) -> float:
+        """Median cost of a complete run."""
+        return float(np.median([run.curve.ends[axis] for run in self.runs if run.curve]))
+
+    @property
+    def final(self) -> float:
+        """Median final loss of the runs."""
+        return float(np.median(self.finals))
+
+    def loss_at(self, axis: str, cost: float) -> float:
+        """Median loss for a cost; infinity if there is no loss yet."""
+        return float(np.median([self._of_run(i, axis, cost) for i in range(len(self.runs))]))
+
+    def _of_run(self, i: int, axis: str, cost: float) -> float:
+        curve = self.runs[i].curve
+        assert curve is not None  # all runs are finished
+        if cost >= curve.ends[axis]:
+            return self.finals[i]
+        value = float(curve.value(axis, [cost])[0]) if self.anytime else np.nan
+        return np.inf if np.isnan(value) else value
+
+    def points(self, axis: str) -> list[Point]:
+        """Points along the runs if `anytime`; otherwise one point at their end."""
+        if not self.anytime:
+            found = [Point(self.end(axis), self.final, self)]
+        else:
+            first = min(run.curve.at[axis][0] for run in self.runs if run.curve)
+            longest = max(run.curve.ends[axis] for run in self.runs if run.curve)
+            marks = np.geomspace(max(first, 1e-6), longest, MARKS).tolist()
+            found = [Point(cost, self.loss_at(axis, cost), self) for cost in marks]
+        return [point for point in found if np.isfinite(point.loss)]
+
+
+def front(combinations: Iterable[Combination], axis: str) -> list[Point]:
+    """Pareto front: points that no other beats in both cost and loss, by increasing cost."""
+    points = sorted(
+        (p for s in combinations for p in s.points(axis)), key=lambda p: (p.cost, p.loss)
+    )
+    kept: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.cost, p.loss)):
+        if not kept or point.loss < kept[-1].loss:
+            kept.append(point)
+    return kept
+
+
+def best_within(combinations: Sequence[Combination], axis: str, cost: float) -> Point | None:
+    """Lowest loss for a cost, on a tie the cheapest combination; None if no loss is known."""
+    found = [Point(cost, each.loss_at(axis, cost), each) for each in combinations]
+    known = [point for point in found if np.isfinite(point.loss)]
+    return min(known, key=lambda p: (p.loss, p.combination.end(axis)), default=None)
+
+
+def read(out: Path) -> list[Combination]:
+    """Read all combinations that have a finished run in the folder of a sweep.
+
+    Raises NoResultsError (a FileNotFoundError) if there is none.
+    """
+    results = [read_comparison(path.parent) for path in sorted(out.glob("*/study.json"))]
+    kinds = {(r.settings["size"], _spp(r)) for r in results}
+    judge = _Judge(results) if len(kinds) > 1 else None
+    combinations = [each for result in results for each in _combinations(result, judge)]
+    if not combinations:
+        raise NoResultsError(f"{out} holds no finished run of a sweep; run: fide tradeoff --resume")
+    return combinations
+
+
+def _combinations(results: Results, judge: _Judge | None) -> list[Combination]:
+    finished: dict[tuple[str, str], list[StoredRun]] = {}
+    for run in results.runs:
+        if run.curve is not None:
+            finished.setdefault((run.key.task, run.key.configuration), []).append(run)
+    size, spp = results.settings["size"], _spp(results)
+    combinations = []
+    for (task, name), runs in finished.items():
+        finals = tuple(run.final if judge is None else judge(run) for run in runs)
+        anytime = judge is None and not any(map(_is_noisy, runs))
+        combinations.append(Combination(task, name, size, spp, tuple(runs), finals, anytime))
+    return combinations
+
+
+def _is_noisy(run: StoredRun) -> bool:
+    """Whether the best loss during the run differs from the noise-free loss."""
+    return bool(run.totals["best_loss"] != run.totals["reference_loss"])
+
+
+class _Judge:
+    """Noise-free loss of a run's best candidate at the largest size of the sweep."""
+
+    def __init__(self, results: list[Results]) -> None:
+        self._finest = max(results, key=lambda r: (r.settings["size"], _spp(r) or 0)).settings
+        self._tasks: dict[str, Task] = {}
+
+    def __call__(self, run: StoredRun) -> float:
+        x = run.totals["x_best"]
+        if x is None:
+            return float(np.inf)
+        task, point = self._task(run.key.task), np.asarray(x, np.float64)
+        loss = losses_module.make(run.key.loss, target_of(task))
+        reference = TaskInfo.of(task).reference
+        image = task.render(point[None], seed=[0])[0] if reference is None else reference(point)
+        return float(loss(np.asarray(image)[None])[0])
+
+    def _task(self, name: str) -> Task:
+        s = self._finest
+        if name not in self._tasks:
+            made = make_task(name, s["size"], s["task_seed"], s["task_options"])
+            self._tasks[name] = made
+        return self._tasks[name]
+
+
+def _spp(results: Results) -> int | None:
+    value = results.settings["task_options"].get("spp")
+    return None if value is None else int(value)

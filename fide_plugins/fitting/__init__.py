@@ -1,0 +1,23 @@
+"""One call that fits: workers, failures, checkpoints, callbacks and a result.
+
+    from fide_plugins import fit
+    result = fit(render, target, space, budget=2000, workers=8)
+
+===============  ==============================================================================
+`one_call`       `fit`: checks the arguments
+`fitting`        a fit that is ready to start: saved by time, and how it ends
+`loop`           as many renders under way as there are workers, each told when it arrives
+`workers/`       where renders happen
+`rendering`      one render: an image, or what went wrong
+`failures`       renders that gave no image, and when to give up
+`stopping`       when a fit is over
+`durations`      "10m"
+`result`         what it has found
+`saved_run`      its run directory
+`pictures`       images of several views
+`callbacks/`     who watches it, and who stops it
+`progress`       a bar in a terminal
+===============  ==============================================================================
+
+Nothing is imported here: worker processes load `rendering`, and no PyTorch.
+"""

@@ -1,0 +1,129 @@
+"""Callbacks: who watches a fit, and who stops it.
+
+A callback has any of these methods; a function is taken for `on_evaluation`.
+
+======================  =========================================================================
+`on_start(run)`         before the first render of a call; run: `Run`
+`on_evaluation(event)`  after each image was evaluated; event: `Event`
+`on_improvement(event)` after that, if its loss is the lowest so far
+`on_end(result)`        at the end, also after an interruption or an error; result: `Result`
+======================  =========================================================================
+
+`on_evaluation` and `on_improvement` stop the fit if they return True; any method stops it by
+raising `StopFitting`.  They are called in the process and thread of `fit`, so a slow one delays it.
+Another exception ends the fit with a `FitError`, which has the result; a run directory is saved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.errors import OptionError
+from fide_plugins.fitting.failures import CallbackError
+from fide_plugins.types import Float64
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["Callbacks", "Event", "Run", "StopFitting"]
+
+_METHODS = ("on_start", "on_evaluation", "on_improvement", "on_end")
+
+
+class StopFitting(Exception):
+    """Raised by a callback, it stops the fit, which returns its result."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A fit that is about to begin.
+
+    optimizer: has `target`, `space`, `options`, `seed`.
+    workers: number of renders at a time; 0: in this process.
+    budget: evaluations at most; None: no limit.
+    evaluations: so far; not 0 if it was resumed.
+    out: run directory; None without.
+    """
+
+    optimizer: FIDE
+    workers: int
+    budget: int | None
+    evaluations: int
+    out: Path | None
+
+
+@dataclass(frozen=True)
+class Event:
+    """An evaluated image.
+
+    evaluation: its number, from 0.
+    x: (dim,), point of the cube.
+    loss: of the image; best_loss: lowest so far.
+    image: (H, W, 3) float32 in [0, 1], for several views a list of them.  Not to be changed.
+    seconds: since the start of the fit, without interruptions.
+    busy: renders under way; failures: renders that failed so far.
+    optimizer: has `status`, `best`, `solutions`.
+    """
+
+    evaluation: int
+    x: Float64
+    loss: float
+    best_loss: float
+    image: Any
+    seconds: float
+    busy: int
+    failures: int
+    optimizer: FIDE
+
+    @cached_property
+    def params(self) -> dict[str, Any] | None:
+        """Parameters by name; None without a space."""
+        return None if self.optimizer.space is None else self.optimizer.space.decode(self.x)
+
+
+class Callbacks:
+    """Several callbacks as one.
+
+    Raises OptionError (a ValueError) for one that is neither callable nor has any of the methods.
+    """
+
+    def __init__(self, given: object) -> None:
+        several: Iterable[object] = given if isinstance(given, list | tuple) else [given]
+        self._methods: dict[str, list[Callable[[Any], object]]] = {name: [] for name in _METHODS}
+        for callback in several:
+            self._add(callback)
+
+    def __bool__(self) -> bool:
+        return any(self._methods.values())
+
+    def call(self, name: str, argument: object) -> bool:
+        """Call the method of that name of all; returns whether one of them stops the fit.
+
+        Raises CallbackError (a FitError) if one of them raises anything else.
+        """
+        stops = False
+        for method in self._methods[name]:
+            try:
+                stops |= method(argument) is True
+            except StopFitting:
+                stops = True
+            except Exception as error:
+                raise CallbackError(f"a callback failed in {name}: {error!r}") from error
+        return stops
+
+    def _add(self, callback: object) -> None:
+        found = {name: getattr(callback, name, None) for name in _METHODS}
+        methods = {name: method for name, method in found.items() if callable(method)}
+        if not methods and callable(callback):
+            methods = {"on_evaluation": callback}
+        if not methods:
+            raise OptionError(
+                f"a callback must be a function or have one of {', '.join(_METHODS)}, "
+                f"not {callback!r}"
+            )
+        for name, method in methods.items():
+            self._methods[name].append(method)

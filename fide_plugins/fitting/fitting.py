@@ -1,0 +1,206 @@
+"""A fit that is ready to start or to continue: its loop, saved by time, and how it ends."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fide_plugins.experiments.run.record import Progress, Record
+from fide_plugins.experiments.run.signals import Interrupted, Interrupts
+from fide_plugins.fitting.callbacks import Callbacks, Run
+from fide_plugins.fitting.failures import CallbackError, FitError
+from fide_plugins.fitting.loop import Loop
+from fide_plugins.fitting.progress import Report, reporting
+from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.result import Result
+from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.workers.base import Workers
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+    from fide_plugins.fitting.saved_run import SavedRun
+    from fide_plugins.types import Float64
+
+__all__ = ["FitInterrupted", "Fitting"]
+
+_SAVE_INTERVAL = 20  # least time between two checkpoints, in times of writing one
+_SHOW_INTERVAL = 0.1  # seconds between two reports of the progress
+
+
+class FitInterrupted(Interrupted):
+    """Ctrl-C or SIGTERM stopped the fit; a run directory is saved.
+
+    result: what was computed until then.
+    """
+
+    result: Result
+
+
+class Fitting:
+    """A fit; made by `one_call.prepare`."""
+
+    def __init__(
+        self,
+        optimizer: FIDE,
+        renderer: Renderer,
+        workers: Workers,
+        stopping: Stopping,
+        callbacks: Callbacks,
+        record: Record | None = None,
+        saved: SavedRun | None = None,
+        *,
+        timeout: float | None = None,
+        progress: object = None,
+        checkpoint_every: float = 5.0,
+    ) -> None:
+        self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
+        self._renderer, self._workers, self._stopping = renderer, workers, stopping
+        self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
+        self._checkpoint_every = checkpoint_every
+        self._shown_at = 0.0
+
+    def execute(self) -> Result:
+        """Fit until a rule says stop.
+
+        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if most
+        renders fail or a callback raises, any error of the optimizer or of the user's loss, OSError
+        if the run directory cannot be written.  What was computed is saved before.
+        """
+        with Interrupts() as interrupts, reporting(self._progress) as report:
+            self._loop = Loop(
+                self.optimizer,
+                self._renderer,
+                self._workers,
+                self._stopping,
+                self.record,
+                self._callbacks,
+                self._timeout,
+                interrupts,
+            )
+            self._saved_at, self._saving_took = time.perf_counter(), 0.0
+            try:
+                stopped = self._run(interrupts, report)
+            except BaseException as error:
+                raise self._left(error)  # noqa: B904, its cause is what it was
+            finally:
+                self._workers.close()
+            # a signal no longer matters: everything is about to be written
+            return self._finish(stopped)
+
+    def _run(self, interrupts: Interrupts, report: Report | None) -> str:
+        """The loop; returns why it has ended."""
+        loop = self._loop
+        stopped = loop.over()
+        if stopped is None and self._callbacks.call("on_start", self._as_run()):
+            stopped = "callback"
+        while stopped is None:
+            stopped = loop.step()
+            self._show(report)
+            self._save_now_and_then()
+            interrupts.check()
+        return stopped
+
+    # -- ending ------------------------------------------------------------------------------------
+
+    def _finish(self, stopped: str) -> Result:
+        """Save, and tell the callbacks."""
+        result = self._close(stopped, "finished")
+        try:
+            self._callbacks.call("on_end", result)
+        except CallbackError as error:
+            error.result = result
+            raise
+        return result
+
+    def _left(self, error: BaseException) -> BaseException:
+        """Save what can be saved after an error; returns the error to be raised."""
+        stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
+        try:
+            result = self._close(stopped, stopped)
+        except Exception as unsaved:  # the first error matters more
+            error.add_note(f"what was told since the last checkpoint is lost: {unsaved}")
+            result = self._result(stopped)
+        with suppress(CallbackError):
+            self._callbacks.call("on_end", result)
+        if isinstance(error, FitError):
+            error.result = result
+        elif isinstance(error, Interrupted):
+            stop = FitInterrupted(error.signum)
+            stop.result, stop.__suppress_context__ = result, True
+            return stop
+        return error
+
+    def _close(self, stopped: str, status: str) -> Result:
+        """Write everything; raises OSError if that cannot be done."""
+        if self.saved is not None:
+            if self._loop.whole:
+                self._save(self.saved)
+            self.saved.leave(status, self.record, self.optimizer)
+        return self._result(stopped)
+
+    def _result(self, stopped: str) -> Result:
+        r, best, loop = self.record, self.optimizer.best, self._loop
+        elapsed = max(time.perf_counter() - loop.started, 1e-9)
+        workers = max(1, self._workers.number)
+        return Result(
+            best=best,
+            params=None if best is None else self._renderer.params(best.x),
+            solutions=self.optimizer.solutions(),
+            status=self.optimizer.status,
+            curve=_curve(r),
+            evaluations=r.evaluations,
+            failures=loop.failures.count,
+            first_failure=loop.failures.first,
+            seconds=r.wall_s,
+            busy=min(1.0, loop.render_seconds / elapsed / workers),
+            stopped=stopped,
+            out=None if self.saved is None else self.saved.path,
+            optimizer=self.optimizer,
+        )
+
+    # -- meanwhile ---------------------------------------------------------------------------------
+
+    def _as_run(self) -> Run:
+        out = None if self.saved is None else self.saved.path
+        budget, done = self._stopping.budget, self.record.evaluations
+        return Run(self.optimizer, self._workers.number, budget, done, out)
+
+    def _show(self, report: Report | None) -> None:
+        now = time.perf_counter()
+        if report is None or now - self._shown_at < _SHOW_INTERVAL:
+            return
+        self._shown_at, r, loop = now, self.record, self._loop
+        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
+        budget = self._stopping.budget or 0
+        progress = Progress(r.evaluations, budget, r.best_loss, r.wall_s, dict(r.times))
+        report(progress, f"{loop.busy} rendering{failed}")
+
+    def _save_now_and_then(self) -> None:
+        """Save if the last checkpoint is old enough, in seconds and in times of writing one.
+
+        Not while the optimizer trains: saving would wait for the training.
+        """
+        if self.saved is None:
+            return
+        since = time.perf_counter() - self._saved_at
+        if since < max(self._checkpoint_every, _SAVE_INTERVAL * self._saving_took):
+            return
+        if not self.optimizer.training:
+            self._save(self.saved)
+
+    def _save(self, saved: SavedRun) -> None:
+        start = time.perf_counter()
+        self._loop.note_pending()
+        saved.save(self.record, self.optimizer)
+        self._saved_at = time.perf_counter()
+        self._saving_took = self._saved_at - start
+
+
+def _curve(record: Record) -> Float64:
+    """(n, 2), number of evaluations and best loss by then."""
+    losses = np.array(record.losses, np.float64)
+    best = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
+    return np.stack([np.arange(1.0, len(losses) + 1), best], axis=1)

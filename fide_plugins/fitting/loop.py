@@ -1,0 +1,265 @@
+"""The loop of a fit: as many renders under way as there are workers, each told when it arrives.
+
+Nothing waits for a generation.  With several workers the next candidate is asked before the
+finished one is told, since telling takes longer: the worker goes on meanwhile.  With one worker the
+candidate that is asked knows all that was rendered, so the same seed gives the same fit, which is
+that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.experiments.run.record import Record
+from fide_plugins.experiments.run.signals import Interrupts
+from fide_plugins.fide import FIDE
+from fide_plugins.fitting.callbacks import Callbacks, Event
+from fide_plugins.fitting.failures import Failures, GivenUpError
+from fide_plugins.fitting.pictures import as_told, shown
+from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
+from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.workers.base import Task, Workers
+from fide_plugins.types import Float32, Float64
+
+__all__ = ["Loop"]
+
+_LOOK = 0.25  # seconds between two looks at the clocks of renders that may take too long
+
+
+class Loop:
+    """Asks, renders and tells until a rule says stop.
+
+    record: history of the run, of earlier calls too; what was pending is rendered first.
+    interrupts: Ctrl-C and SIGTERM stop the waiting, but no step of the optimizer.
+    """
+
+    def __init__(
+        self,
+        optimizer: FIDE,
+        renderer: Renderer,
+        workers: Workers,
+        stopping: Stopping,
+        record: Record,
+        callbacks: Callbacks,
+        timeout: float | None,
+        interrupts: Interrupts,
+    ) -> None:
+        self.optimizer, self.record, self.workers = optimizer, record, workers
+        self.failures = Failures(record.failures)
+        self.whole = True
+        """Whether record and optimizer agree, so that they may be saved."""
+        self.render_seconds = 0.0
+        """Sum over all renders of this call."""
+        self._renderer, self._stopping, self._timeout = renderer, stopping, timeout
+        self._callbacks, self._interrupts = callbacks, interrupts
+        self._running: dict[Task, Float64] = {}
+        self._waiting: deque[Float64] = deque([] if record.pending is None else record.pending)
+        self._arrived: SimpleQueue[Future[Outcome]] = SimpleQueue()
+        self._ahead = workers.number > 1
+        self.stopped_by_callback = False
+        self._clock = time.perf_counter()
+        self.started = self._clock
+
+    @property
+    def busy(self) -> int:
+        """Renders under way."""
+        return len(self._running)
+
+    def over(self) -> str | None:
+        """Rule that says that there is nothing to be done; None: none of them."""
+        return self._stopping.reached(*self._state(), True, self.optimizer)
+
+    def step(self) -> str | None:
+        """Wait for a render, and tell it; returns why the fit is over, None if it is not.
+
+        Raises GivenUpError or CallbackError (both FitErrors).
+        """
+        self._fill()
+        if not self._running:
+            raise GivenUpError(
+                f"given up: all {self.workers.number} workers hang in a render, and threads cannot "
+                "be killed; make render raise when it takes too long, or take processes"
+            )
+        task = self._next()
+        if task is None:
+            self._tick()
+            return self._stopping.reached(*self._state(), False, self.optimizer)
+        outcome = self._outcome(task)
+        if self._ahead:
+            self._fill(free=1)
+        x = self._running.pop(task)
+        improved = self._enter(x, outcome)
+        if self.stopped_by_callback:
+            return "callback"
+        return self._stopping.reached(*self._state(), improved, self.optimizer)
+
+    def pending(self) -> Float64:
+        """Candidates (n, dim) that were asked and not told, in that order."""
+        return np.array([*self._running.values(), *self._waiting]).reshape(-1, self.optimizer.dim)
+
+    def note_pending(self) -> None:
+        """Enter them in the record, so that it may be saved."""
+        r = self.record
+        r.pending, r.failures = self.pending(), self.failures.count
+        del r.generations[:]
+        if asked := r.evaluations + len(r.pending):
+            r.generations.append(asked)  # one generation that never waits
+        self._tick()
+
+    # -- asking ------------------------------------------------------------------------------------
+
+    def _fill(self, free: int = 0) -> None:
+        """Give every free worker a candidate; free: finished renders that are not told yet."""
+        while len(self._running) - free < self.workers.usable and self._may_ask():
+            if not self._waiting:
+                self.whole = False
+                self._waiting.append(self.optimizer.ask(1)[0])
+                self.whole = True
+            with self._interrupts.stoppable():
+                task = self.workers.submit(self._waiting[0])
+            self._running[task] = self._waiting.popleft()
+            task.add_done_callback(self._arrived.put)
+
+    def _may_ask(self) -> bool:
+        budget, done = self._stopping.budget, self.record.evaluations
+        return bool(self._waiting) or budget is None or done + len(self._running) < budget
+
+    # -- waiting -----------------------------------------------------------------------------------
+
+    def _next(self) -> Task | None:
+        """A render that is done, or that has taken too long; None: look at the clock."""
+        late = self._late()
+        if late is not None:
+            return late
+        start = time.perf_counter()
+        try:
+            with self._interrupts.stoppable():
+                task = self._arrived.get(timeout=self._patience())
+        except Empty:
+            return None
+        finally:
+            self.record.times["render"] += time.perf_counter() - start
+        return task if task in self._running else None  # or it was abandoned
+
+    def _patience(self) -> float | None:
+        """Seconds to wait at most."""
+        limits = [] if self._timeout is None else [_LOOK]
+        if self._stopping.seconds is not None:
+            self._tick()
+            limits.append(max(0.0, self._stopping.seconds - self.record.wall_s))
+        return min(limits, default=None)
+
+    def _late(self) -> Task | None:
+        """A render that takes too long."""
+        if self._timeout is None:
+            return None
+        now = time.monotonic()
+        for task in self._running:
+            began = self.workers.began(task)
+            if began is not None and now - began > self._timeout and not task.done():
+                return task
+        return None
+
+    def _outcome(self, task: Task) -> Outcome:
+        if task.done():
+            return self.workers.outcome(task)
+        self.workers.abandon(task)
+        return Failed(f"the render took longer than timeout={self._timeout:g} seconds")
+
+    # -- telling -----------------------------------------------------------------------------------
+
+    def _enter(self, x: Float64, outcome: Outcome) -> bool:
+        """Tell the outcome of x (d,), or withdraw it; returns whether it is the best so far.
+
+        Raises GivenUpError (a FitError) if most renders fail.
+        """
+        if isinstance(outcome, Failed):
+            self._fail(x, outcome)
+            return False
+        self.render_seconds += outcome.seconds
+        try:
+            images = as_told(self.optimizer, outcome.image)
+            loss = self._tell(x, images)
+        except ImageError as error:  # raised before anything changes
+            self.whole = True
+            self._fail(x, Failed(f"render returned no image that fits: {error}"))
+            return False
+        improved = self._note(x, images, loss)
+        if self._callbacks:
+            self._call_back(x, images, loss, improved)
+        return improved
+
+    def _tell(self, x: Float64, images: Any) -> float:
+        """Tell images of the point x (d,); returns its loss."""
+        self.whole = False
+        opt, times = self.optimizer, self.record.times
+        before, start = dict(opt.times), time.perf_counter()
+        losses = opt.tell(x[None], images)  # (1,)
+        elapsed = time.perf_counter() - start
+        for part in ("encode", "train"):
+            spent = opt.times[part] - before[part]
+            times[part] += spent
+            elapsed -= spent
+        times["search"] += max(0.0, elapsed)
+        return float(losses[0])
+
+    def _note(self, x: Float64, images: Any, loss: float) -> bool:
+        """Enter an evaluated candidate in the record; returns whether it is the best so far."""
+        self._tick()
+        r, best = self.record, self.optimizer.state.best
+        if r.first_image is None:
+            r.first_image = self._canonical(images)[0]
+        improved = loss < r.best_loss and best is not None
+        if improved and best is not None:
+            r.best_loss, r.best_evaluation = loss, r.evaluations
+            r.x_best, r.image = x, best.solution.image
+            r.improvements.append(r.evaluations)
+        r.losses.append(loss)
+        r.seconds.append(r.wall_s)
+        self.whole = True
+        self.failures.note_image()
+        return improved
+
+    def _call_back(self, x: Float64, images: Any, loss: float, improved: bool) -> None:
+        r = self.record
+        event = Event(
+            evaluation=r.evaluations - 1,
+            x=x,
+            loss=loss,
+            best_loss=r.best_loss,
+            image=shown(self.optimizer, self._canonical(images)[0]),
+            seconds=r.wall_s,
+            busy=self.busy,
+            failures=self.failures.count,
+            optimizer=self.optimizer,
+        )
+        stops = self._callbacks.call("on_evaluation", event)
+        stops |= improved and self._callbacks.call("on_improvement", event)
+        self.stopped_by_callback |= stops
+
+    def _canonical(self, images: Any) -> Float32:
+        """Batch (1, H, W, 3) of images that were told; the optimizer has warned of clipped ones."""
+        batch = self.optimizer.evaluator.as_batch(1, images, None, None, lambda message: None)
+        assert batch is not None
+        return batch
+
+    def _fail(self, x: Float64, failed: Failed) -> None:
+        """Withdraw x (d,) and count it; raises GivenUpError if it is time for that."""
+        self.optimizer.withdraw(x[None])
+        self.failures.note(failed, self._renderer.params(x))
+        self.failures.check()
+
+    def _state(self) -> tuple[int, float, float]:
+        return self.record.evaluations, self.record.wall_s, self.record.best_loss
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        self.record.wall_s += now - self._clock
+        self._clock = now

@@ -1,0 +1,196 @@
+"""`fit`: a renderer, a picture and a space in, the best parameters out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments.run.task import name_of
+from fide_plugins.fide import FIDE
+from fide_plugins.fitting.callbacks import Callbacks
+from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.fitting.fitting import Fitting
+from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.result import Result
+from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
+from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.space import Space
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["fit", "prepare"]
+
+
+def fit(
+    render: Callable[[Any], object],
+    target: object,
+    space: Space | int,
+    budget: int | None = 2000,
+    time: float | str | None = None,
+    stop_at: float | None = None,
+    workers: int = 8,
+    executor: object = None,
+    views: Sequence[object] | None = None,
+    mask: object = None,
+    learned: object = None,
+    callbacks: object = (),
+    out: str | os.PathLike[str] | None = None,
+    seed: int | None = None,
+    *,
+    until_stalled: bool = False,
+    timeout: float | str | None = None,
+    resume: bool = False,
+    progress: object = None,
+    **options: Any,
+) -> Result:
+    """Find the parameters whose image is the target.
+
+    Parameters
+    ----------
+    render
+        function of a dictionary of parameters, as `Space.decode` gives it, that returns an image of
+        the target's size: any input of `FIDE.tell`.  Where `space` is a number, it gets x, float64
+        (dim,) in [0, 1].
+    target
+        picture to find; or a list of them, one for each view: `render` then returns such a list.
+    space
+        parameters by name, or their number.
+    budget
+        images to evaluate at most; None: no limit.
+    time
+        how long at most: seconds, or a text such as "10m" or "1h30m".
+    stop_at
+        loss at which to stop.
+    workers
+        renders at a time.  They run in as many processes of their own, which are killed and
+        replaced where they hang or die.  0: in this process, one after the other, which costs
+        least where a render takes milliseconds.  Where `render` cannot be pickled, threads take
+        the place of processes, with a warning.
+    executor
+        where to render instead: "threads" (for a `render` that only waits, for a program or a
+        server), any executor of `concurrent.futures`, or Dask's Client; `workers` says how many
+        renders it gets at a time.
+    views
+        pictures of further views: the same as ``target=[target, *views]``.
+    mask, learned
+        options of `FIDE`.
+    callbacks
+        functions or objects that watch the fit or stop it, see `fide_plugins.fitting.callbacks`.
+    out
+        run directory: a checkpoint every few seconds, the curve, the best image.  None writes
+        nothing.
+    seed
+        same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  With
+        more the order in which renders arrive matters, too.  None draws one.
+    until_stalled
+        stop also when nothing more is to be expected: the image equals the target to 8 bits, the
+        loss is at the noise floor, several searches ended in the same place, or the loss has not
+        improved by a tenth for 20 generations and half of all evaluations.
+    timeout
+        seconds a render may take, or a text as for `time`; then its process is killed.  A thread
+        cannot be killed: it is forgotten, and missing until it ends.
+    resume
+        go on with the fit in `out`, if there is one.  `budget`, `time`, `stop_at`, `workers` and
+        the like may be others; what defines the fit must be the same.
+    progress
+        True: a bar; False: none; None: a bar in a terminal.
+    **options
+        options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
+
+    A render that raises, takes too long, loses its process, or returns something else than an image
+    of the right size is withdrawn and counted; the first one is shown whole, as a warning.
+
+    Raises
+    ------
+    FideError
+        before the first render: an option, the target or the space is not what it must be.
+    FitError
+        the first 8 renders all failed, more than half of the last 50 failed, or a callback raised
+        an exception.  Its `result` is what was computed until then.
+    FitInterrupted
+        (a KeyboardInterrupt) Ctrl-C or SIGTERM; it has a `result`, too.
+    """
+    return prepare(
+        render,
+        target if views is None else [target, *views],
+        space,
+        stopping=Stopping.of(budget, time, stop_at, until_stalled),
+        workers=workers,
+        executor=executor,
+        callbacks=callbacks,
+        out=out,
+        seed=seed,
+        timeout=timeout,
+        resume=resume,
+        progress=progress,
+        options=_given(mask=mask, learned=learned) | options,
+    ).execute()
+
+
+def prepare(
+    render: Callable[[Any], object],
+    target: object,
+    space: Space | int,
+    *,
+    stopping: Stopping,
+    workers: int = 8,
+    executor: object = None,
+    callbacks: object = (),
+    out: str | os.PathLike[str] | None = None,
+    seed: int | None = None,
+    timeout: float | str | None = None,
+    resume: bool = False,
+    progress: object = None,
+    options: dict[str, Any] | None = None,
+    checkpoint_every: float = 5.0,
+    command: Sequence[str] | None = None,
+    check: Callable[[FIDE], None] | None = None,
+) -> Fitting:
+    """Check the arguments, and make or resume a fit; nothing is rendered yet.
+
+    stopping: when it is over.  checkpoint_every: seconds between checkpoints, at least twenty times
+    the time to write one.  command: command line to record.  check: gets the optimizer before
+    anything is written, and may raise.  All others, and errors, as for `fit`.
+    """
+    if not callable(render):
+        raise OptionError(f"render must be a function of the parameters, not {render!r}")
+    if resume and out is None:
+        raise OptionError("resume=True needs the run directory: give out=DIR")
+    watchers = Callbacks(callbacks)
+    limit = None if timeout is None else seconds_of("timeout", timeout)
+    number = whole_number("workers", workers, 0)
+    options = dict(options or {})
+    if resume and out is not None and seed is None:
+        seed = seed_there(out)
+    optimizer = FIDE(space, target, seed=seed, **options)
+    renderer = Renderer(render, optimizer.space)
+    pool = workers_for(renderer, number, executor, limit)
+    if check is not None:
+        check(optimizer)
+    record, saved = None, None
+    if out is not None:
+        settings = settings_of(name_of(render), optimizer, options)
+        saved = SavedRun(out, settings, stopping.record(), resume=resume, command=command)
+        restored = saved.restore(options.get("loss"))
+        if restored is not None:
+            record, optimizer = restored
+        saved.begin(optimizer)
+    return Fitting(
+        optimizer,
+        renderer,
+        pool,
+        stopping,
+        watchers,
+        record,
+        saved,
+        timeout=limit,
+        progress=progress,
+        checkpoint_every=checkpoint_every,
+    )
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Options that are not None."""
+    return {name: value for name, value in options.items() if value is not None}

@@ -1,0 +1,51 @@
+"""Images of one view or several, between the user's function, the optimizer and a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.types import Float32
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["as_told", "picture", "shown", "side_by_side"]
+
+
+def as_told(optimizer: FIDE, image: Any) -> Any:
+    """What `FIDE.tell` takes for one candidate; image: as the user's function returned it.
+
+    Raises ImageError (a ValueError) if there is not one image for each view.
+    """
+    target: Any = optimizer.target
+    if not isinstance(target, list):
+        return [image]
+    several = isinstance(image, Sequence) and not isinstance(image, str)
+    if not several or len(image) != len(target):
+        got = f"{len(image)} images" if several else type(image).__name__
+        raise ImageError(
+            f"render must return a list of {len(target)} images, one for each view, not {got}"
+        )
+    return [[one] for one in image]
+
+
+def shown(optimizer: FIDE, image: Float32) -> Any:
+    """Image (H, W, 3), or a list of them for several views, of what the optimizer keeps."""
+    return optimizer.views.unpacked(image)
+
+
+def picture(optimizer: FIDE, image: Float32) -> Float32:
+    """The same as one picture."""
+    return side_by_side(shown(optimizer, image))
+
+
+def side_by_side(image: Any) -> Float32:
+    """One picture of an image (H, W, 3), or of a list of them, below each black."""
+    images = image if isinstance(image, list) else [image]
+    height = max(len(one) for one in images)
+    padded = [np.pad(one, ((0, height - len(one)), (0, 0), (0, 0))) for one in images]
+    return np.concatenate(padded, axis=1, dtype=np.float32)

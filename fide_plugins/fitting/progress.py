@@ -1,0 +1,62 @@
+"""Progress of a fit in a terminal or notebook."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeAlias
+
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments.run.record import Progress
+
+__all__ = ["Report", "reporting"]
+
+Report: TypeAlias = Callable[[Progress, str], object]
+"""Function of the progress and of a remark."""
+
+
+@contextmanager
+def reporting(progress: object) -> Iterator[Report | None]:
+    """Context that gives a function which shows progress; None: nothing is to be shown.
+
+    progress: None: a bar if standard error is a terminal; True: a bar; False: nothing; or a
+        function of a `Progress`.
+
+    Raises OptionError (a ValueError).
+    """
+    if progress is None:
+        progress = sys.stderr is not None and sys.stderr.isatty()
+    if progress is False:
+        yield None
+    elif progress is True:
+        with _bar() as report:
+            yield report
+    elif callable(progress):
+        function: Callable[[Progress], object] = progress
+        yield lambda state, remark: function(state)
+    else:
+        raise OptionError(f"progress must be True, False, None or a function, not {progress!r}")
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
+
+    columns = [  # without markup, since a remark may hold brackets
+        BarColumn(bar_width=16),
+        TextColumn("{task.completed}/{task.total}", markup=False),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    ]
+    console = Console(stderr=True)
+    with Bar(*columns, console=console, refresh_per_second=5, transient=True) as bar:
+        line = bar.add_task("", total=None)
+
+        def report(progress: Progress, remark: str) -> None:
+            words = f"best {progress.best_loss:.3g}  {remark}"
+            total = progress.budget or None
+            bar.update(line, total=total, completed=progress.evaluations, description=words)
+
+        yield report

@@ -1,0 +1,137 @@
+"""One render: from a point of the cube to an image, or to what went wrong.
+
+Nothing is imported here but NumPy and the space: a worker process loads this file, and no PyTorch.
+"""
+
+from __future__ import annotations
+
+import pickle
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+from fide_plugins.errors import RenderError
+from fide_plugins.space import Space
+from fide_plugins.types import Float64
+
+__all__ = ["Failed", "Outcome", "Portable", "Rendered", "Renderer", "pack", "restored", "unpack"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendered:
+    """An image as the user's function returned it.  seconds: duration of the render."""
+
+    image: Any
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A render that gave no image.
+
+    reason: in one line.
+    details: the traceback in the worker, or what else is known; may be empty.
+    names_params: whether they say with which parameters.
+    """
+
+    reason: str
+    details: str = ""
+    names_params: bool = False
+
+    @classmethod
+    def by(cls, error: BaseException) -> Failed:
+        """What an exception of the user's function says; its traceback without our own frames.
+
+        A RenderError is complete: its message has parameters and traceback, or the last output.
+        """
+        if isinstance(error, RenderError):
+            reason, _, details = str(error).partition("\n")
+            return cls(reason, details, names_params=True)
+        lines = traceback.format_exception(type(error), error, _beyond_here(error))
+        return cls(f"{type(error).__name__}: {error}", "".join(lines).rstrip())
+
+
+Outcome: TypeAlias = Rendered | Failed
+
+
+@dataclass(frozen=True, slots=True)
+class Renderer:
+    """The user's function of a dictionary, or of x (d,) where there is no space."""
+
+    render: Callable[[Any], Any]
+    space: Space | None
+
+    def params(self, x: Float64) -> Any:
+        """Argument of the user's function for a point x (d,)."""
+        return x.copy() if self.space is None else self.space.decode(x)
+
+    def __call__(self, x: Float64) -> Outcome:
+        """Image of the point x (d,) of the cube."""
+        start = time.perf_counter()
+        try:
+            image = self.render(self.params(x))
+        except (Exception, SystemExit) as error:  # scripts end by sys.exit
+            return Failed.by(error)
+        return Rendered(image, time.perf_counter() - start)
+
+
+@dataclass(frozen=True, slots=True)
+class Portable:
+    """A renderer for other processes; its images come back as bytes, see `unpack`.
+
+    A function of the script or notebook itself travels by value, others by name.
+    """
+
+    payload: bytes
+
+    @classmethod
+    def of(cls, renderer: Renderer) -> Portable:
+        """Pickle the renderer; raises whatever an object raises that cannot be pickled."""
+        import cloudpickle
+
+        return cls(cloudpickle.dumps(renderer))
+
+    def __call__(self, x: Float64) -> Outcome:
+        """Image of the point x (d,) of the cube, as bytes."""
+        try:
+            renderer = restored(self.payload)
+        except (Exception, SystemExit) as error:
+            return Failed.by(error)
+        return pack(renderer(x))
+
+
+@lru_cache(maxsize=4)
+def restored(payload: bytes) -> Renderer:
+    """Renderer of a `Portable`; once for each process."""
+    renderer: Renderer = pickle.loads(payload)
+    return renderer
+
+
+def pack(outcome: Outcome) -> Outcome:
+    """The same with its image as bytes.
+
+    Tensors travel by value then: PyTorch would share the memory of a worker that may be killed.
+    """
+    if isinstance(outcome, Failed):
+        return outcome
+    try:
+        return replace(outcome, image=pickle.dumps(outcome.image, protocol=5))
+    except Exception as error:
+        return Failed.by(error)
+
+
+def unpack(outcome: Outcome) -> Outcome:
+    """Undo `pack`, for what a worker has sent."""
+    if isinstance(outcome, Rendered) and isinstance(outcome.image, bytes):
+        return replace(outcome, image=pickle.loads(outcome.image))
+    return outcome
+
+
+def _beyond_here(error: BaseException) -> Any:
+    frames = error.__traceback__
+    while frames is not None and frames.tb_next and frames.tb_frame.f_code.co_filename == __file__:
+        frames = frames.tb_next
+    return frames

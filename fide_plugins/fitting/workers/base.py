@@ -1,0 +1,40 @@
+"""What a set of workers is."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Protocol, TypeAlias
+
+from fide_plugins.fitting.rendering import Outcome
+from fide_plugins.types import Float64
+
+__all__ = ["Task", "Workers"]
+
+Task: TypeAlias = "Future[Outcome]"
+"""A render that was begun, or will be as soon as a worker is free."""
+
+
+class Workers(Protocol):
+    """Renders candidates, several at a time."""
+
+    number: int
+    """How many renders run at a time."""
+
+    @property
+    def usable(self) -> int:
+        """How many of them can render: all but those that hang and cannot be killed."""
+
+    def submit(self, x: Float64) -> Task:
+        """Render the point x (d,)."""
+
+    def outcome(self, task: Task) -> Outcome:
+        """What a task that is done has given; never raises what went wrong."""
+
+    def began(self, task: Task) -> float | None:
+        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
+
+    def abandon(self, task: Task) -> None:
+        """Stop a render that takes too long; where that is impossible, forget it."""
+
+    def close(self) -> None:
+        """Stop all renders, and give back what was taken for them."""

@@ -1,0 +1,83 @@
+"""Which workers `fit` takes."""
+
+from __future__ import annotations
+
+import warnings
+from concurrent.futures import Executor, ThreadPoolExecutor
+
+from fide_plugins.errors import OptionError
+from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.workers.base import Workers
+from fide_plugins.fitting.workers.executors import OfExecutor
+from fide_plugins.fitting.workers.here import Here
+from fide_plugins.fitting.workers.processes import Processes
+
+__all__ = ["workers_for"]
+
+
+def workers_for(
+    renderer: Renderer, number: int, executor: object, timeout: float | None
+) -> Workers:
+    """Workers for a renderer; nothing is started yet.
+
+    number: of renders at a time; 0: in this process.
+    executor: None or "processes", "threads", an executor of `concurrent.futures`, or what has a
+        method `get_executor`, as Dask's Client.
+    timeout: of a render, which this process does not have.
+
+    Raises OptionError (a ValueError).
+    """
+    if number == 0:
+        if executor is not None:
+            raise OptionError("workers=0 renders in this process: leave out executor")
+        if timeout is not None:
+            raise OptionError("timeout needs a worker that can be killed: give workers >= 1")
+        return Here(renderer)
+    if executor is None:
+        return _processes_or_threads(renderer, number)
+    if executor == "processes":
+        return _processes(renderer, number)
+    if executor == "threads":
+        return _threads(renderer, number)
+    return OfExecutor(_as_executor(executor), renderer, number, own=False)
+
+
+def _processes_or_threads(renderer: Renderer, number: int) -> Workers:
+    try:
+        return Processes(renderer, number)
+    except Exception as error:  # whatever the user's objects raise when they are pickled
+        warnings.warn(
+            f"render cannot be sent to other processes ({type(error).__name__}: {error}), so it "
+            "runs in threads of this one; to silence this, give executor='threads', or make what "
+            "it needs inside of it",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return _threads(renderer, number)
+
+
+def _processes(renderer: Renderer, number: int) -> Workers:
+    try:
+        return Processes(renderer, number)
+    except Exception as error:
+        raise OptionError(
+            f"render cannot be sent to other processes ({type(error).__name__}: {error}); make "
+            "what it needs inside of it, or give executor='threads'"
+        ) from error
+
+
+def _threads(renderer: Renderer, number: int) -> Workers:
+    executor = ThreadPoolExecutor(number, thread_name_prefix="fide-render")
+    return OfExecutor(executor, renderer, number, own=True)
+
+
+def _as_executor(executor: object) -> Executor:
+    if hasattr(executor, "get_executor"):  # Dask's Client; the same point may be rendered twice
+        made: Executor = executor.get_executor(pure=False)
+        return made
+    if isinstance(executor, Executor) or hasattr(executor, "submit"):
+        return executor  # type: ignore[return-value]
+    raise OptionError(
+        "executor must be 'processes', 'threads', an executor of concurrent.futures or Dask's "
+        f"Client, not {executor!r}"
+    )

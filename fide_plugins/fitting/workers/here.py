@@ -1,0 +1,42 @@
+"""Renders in this process, one after the other."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future
+
+from fide_plugins.fitting.rendering import Outcome, Renderer
+from fide_plugins.fitting.workers.base import Task
+from fide_plugins.types import Float64
+
+__all__ = ["Here"]
+
+
+class Here:
+    """The process that fits: `submit` returns when the image is there; nothing stops a render."""
+
+    number = 1
+    usable = 1
+
+    def __init__(self, renderer: Renderer) -> None:
+        self._renderer = renderer
+
+    def submit(self, x: Float64) -> Task:
+        """Render the point x (d,) now."""
+        task: Task = Future()
+        task.set_result(self._renderer(x))
+        return task
+
+    def outcome(self, task: Task) -> Outcome:
+        """Image, or what went wrong."""
+        return task.result()
+
+    def began(self, task: Task) -> float | None:
+        """Time at which it was asked: it is over by then."""
+        return time.monotonic()
+
+    def abandon(self, task: Task) -> None:
+        """Nothing to be done: each render is over."""
+
+    def close(self) -> None:
+        """Nothing was taken."""

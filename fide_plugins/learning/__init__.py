@@ -1,0 +1,51 @@
+"""Learn once what pictures say of a renderer's parameters, for every later picture.
+
+Amortized inference: renders of random parameters train a network that maps an image to a density of
+the parameters. For a new picture it gives several hypotheses at once, which the search then refines
+(`FIDE(..., learned=model)`).
+
+=================  =============================================================================
+file               idea
+=================  =============================================================================
+`learn`            the whole way from a renderer to a model
+`model`            hypotheses, density, one file
+`renderer`         a user's function, or a task
+`store`            renders on disk, in shards
+`rendering`        fills the store, in one process or several
+`network`          encoder and head
+`encoder`          a small convolutional network
+`heads`            densities of the parameters: autoregressive, mixture
+`sets`             exchangeable blocks as a set
+`axes`             densities on one axis: truncated and wrapped Gaussians
+`augmentation`     what separates a picture from a render
+`training`         maximum likelihood, judged on held-out renders
+`report`           how good a model is: likelihood, hypotheses, calibration
+`familiarity`      how much a picture is like those that were learned
+`hypotheses`       what the search is given
+=================  =============================================================================
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fide_plugins.learning.learn import LearnProgress as LearnProgress, learn as learn
+    from fide_plugins.learning.model import Model as Model
+    from fide_plugins.learning.report import Report as Report
+
+__all__ = ["LearnProgress", "Model", "Report", "learn"]
+
+_ATTRIBUTES = {"LearnProgress": "learn", "Model": "model", "Report": "report", "learn": "learn"}
+
+
+if not TYPE_CHECKING:  # a process that renders needs no PyTorch
+
+    def __getattr__(name: str) -> Any:
+        """Import the class or function `name` the first time somebody asks for it (PEP 562)."""
+        if name not in _ATTRIBUTES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{__name__}.{_ATTRIBUTES[name]}"), name)
+        globals()[name] = value
+        return value

@@ -1,0 +1,130 @@
+"""Heads: what a picture's features say of the parameters, as a density on the unit cube.
+
+================  ================================================================================
+`Mixture`         K diagonal Gaussians of all parameters at once (Bishop 1994)
+`Autoregressive`  one parameter after the other, each a mixture given those before it (RNADE, Uria,
+                  Murray and Larochelle 2013, arXiv:1306.0186): parameters that depend on each
+                  other, and many modes
+`sets.Blocks`     exchangeable blocks of parameters, as a set
+================  ================================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from fide_plugins.learning.axes import NUMBERS, Components, choose, fourier, frequencies
+
+__all__ = ["Autoregressive", "Head", "Mixture"]
+
+
+class Head(Protocol):
+    """Density of u (d,) given features."""
+
+    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
+        """Logarithm of the density (B,) at u (B, d); features (B, places, C) and (B, width)."""
+        ...
+
+    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """Draw (n, d) given the features of one picture, (1, places, C) and (1, width)."""
+        ...
+
+
+class Mixture(nn.Module):
+    """sum_k w_k prod_i p(u_i; m_ki, s_ki), see `axes`.
+
+    width: of the features.  periodic: (d,) bool.  components: K.  hidden: units between.
+    """
+
+    periodic: Tensor
+
+    def __init__(
+        self, width: int, periodic: Tensor, components: int = 8, hidden: int = 256
+    ) -> None:
+        super().__init__()
+        self.components = components
+        self.register_buffer("periodic", periodic, persistent=False)
+        numbers = len(periodic) * components * NUMBERS
+        self.layers = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, numbers))
+
+    def _of(self, vector: Tensor) -> tuple[Tensor, Components]:
+        """Log weights (B, K) and components (B, d, K)."""
+        raw = self.layers(vector).view(len(vector), len(self.periodic), self.components, NUMBERS)
+        found = Components.of(raw, self.periodic, normalize=False)
+        return F.log_softmax(found.weight.mean(dim=1), dim=-1), found
+
+    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
+        """See `Head`."""
+        weight, found = self._of(vector)
+        total: Tensor = torch.logsumexp(weight + found.log_density(u).sum(dim=1), dim=-1)
+        return total
+
+    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """See `Head`."""
+        weight, found = self._of(vector)
+        which = choose(weight.expand(n, -1), generator)[:, None].expand(-1, len(self.periodic))
+        d, k = len(self.periodic), self.components
+        mean, std = found.mean.expand(n, d, k), found.std.expand(n, d, k)
+        return Components(found.weight, mean, std, found.periodic).draw(which, generator)
+
+
+class Autoregressive(nn.Module):
+    """prod_i p(u_i | u_1 ... u_(i-1)), each a mixture of K Gaussians, see `axes`.
+
+    width: of the features.  periodic: (d,) bool.  components: K.  hidden: units of each parameter.
+    """
+
+    periodic: Tensor
+
+    def __init__(self, width: int, periodic: Tensor, components: int = 6, hidden: int = 96) -> None:
+        super().__init__()
+        d = len(periodic)
+        self.components, self.hidden = components, hidden
+        self.register_buffer("periodic", periodic, persistent=False)
+        self.register_buffer("before", _before(d), persistent=False)
+        self.context = nn.Linear(width, d * hidden)
+        self.earlier = nn.Parameter(_uniform((d * frequencies(), d * hidden), d * frequencies()))
+        self.second = nn.Parameter(_uniform((d, hidden, hidden), hidden))
+        self.out = nn.Parameter(_uniform((d, hidden, components * NUMBERS), hidden))
+        self.second_bias = nn.Parameter(torch.zeros(d, 1, hidden))
+        self.out_bias = nn.Parameter(0.5 * torch.randn(d, 1, components * NUMBERS))
+
+    before: Tensor
+
+    def _of(self, vector: Tensor, u: Tensor) -> Components:
+        """Components (B, d, K), those of u_i given features and the parameters before i."""
+        d, hidden = len(self.periodic), self.hidden
+        mask = self.before.repeat_interleave(frequencies(), 0).repeat_interleave(hidden, 1)
+        waves = fourier(u, self.periodic).flatten(1)  # (B, d * 9)
+        h = F.gelu(self.context(vector) + waves @ (self.earlier * mask))
+        h = h.view(-1, d, hidden).transpose(0, 1)  # (d, B, hidden)
+        h = F.gelu(torch.baddbmm(self.second_bias, h, self.second)) + h
+        raw = torch.baddbmm(self.out_bias, h, self.out).transpose(0, 1)
+        return Components.of(raw.view(-1, d, self.components, NUMBERS), self.periodic)
+
+    def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
+        """See `Head`."""
+        density: Tensor = self._of(vector, u).log_mixture(u)
+        return density.sum(dim=-1)
+
+    def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
+        """See `Head`."""
+        d = len(self.periodic)
+        u, vector = torch.full((n, d), 0.5), vector.expand(n, -1)
+        for i in range(d):  # the i-th is right once those before it are
+            u[:, i] = self._of(vector, u).draw_mixture(generator)[:, i]
+        return u
+
+
+def _before(d: int) -> Tensor:
+    """(d, d), 1 where the row comes before the column."""
+    return torch.ones(d, d).triu(1)
+
+
+def _uniform(shape: tuple[int, ...], inputs: int) -> Tensor:
+    drawn: Tensor = (2 * torch.rand(shape) - 1) / inputs**0.5
+    return drawn

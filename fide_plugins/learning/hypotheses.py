@@ -1,0 +1,67 @@
+"""What a search is given of a model: hypotheses of the target's parameters."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.errors import OptionError
+from fide_plugins.space import Space
+from fide_plugins.types import Float64
+
+if TYPE_CHECKING:
+    from fide_plugins.learning.model import Model
+
+__all__ = ["hypotheses_of"]
+
+_DRAWN = 512
+
+
+def hypotheses_of(
+    learned: Model | str | os.PathLike[str] | None,
+    space: Space | int,
+    target: Any,
+    seed: int,
+) -> Float64 | None:
+    """Draw hypotheses (n, d) for a target; None for a picture unlike all renders.
+
+    learned: model, or its file; None, without one: no hypotheses.
+    target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
+
+    Warns of an unknown picture.  Raises OSError or CheckpointError for a file that is no model,
+    OptionError for a model of another space or for several views, ImageError for another aspect.
+    """
+    if learned is None:
+        return None
+    from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks
+
+    if isinstance(learned, str | os.PathLike):
+        learned = Model.load(learned)
+    if not isinstance(learned, Model):
+        raise OptionError(f"learned is a model or its file, not {type(learned).__name__}")
+    learned.check_space(space)
+    target = _only(target)
+    far = learned.unfamiliarity(target)
+    if far > 1:
+        warnings.warn(
+            f"the model of {learned.renderer!r} has learned nothing like this picture (its "
+            f"features are {far:.1f} times as far from those of renders as is usual): the search "
+            "goes on without the model",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+        return None
+    return learned.sample(target, _DRAWN, seed % 2**32)
+
+
+def _only(target: Any) -> Any:
+    """The picture of a target, which may be a list of one view."""
+    if not isinstance(target, list):
+        return target
+    if len(target) > 1:
+        raise OptionError(
+            f"a learned model knows one picture of each scene, and the target has {len(target)} "
+            "views: leave out learned, or fit the view it was learned from alone"
+        )
+    return target[0]

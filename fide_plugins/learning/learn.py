@@ -1,0 +1,297 @@
+"""`learn`: renders of random parameters, a network trained on them, and how good it is."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time as clock
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from fide_plugins.errors import CheckpointError, OptionError, UnknownNameError
+from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.model import Model
+from fide_plugins.learning.network import HEADS, Network, as_input
+from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.report import Distance, Report, judge
+from fide_plugins.learning.store import RenderStore
+from fide_plugins.learning.training import Progress, Training, held_out
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.files import check_writable
+from fide_plugins.runtime.schema import IMPOSSIBLE
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.space import Space
+from fide_plugins.types import Float64
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["LearnProgress", "learn"]
+
+_RENDERING = 0.5  # of a time limit, at most
+_MOST_FEATURES = 4000  # renders by which the features of all are described
+_FEWEST = 100  # renders
+_KIND = "training"
+
+
+@dataclass(frozen=True)
+class LearnProgress:
+    """What `learn` says of its progress.
+
+    stage: "render" or "train".  done, total: renders, or passes.
+    held_out: negative log-likelihood after the last pass, in nats; None before.
+    """
+
+    stage: str
+    done: int
+    total: int
+    held_out: float | None = None
+
+
+@user_threads
+def learn(
+    render: Any,
+    space: Space | int | None = None,
+    *,
+    renders: int = 100_000,
+    size: int = 64,
+    passes: int = 10,
+    time: float | None = None,
+    workers: int = 1,
+    out: str | os.PathLike[str] | None = None,
+    groups: Sequence[Sequence[int]] | None = None,
+    head: str | None = None,
+    version: str | None = None,
+    seed: int = 0,
+    store_limit: float = 20.0,
+    on_progress: Callable[[LearnProgress], None] | None = None,
+) -> Model:
+    """Learn once what pictures say of a renderer's parameters, for every later picture.
+
+    Parameters
+    ----------
+    render
+        function of a dictionary of parameters (with a `Space`) or of a point (d,) of the cube (with
+        a number) that returns an image; or a task with `render(X)`.
+    space
+        `Space`, or number of parameters; None: the task's own.
+    renders
+        of uniformly random parameters; one in fifty, at most 2,000, judges and is not learned from.
+    size
+        longer side, in pixels, of what the network sees; 16 to 256.
+    passes
+        over the renders, at most; training ends earlier where held-out renders say so.
+    time
+        seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
+        result depends on the machine.
+    workers
+        processes that render; with more than one `render` must be picklable.
+    out
+        file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
+        arguments goes on where another one was interrupted, and more `renders` add to them.  None:
+        nothing is kept.
+    groups
+        exchangeable blocks of axes, such as [[0, 1], [2, 3]]; None: those of the space.
+    head
+        "autoregressive", "mixture" or "set", see `learning.heads`; None: "set" where there are
+        exchangeable blocks, "autoregressive" elsewhere.
+    version
+        of the renderer, for you to compare; other versions have other renders.
+    seed
+        of the parameters, the initial weights and the order of learning.
+    store_limit
+        GiB that the renders may take.
+    on_progress
+        called after every shard of renders and after every pass.
+
+    Raises
+    ------
+    OptionError, ImageError (ValueErrors): an argument is not what it must be, or the folder of
+    renders holds others.  RenderError: the renderer fails.  OSError: a file cannot be written.
+    """
+    _check(renders, size, passes, time, workers, head)
+    renderer = as_renderer(render, space)
+    shape = renderer.first().shape[:2]
+    plan = _Plan(
+        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers, seed,
+        version, *_kind(renderer, groups, head), time, clock.monotonic(),
+        on_progress or (lambda progress: None),
+    )  # fmt: skip
+    with ExitStack() as stack:
+        if out is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fide-renders-")))
+        else:
+            check_writable(Path(out).absolute().parent)
+            folder = Path(f"{os.fspath(out)}.renders")
+        store = RenderStore(folder, plan.settings, store_limit * 2**30)
+        store.check_room(renders)
+        model = plan.model(store)
+    if out is not None:
+        model.save(out)
+    return model
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """All that is decided before anything is rendered."""
+
+    renderer: Renderer
+    shape: tuple[int, int]
+    size: tuple[int, int]
+    renders: int
+    passes: int
+    workers: int
+    seed: int
+    version: str | None
+    head: str
+    blocks: tuple[tuple[int, ...], ...]
+    seconds: float | None
+    start: float
+    on_progress: Callable[[LearnProgress], None]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the renders are of."""
+        space = self.renderer.space
+        return {
+            "dim": self.renderer.dim,
+            "size": list(self.size),
+            "seed": self.seed,
+            "renderer": self.renderer.name,
+            "version": self.version,
+            "space": None if space is None else space.to_dict(),
+        }
+
+    @property
+    def periodic(self) -> tuple[bool, ...]:
+        """(d,), axes that wrap around."""
+        space = self.renderer.space
+        if space is None:
+            return (False,) * self.renderer.dim
+        return tuple(bool(each) for each in space.periodic)
+
+    def model(self, store: RenderStore) -> Model:
+        """Render, train and judge."""
+        failed = fill(
+            store,
+            self.renderer,
+            self.renders,
+            workers=self.workers,
+            seconds=None if self.seconds is None else _RENDERING * self.seconds,
+            on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
+        )
+        x, images = store.read(self.renders)
+        if len(x) < _FEWEST:
+            raise OptionError(f"{len(x)} renders are too few to learn from; allow more time")
+        network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
+        training = self._train(network, x, images, store.folder / "training")
+        network.eval()
+        return self._judged(network, x, images, failed, training)
+
+    def _train(self, network: Network, x: Float64, images: Pixels, file: Path) -> Training:
+        left = None
+        if self.seconds is not None:
+            left = max(1e-3, self.seconds - (clock.monotonic() - self.start))
+        training = Training(network, x, images, self.passes, self.seed, left)
+        plan = {"renders": len(x), "passes": self.passes, "head": self.head, "seed": self.seed}
+        plan["blocks"] = [list(block) for block in self.blocks]
+        if file.exists():
+            _restore(training, file, plan)
+
+        def save(state: dict[str, Any]) -> None:
+            checkpoint.write(file, _KIND, {"plan": plan, "state": state})
+
+        def report(at: Progress) -> None:
+            self.on_progress(LearnProgress("train", at.passed, at.passes, at.held_out))
+
+        training.run(report, save)
+        return training
+
+    def _judged(
+        self, network: Network, x: Float64, images: Pixels, failed: int, training: Training
+    ) -> Model:
+        aside = held_out(len(x))
+        distance = Distance(np.array(self.periodic), self.blocks)
+        judgment = judge(network, x[aside], images[aside], self._names, distance, self.seed)
+        report = Report(
+            renders=int((~aside).sum()),
+            failed=failed,
+            held_out=int(aside.sum()),
+            seconds=training.spent,
+            nll=judgment.nll,
+            within=judgment.within,
+            coverage=judgment.coverage,
+            ranks=judgment.ranks,
+            unseen=judgment.unseen,
+            curve=tuple((a, b, c) for a, b, c in training.curve),
+        )
+        learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
+        familiarity = Familiarity.of(
+            _features(network, images[learned]), _features(network, images[aside])
+        )
+        return Model(
+            network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
+            self.periodic, self.blocks, familiarity, report,
+        )  # fmt: skip
+
+    @property
+    def _names(self) -> list[str]:
+        """Of the axes."""
+        space = self.renderer.space
+        if space is None:
+            return [f"x[{i}]" for i in range(self.renderer.dim)]
+        return [name for name, axes in space.axes.items() for _ in axes]
+
+
+def _check(
+    renders: object, size: object, passes: object, time: object, workers: object, head: object
+) -> None:
+    whole_number("renders", renders, _FEWEST)
+    if not 16 <= whole_number("size", size, 1) <= 256:
+        raise OptionError(f"size is 16 to 256 pixels, not {size}")
+    whole_number("passes", passes, 1)
+    whole_number("workers", workers, 1)
+    if time is not None and not (isinstance(time, int | float) and 0 < time < float("inf")):
+        raise OptionError(f"time is a number of seconds above 0, or None, not {time!r}")
+    if head is not None and head not in HEADS:
+        raise UnknownNameError.of("head", head, HEADS)
+
+
+def _kind(
+    renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
+) -> tuple[str, tuple[tuple[int, ...], ...]]:
+    """Head and exchangeable blocks; raises OptionError."""
+    from fide_plugins.search.moves.exchangeability import check_groups
+
+    if groups is None:
+        groups = [] if renderer.space is None else renderer.space.largest_family
+    else:
+        check_groups(groups, renderer.dim)
+    if head == "set" and not groups:
+        raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
+    blocks = tuple(tuple(int(i) for i in block) for block in groups)
+    head = head or ("set" if blocks else "autoregressive")
+    return head, blocks
+
+
+def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
+    """Go on from a checkpoint of the same plan; another plan begins again."""
+    saved = checkpoint.read(file, _KIND)
+    if saved.get("plan") != plan:
+        return
+    try:
+        training.load_state_dict(saved["state"])
+    except IMPOSSIBLE as error:
+        raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
+
+
+def _features(network: Network, images: Pixels) -> Float64:
+    """Features (n, F) of images (n, H, W, 3)."""
+    parts = [network.vectors(as_input(images[i : i + 500])) for i in range(0, len(images), 500)]
+    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
+    return features

@@ -1,0 +1,227 @@
+"""A model of a renderer: from a picture to several hypotheses of its parameters."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fide_plugins.errors import CheckpointError, ImageError, OptionError
+from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.network import HEADS, Network, as_input
+from fide_plugins.learning.renderer import resized
+from fide_plugins.learning.report import Distance, Report
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.schema import (
+    IMPOSSIBLE,
+    Schema,
+    anything,
+    array,
+    check,
+    each,
+    flag,
+    maybe,
+    numbers,
+    real,
+    row,
+    table,
+    text,
+    whole,
+)
+from fide_plugins.space import Space
+from fide_plugins.types import Float64
+from fide_plugins.validation.images import as_target
+from fide_plugins.validation.points import as_points, whole_number
+
+__all__ = ["Model"]
+
+_KIND = "learned model"
+_ASPECT = 0.02  # relative difference of height / width that is rounding
+_SCHEMA: Schema = {
+    "dim": whole(1, 2**20),
+    "space": maybe(table(anything)),
+    "shape": row(whole(1, 2**20), whole(1, 2**20)),
+    "size": row(whole(1, 4096), whole(1, 4096)),
+    "renderer": text,
+    "version": maybe(text),
+    "head": text,
+    "periodic": each(flag),
+    "blocks": each(each(whole())),
+    "weights": table(numbers),
+    "familiarity": {
+        "mean": array("F"),
+        "precision": array("F", "F"),
+        "threshold": real(0.0),
+    },
+    "report": table(anything),
+}
+
+
+@dataclass(frozen=True)
+class Model:
+    """What `learn` returns.
+
+    network: made of `size`, `head`, `periodic` and `blocks`.
+    space: names of the parameters; None: they have none.
+    shape: height and width of the renders that were given.
+    renderer, version: name of the renderer, and the version that the user stated.
+    head: kind of density, see `heads`.  blocks: exchangeable blocks of axes.
+    familiarity: of features.
+    report: how good it is.
+    """
+
+    network: Network
+    space: Space | None
+    shape: tuple[int, int]
+    renderer: str
+    version: str | None
+    head: str
+    periodic: tuple[bool, ...]
+    blocks: tuple[tuple[int, ...], ...]
+    familiarity: Familiarity
+    report: Report
+
+    @property
+    def dim(self) -> int:
+        """Number of axes of the cube."""
+        return self.network.dim
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the images that the network sees."""
+        return self.network.size
+
+    @property
+    def distance(self) -> Distance:
+        """Of points of the cube, exchangeable blocks matched."""
+        return Distance(np.array(self.periodic), self.blocks)
+
+    def sample(self, picture: object, n: int = 64, seed: int = 0) -> Float64:
+        """Hypotheses (n, dim) in [0, 1] of the parameters of a picture, drawn from the posterior.
+
+        picture: anything that `FIDE` takes as a target, of the aspect of the renders; other sizes
+        are resized.  Same seed, same hypotheses.  Raises ImageError or OptionError.
+        """
+        n, seed = whole_number("n", n, 1), whole_number("seed", seed, 0)
+        generator = torch.Generator().manual_seed(seed)
+        return self.network.sample(self._input(picture), n, generator).numpy().astype(np.float64)
+
+    @torch.no_grad()
+    def log_prob(self, picture: object, X: object) -> Float64:
+        """Logarithm of the posterior's density (n,) at points X (n, dim) of the cube.
+
+        In nats; the uniform prior has 0.  A lower bound where blocks are exchangeable.
+        """
+        points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
+        return self.network.log_prob(self._input(picture), points).numpy().astype(np.float64)
+
+    def knows(self, picture: object) -> bool:
+        """Whether the picture is like those that were learned, see `familiarity`."""
+        return self.familiarity.knows(self._vector(picture))
+
+    def unfamiliarity(self, picture: object) -> float:
+        """Distance of the picture from renders, in units of what is still familiar."""
+        distance = self.familiarity.distances(self._vector(picture)[None])[0]
+        return float(distance / max(self.familiarity.threshold, 1e-300))
+
+    def _vector(self, picture: object) -> Float64:
+        vector: Float64 = self.network.vectors(self._input(picture))[0].numpy().astype(np.float64)
+        return vector
+
+    def _input(self, picture: object) -> Tensor:
+        """Return the picture as the network takes it; ImageError for another aspect."""
+        image = as_target(picture)
+        height, width = image.shape[:2]
+        change = (height / width) / (self.shape[0] / self.shape[1])
+        rounding = _ASPECT + 1 / min(height, width, *self.shape)
+        if abs(np.log(change)) > rounding:
+            raise ImageError(
+                f"the model has learned images of {self.shape[1]} x {self.shape[0]} pixels "
+                f"(width x height), and this picture is {width} x {height}: crop it to that aspect"
+            )
+        pixels = np.rint(resized(image, self.size) * 255).astype(np.uint8)
+        return as_input(pixels[None])
+
+    def check_space(self, space: Space | int) -> None:
+        """Raise OptionError, naming the difference, unless the model has learned this space.
+
+        A number of parameters fits a model of so many, named or not.
+        """
+        dim = space.dim if isinstance(space, Space) else space
+        if dim != self.dim:
+            raise OptionError(
+                f"the model of {self.renderer!r} has {self.dim} parameters, and the optimizer "
+                f"{dim}: learn a model of this space"
+            )
+        if not isinstance(space, Space) or self.space is None or space == self.space:
+            return
+        old, new = self.space.parameters, space.parameters
+        different = [
+            f"{name!r} is {old.get(name, 'missing')} in the model and {new.get(name, 'missing')} "
+            "here"
+            for name in dict.fromkeys([*old, *new])
+            if old.get(name) != new.get(name)
+        ]
+        why = different[0] if different else "the parameters come in another order"
+        raise OptionError(f"the model of {self.renderer!r} is of another space: {why}")
+
+    # -- files -------------------------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model into one file, without pickle; raises OSError if that cannot be done."""
+        state = {
+            "dim": self.dim,
+            "space": None if self.space is None else self.space.to_dict(),
+            "shape": list(self.shape),
+            "size": list(self.size),
+            "renderer": self.renderer,
+            "version": self.version,
+            "head": self.head,
+            "periodic": list(self.periodic),
+            "blocks": [list(block) for block in self.blocks],
+            "weights": dict(self.network.state_dict()),
+            "familiarity": self.familiarity.state_dict(),
+            "report": self.report.state_dict(),
+        }
+        checkpoint.write(path, _KIND, state)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Model of a file that `save` wrote.
+
+        Raises OSError, or CheckpointError (a ValueError) if the file is damaged or no model.
+        """
+        state = checkpoint.read(path, _KIND)
+        try:
+            return cls._of(state)
+        except IMPOSSIBLE as error:
+            why = f"{os.fspath(path)}: a model with impossible contents ({error!r})"
+            raise CheckpointError(f"{why}; learn again, or use an earlier copy") from error
+
+    @classmethod
+    def _of(cls, state: Mapping[str, Any]) -> Self:
+        check(state, _SCHEMA, {}, "model")
+        blocks = tuple(tuple(block) for block in state["blocks"])
+        if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
+            raise ValueError("its head or its axes are none")
+        (height, width), (h, w) = state["shape"], state["size"]
+        network = Network((h, w), state["periodic"], state["head"], blocks)
+        network.load(state["weights"])
+        network.eval()
+        return cls(
+            network,
+            None if state["space"] is None else Space.from_dict(state["space"]),
+            (height, width),
+            state["renderer"],
+            state["version"],
+            state["head"],
+            tuple(state["periodic"]),
+            blocks,
+            Familiarity.from_state(state["familiarity"]),
+            Report.from_state(state["report"]),
+        )

@@ -1,0 +1,120 @@
+"""A user's function, or a task, as a renderer of points of the unit cube."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import ImageError, OptionError, RenderError
+from fide_plugins.space import Space
+from fide_plugins.types import Float64
+from fide_plugins.validation.images import as_target
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["Pixels", "Renderer", "as_renderer", "resized", "small_size"]
+
+Pixels = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """What renders.
+
+    source: a function of one point, or an object with `render(X)` for a batch.
+    space: names of the parameters; None: the function gets a point of the cube.
+    dim: d.
+    name: of the function, or of the task.
+    """
+
+    source: Any
+    space: Space | None
+    dim: int
+    name: str
+
+    def images(self, X: Float64) -> list[Any]:
+        """Images of the points X (n, d), as the source gives them; None for one that failed.
+
+        A batch that fails as a whole is rendered point by point.
+        """
+        if hasattr(self.source, "render"):
+            try:
+                return list(self.source.render(X))
+            except Exception:
+                return [self._attempt(lambda x: self.source.render(x[None])[0], x) for x in X]
+        return [self._attempt(self._one, x) for x in X]
+
+    def _one(self, x: Float64) -> Any:
+        return self.source(x if self.space is None else self.space.decode(x))
+
+    def _attempt(self, render: Callable[[Float64], Any], x: Float64) -> Any:
+        try:
+            return render(x)
+        except Exception:
+            return None
+
+    def first(self) -> npt.NDArray[np.float32]:
+        """Image (H, W, 3) of the middle of the cube, to know its shape.
+
+        Raises RenderError if the renderer fails, ImageError if it gives no image.
+        """
+        x = np.full(self.dim, 0.5)
+        try:
+            batch = hasattr(self.source, "render")
+            image = self.source.render(x[None])[0] if batch else self._one(x)
+        except Exception as error:
+            why = f"{type(error).__name__}: {error}"
+            raise RenderError(f"{self.name} failed in the middle of the space: {why}") from error
+        return as_target(image)
+
+    def small(self, X: Float64, size: tuple[int, int]) -> list[Pixels | None]:
+        """Images of the points X (n, d), resized to (height, width); None for one that failed."""
+        return [None if image is None else _pixels(image, size) for image in self.images(X)]
+
+
+def as_renderer(render: Any, space: Space | int | None) -> Renderer:
+    """Return the renderer for what a user gave; raises OptionError.
+
+    render: function of a dictionary (with a `Space`) or of a point (d,), or a task.
+    space: `Space`, or number of parameters; None: the task's own.
+    """
+    own = getattr(render, "space", None) or getattr(render, "dim", None)
+    batch = hasattr(render, "render")
+    if not batch and not callable(render):
+        raise OptionError(f"render must be a function or a task, not {type(render).__name__}")
+    if space is None and not batch:
+        raise OptionError("a function needs its space: learn(render, space), or learn(render, dim)")
+    space = own if space is None else space
+    named = space if isinstance(space, Space) else None
+    dim = named.dim if named is not None else whole_number("space", space, 1)
+    if batch and getattr(render, "dim", dim) != dim:
+        raise OptionError(f"the task has {render.dim} parameters, and the space {dim}")
+    name = getattr(render, "name", None) or getattr(render, "__name__", type(render).__name__)
+    return Renderer(render, named, dim, str(name))
+
+
+def small_size(shape: tuple[int, ...], size: int) -> tuple[int, int]:
+    """Height and width of images of this shape (H, W, ...) whose longer side becomes `size`."""
+    scale = size / max(shape[:2])
+    return max(1, round(shape[0] * scale)), max(1, round(shape[1] * scale))
+
+
+def resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """Image (H, W, 3) resized to (height, width), by means of areas where it shrinks."""
+    if image.shape[:2] == size:
+        return image
+    shrinks = image.shape[0] >= size[0] and image.shape[1] >= size[1]
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
+
+
+def _pixels(image: Any, size: tuple[int, int]) -> Pixels | None:
+    try:
+        small = resized(as_target(image), size)
+    except ImageError:
+        return None
+    return np.rint(np.clip(small, 0.0, 1.0) * 255).astype(np.uint8)

@@ -1,0 +1,194 @@
+"""How good a model is, measured on held-out renders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.optimize import linear_sum_assignment
+
+from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.renderer import Pixels
+from fide_plugins.types import Float64
+
+__all__ = ["Distance", "Report", "judge"]
+
+_HYPOTHESES = 64
+_PICTURES = 300
+_BINS = 4
+_BATCH = 500
+_UNSEEN = 0.05  # nats: what 64 samples of a uniform density seem to say is about half of it
+
+
+@dataclass(frozen=True)
+class Report:
+    """What held-out renders say of a model.
+
+    renders: learned from.  failed: renders that failed.  held_out: renders that judge.
+    seconds: of training, in all calls together.
+    nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
+    within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
+        cube in every parameter that the images show.
+    coverage: share of pictures whose parameters are in the 90 % region of highest density.
+    ranks: (d,), share of pictures whose parameter is between the 5 % and the 95 % quantile of its
+        samples; simulation-based calibration (Talts et al. 2018, arXiv:1804.06788) has 0.9.  Not
+        for exchangeable blocks, whose order means nothing: NaN.
+    unseen: parameters of which the images tell nothing, as far as was learned.
+    curve: of each pass, see `training.Curve`.
+    """
+
+    renders: int
+    failed: int
+    held_out: int
+    seconds: float
+    nll: float
+    within: tuple[float, float]
+    coverage: float
+    ranks: tuple[float, ...]
+    unseen: tuple[str, ...]
+    curve: tuple[tuple[float, float, float], ...]
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s",
+            f"{-self.nll:.2f} nats better than the uniform prior on {self.held_out:,} held-out "
+            "renders",
+            f"one of {_HYPOTHESES} hypotheses within 0.05 of the box in {self.within[0]:.0%}, "
+            f"within 0.1 in {self.within[1]:.0%} of pictures",
+            f"90 % regions hold the truth in {self.coverage:.0%}",
+        ]
+        if self.unseen:
+            lines.append(f"the images tell nothing of {', '.join(self.unseen)}")
+        return "\n".join(lines)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, as lists and numbers."""
+        return asdict(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Self:
+        """What `state_dict` gave."""
+        lists = {"within", "ranks", "unseen"}
+        plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
+        plain["curve"] = tuple(tuple(row) for row in state["curve"])
+        return cls(**plain)
+
+
+class Distance:
+    """Largest difference of two points of the cube in any parameter, exchangeable blocks matched.
+
+    periodic: (d,), axes that wrap around.  blocks: (n, L), axes of each exchangeable block.
+    """
+
+    def __init__(
+        self, periodic: npt.NDArray[np.bool_], blocks: Sequence[Sequence[int]] = ()
+    ) -> None:
+        self.periodic, self.blocks = periodic, np.array(blocks, np.intp)
+
+    def __call__(self, X: Float64, x: Float64) -> Float64:
+        """Distances (n,) of points X (n, d) from x (d,)."""
+        if len(self.blocks) == 0:
+            return np.asarray(self._apart(X, x).max(axis=1), np.float64)
+        return np.array([self._apart(self.matched(row, x), x).max() for row in X])
+
+    def matched(self, row: Float64, x: Float64) -> Float64:
+        """Return the point `row` (d,) with its blocks in the order in which they are nearest x."""
+        wraps = self.periodic[self.blocks[0]]
+        apart = np.abs(row[self.blocks][:, None] - x[self.blocks][None])  # (n, n, L)
+        apart = np.where(wraps, np.minimum(apart, 1 - apart), apart).sum(axis=-1)
+        _, place = linear_sum_assignment(apart)
+        sorted_ = row.copy()
+        sorted_[self.blocks[place]] = row[self.blocks]
+        return sorted_
+
+    def _apart(self, X: Float64, x: Float64) -> Float64:
+        apart = np.abs(X - x)
+        return np.asarray(np.where(self.periodic, np.minimum(apart, 1 - apart), apart), np.float64)
+
+
+@dataclass(frozen=True)
+class Judgment:
+    """What `judge` measures, see `Report`."""
+
+    nll: float
+    within: tuple[float, float]
+    coverage: float
+    ranks: tuple[float, ...]
+    unseen: tuple[str, ...]
+
+
+@torch.no_grad()
+def judge(
+    network: Network,
+    x: Float64,
+    images: Pixels,
+    names: Sequence[str],
+    distance: Distance,
+    seed: int = 0,
+) -> Judgment:
+    """Judge a network on renders that it did not learn from, x (n, d) and images (n, H, W, 3).
+
+    names: (d,), of the axes.
+    """
+    u = torch.from_numpy(x.astype(np.float32))
+    each = [network.log_prob(as_input(some), at) for some, at in _batches(images, u)]
+    nll = -float(torch.cat(each).mean())
+    drawings, inside, ranks, told = [], [], [], []
+    generator = torch.Generator().manual_seed(seed)
+    for i in range(min(len(x), _PICTURES)):
+        image = as_input(images[i : i + 1])
+        drawn = network.sample(image, _HYPOTHESES, generator)
+        samples = drawn.numpy().astype(np.float64)
+        drawings.append(samples)
+        inside.append(_in_region(network, image, drawn, u[i]))
+        ranks.append((samples < x[i]).mean(axis=0))
+        told.append(_information(samples))
+    seen = np.mean(told, axis=0) >= _UNSEEN
+    near = [
+        _nearest(samples, truth, seen, distance)
+        for samples, truth in zip(drawings, x, strict=False)
+    ]
+    return Judgment(
+        nll=nll,
+        within=(float(np.mean(np.array(near) <= 0.05)), float(np.mean(np.array(near) <= 0.1))),
+        coverage=float(np.mean(inside)),
+        ranks=tuple(_calibration(np.array(ranks), distance)),
+        unseen=tuple(dict.fromkeys(n for n, s in zip(names, seen, strict=True) if not s)),
+    )
+
+
+def _batches(images: Pixels, u: torch.Tensor) -> Iterator[tuple[Pixels, torch.Tensor]]:
+    for first in range(0, len(u), _BATCH):
+        yield images[first : first + _BATCH], u[first : first + _BATCH]
+
+
+def _nearest(
+    samples: Float64, truth: Float64, seen: npt.NDArray[np.bool_], distance: Distance
+) -> float:
+    """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show."""
+    return float(distance(np.where(seen, samples, truth), truth).min())
+
+
+def _in_region(network: Network, image: torch.Tensor, drawn: torch.Tensor, u: torch.Tensor) -> bool:
+    """Whether u (d,) is in the region of highest density that holds 90 % of what is drawn."""
+    points = torch.cat([u[None], drawn])
+    density = network.log_prob(image, points).numpy()
+    return bool(density[0] >= np.quantile(density[1:], 0.1))
+
+
+def _information(samples: Float64) -> Float64:
+    """Nats (d,) by which the samples (n, d) of each axis differ from the uniform density."""
+    cells = np.minimum((samples * _BINS).astype(np.intp), _BINS - 1)
+    p = np.stack([(cells == k).mean(axis=0) for k in range(_BINS)])  # (bins, d)
+    return np.asarray((p * np.log(np.maximum(p, 1e-12) * _BINS)).sum(axis=0), np.float64)
+
+
+def _calibration(ranks: Float64, distance: Distance) -> list[float]:
+    """Share (d,) of ranks (n, d) within the middle nine tenths; NaN in exchangeable blocks."""
+    share = ((ranks >= 0.05) & (ranks <= 0.95)).mean(axis=0)
+    share[distance.blocks.ravel()] = np.nan
+    return [float(each) for each in share]

@@ -1,0 +1,138 @@
+"""Renders on disk: a folder of shards, each written atomically.
+
+Shard i holds the renders of the parameters that a generator with the seed (seed, i) draws, so the
+store is the same whatever the number of workers, and whatever was interrupted.
+
+    settings          what the renders are of, a checked file (`runtime.checkpoint`)
+    000000.npz, ...   x (n, d) float64 and images (n, H, W, 3) uint8; failed renders are left out
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.learning.renderer import Pixels
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.files import atomic_writer, remove_leftovers
+from fide_plugins.types import Float64
+
+__all__ = ["SHARD", "RenderStore"]
+
+SHARD = 100
+"""Renders of a shard: what a kill loses, at most, for each worker."""
+
+_KIND = "renders"
+
+
+class RenderStore:
+    """Renders of random parameters.
+
+    folder: made if it is missing.
+    settings: plain values that define the renders: "dim", "size", "seed" and more.
+    limit: bytes that the images may take.
+
+    Raises OptionError if the folder holds other renders, naming the difference; OSError if it
+    cannot be written.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str], settings: Mapping[str, Any], limit: float
+    ) -> None:
+        self.folder, self.settings, self.limit = Path(folder), dict(settings), limit
+        self.folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(self.folder)
+        file = self.folder / "settings"
+        if file.exists():
+            _check_same(self.folder, checkpoint.read(file, _KIND), self.settings)
+        else:
+            checkpoint.write(file, _KIND, self.settings)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the images."""
+        height, width = self.settings["size"]
+        return height, width
+
+    def check_room(self, renders: int) -> None:
+        """Raise OptionError if so many renders would exceed the limit."""
+        bytes_ = renders * self.size[0] * self.size[1] * 3
+        if bytes_ > self.limit:
+            raise OptionError(
+                f"{renders:,} renders of {self.size[1]} x {self.size[0]} pixels take "
+                f"{bytes_ / 2**30:.1f} GiB, and the limit is {self.limit / 2**30:.1f} GiB: "
+                "take fewer renders or a smaller size, or raise store_limit"
+            )
+
+    def parameters(self, shard: int) -> Float64:
+        """Parameters (SHARD, d) of a shard, uniform in the unit cube."""
+        rng = np.random.default_rng((self.settings["seed"], shard))
+        return rng.random((SHARD, self.settings["dim"]))
+
+    def missing(self, renders: int) -> list[int]:
+        """Numbers of the shards that are not there yet, for so many renders."""
+        return [i for i in range(-(-renders // SHARD)) if not self._path(i).exists()]
+
+    def write(self, shard: int, images: Sequence[Pixels | None]) -> int:
+        """Write a shard; returns how many of its renders failed."""
+        good = np.array([image is not None for image in images], bool)
+        kept = [image for image in images if image is not None]
+        pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
+        with atomic_writer(self._path(shard)) as file:
+            np.savez(file, x=self.parameters(shard)[good], images=pixels)
+        return int((~good).sum())
+
+    def read(self, renders: int) -> tuple[Float64, Pixels]:
+        """Parameters (n, d) and images (n, H, W, 3) of the shards that are there.
+
+        Raises CheckpointError for a shard that is damaged.
+        """
+        there = [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
+        parts = [self._read(i) for i in there]
+        x = np.concatenate([x for x, _ in parts]) if parts else np.empty((0, self.settings["dim"]))
+        images = np.empty((len(x), *self.size, 3), np.uint8)
+        start = 0
+        while parts:  # each is dropped when it was copied
+            _, some = parts.pop(0)
+            images[start : start + len(some)] = some
+            start += len(some)
+        return x[:renders], images[:renders]
+
+    def _read(self, shard: int) -> tuple[Float64, Pixels]:
+        path = self._path(shard)
+        try:
+            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+                x, images = file["x"], file["images"]
+        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+            raise CheckpointError(
+                f"{path}: damaged ({error}); delete it to render again"
+            ) from error
+        if x.shape != (len(x), self.settings["dim"]) or images.shape != (len(x), *self.size, 3):
+            raise CheckpointError(f"{path}: of another space or size; delete it to render again")
+        return x, images
+
+    def _path(self, shard: int) -> Path:
+        return self.folder / f"{shard:06d}.npz"
+
+
+def _check_same(folder: Path, there: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise OptionError unless the settings are the same."""
+    differences = list(_differences(there, asked))
+    if differences:
+        raise OptionError(
+            f"{folder} holds other renders: {'; '.join(differences)}; name another file, or "
+            "delete the folder"
+        )
+
+
+def _differences(there: Mapping[str, Any], asked: Mapping[str, Any]) -> Iterator[str]:
+    for name in sorted({*there, *asked}):
+        old, new = there.get(name), asked.get(name)
+        if old != new:
+            yield f"its {name} is {old!r}, not {new!r}"

@@ -1,0 +1,209 @@
+"""Trains a network on renders: maximum likelihood, judged on renders held out.
+
+AdamW with a short warm-up and a cosine schedule (Loshchilov and Hutter 2019, arXiv:1711.05101). A
+pass sees every training render once, in an order that depends on the seed and the pass alone, so
+that training goes on from a checkpoint as if it had not been interrupted. The weights of the pass
+with the lowest held-out negative log-likelihood are kept.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from fide_plugins.learning.augmentation import augmented
+from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.renderer import Pixels
+from fide_plugins.types import Float64
+
+__all__ = ["Curve", "Progress", "Training", "held_out"]
+
+_HELD_OUT, _MOST_HELD_OUT = 50, 2000  # every 50th render, and as many at most
+_WARM_UP = 100  # steps
+_PATIENCE = 4  # passes without a better held-out likelihood that end training
+_STANDARD = 1000  # renders by which images are standardized
+_CLIP = 5.0  # norm of a gradient
+_BATCH_OF_TEST = 500
+
+Curve = list[list[float]]
+"""Of each pass: renders seen so far, training and held-out negative log-likelihood in nats."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a caller is told while training: pass, passes, and the losses of the last pass."""
+
+    passed: int
+    passes: int
+    training: float
+    held_out: float
+
+
+def held_out(n: int) -> npt.NDArray[np.bool_]:
+    """Which of n renders judge, and are never learned from: (n,), at least one."""
+    every: npt.NDArray[np.bool_] = np.arange(n) % _HELD_OUT == 0
+    every[np.flatnonzero(every)[_MOST_HELD_OUT:]] = False
+    return every
+
+
+@dataclass
+class Training:
+    """Training of a network.
+
+    network: changed in place; at the end it has the best weights.
+    x, images: renders (n, d) and (n, H, W, 3).
+    passes: at most.  seconds: at most, for the schedule too; None: no limit.
+    curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
+    """
+
+    network: Network
+    x: Float64
+    images: Pixels
+    passes: int
+    seed: int = 0
+    seconds: float | None = None
+    batch: int = 128
+    learning_rate: float = 1e-3
+    curve: Curve = field(default_factory=list)
+    passed: int = 0
+    spent: float = 0.0
+
+    def __post_init__(self) -> None:
+        aside = held_out(len(self.x))
+        self._train, self._test = np.flatnonzero(~aside), np.flatnonzero(aside)
+        self._optimizer = torch.optim.AdamW(
+            self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True
+        )
+        first = self._train[:_STANDARD]
+        self.network.encoder.standardize(as_input(self.images[first]))
+        self._best, self._best_weights = math.inf, _copy(self.network)
+
+    def run(
+        self,
+        on_pass: Callable[[Progress], None] | None = None,
+        save: Callable[[dict[str, Any]], None] | None = None,
+    ) -> None:
+        """Train until the passes or the seconds are over, or nothing improves.
+
+        on_pass: called after every pass.  save: called with `state_dict()` after every pass.
+        """
+        while not self.over:
+            start = time.monotonic()
+            loss = self._pass(start)
+            test = self.test()
+            self.passed += 1
+            self.spent += time.monotonic() - start
+            self.curve.append([float(self.passed * len(self._train)), loss, test])
+            if test < self._best:
+                self._best, self._best_weights = test, _copy(self.network)
+            if save is not None:
+                save(self.state_dict())
+            if on_pass is not None:
+                on_pass(Progress(self.passed, self.passes, loss, test))
+        self.network.load_state_dict(self._best_weights)
+
+    @property
+    def over(self) -> bool:
+        """Whether training is complete."""
+        if self.passed >= self.passes or self._late():
+            return True
+        return self.passed - self._best_pass > _PATIENCE
+
+    @property
+    def _best_pass(self) -> int:
+        """Pass, from 1, that was the best on held-out renders; 0 before the first."""
+        if not self.curve:
+            return 0
+        return 1 + int(np.argmin([row[2] for row in self.curve]))
+
+    def _late(self) -> bool:
+        return self.seconds is not None and self.spent >= self.seconds
+
+    def _pass(self, start: float) -> float:
+        """See every training render once; returns the mean loss."""
+        rng = np.random.default_rng((self.seed, 2, self.passed))
+        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        order = rng.permutation(self._train)
+        total = 0.0
+        for first in range(0, len(order), self.batch):
+            some = np.sort(order[first : first + self.batch])
+            self._set_rate(first, start)
+            images = augmented(as_input(self.images[some]), generator)
+            u = torch.from_numpy(self.x[some].astype(np.float32))
+            loss = -self.network.log_prob(images, u).mean()
+            self._step(loss)
+            total += float(loss.detach()) * len(some)
+        return total / max(1, len(order))
+
+    def _step(self, loss: Tensor) -> None:
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), _CLIP)
+        self._optimizer.step()
+
+    def _set_rate(self, first: int, start: float) -> None:
+        """Warm up, then follow half a cosine over the passes, or over the time if that is less."""
+        done = (self.passed + first / max(1, len(self._train))) / self.passes
+        if self.seconds is not None:
+            spent = self.spent + time.monotonic() - start
+            done = max(done, min(1.0, spent / self.seconds))
+        step = (self.passed * len(self._train) + first) / self.batch
+        rate = min(1.0, (step + 1) / _WARM_UP) * 0.5 * (1 + math.cos(math.pi * done))
+        for group in self._optimizer.param_groups:
+            group["lr"] = self.learning_rate * rate
+
+    @torch.no_grad()
+    def test(self) -> float:
+        """Mean negative log-likelihood of held-out renders, in nats."""
+        total = 0.0
+        for first in range(0, len(self._test), _BATCH_OF_TEST):
+            some = self._test[first : first + _BATCH_OF_TEST]
+            u = torch.from_numpy(self.x[some].astype(np.float32))
+            total -= float(self.network.log_prob(as_input(self.images[some]), u).sum())
+        return total / max(1, len(self._test))
+
+    # -- checkpoints -------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes, as nested dicts of arrays and numbers."""
+        moments = self._optimizer.state_dict()["state"]
+        return {
+            "passed": self.passed,
+            "spent": self.spent,
+            "curve": self.curve,
+            "best": self._best,
+            "weights": _copy(self.network),
+            "best_weights": self._best_weights,
+            "moments": {str(i): dict(entry) for i, entry in moments.items()},
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; raises errors of PyTorch for what does not fit."""
+        self.network.load(state["weights"])
+        self._best_weights = {k: torch.as_tensor(v) for k, v in state["best_weights"].items()}
+        self.passed, self.spent = state["passed"], state["spent"]
+        self.curve, self._best = [list(row) for row in state["curve"]], state["best"]
+        whole, weights = self._optimizer.state_dict(), list(self.network.parameters())
+        whole["state"] = {
+            int(i): {name: _like(weights[int(i)], value) for name, value in entry.items()}
+            for i, entry in state["moments"].items()
+        }
+        self._optimizer.load_state_dict(whole)
+
+
+def _copy(network: Network) -> dict[str, Tensor]:
+    return {name: value.detach().clone() for name, value in network.state_dict().items()}
+
+
+def _like(weight: Tensor, value: Any) -> Tensor:
+    """Return a moment in the memory layout of its weight, which the optimizer takes for granted."""
+    moment = torch.as_tensor(value)
+    return moment if moment.ndim == 0 else torch.empty_like(weight).copy_(moment).detach()

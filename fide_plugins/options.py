@@ -1,0 +1,235 @@
+"""Options of FIDE, and the presets.
+
+`paper` is the published method, literally.  The other presets are points on the measured trade of
+time for accuracy (`docs/speed.md`).
+
+`FIDE` takes every option by its own name, whichever group it is in.  Few users need more than those
+of `Options` itself; the groups hold what ablations change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import Any, TypeAlias
+
+from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.validation import option_rules as rules
+
+__all__ = ["PRESETS", "NetworkOptions", "Options", "ProposalOptions", "flat", "make_options"]
+
+Rule: TypeAlias = rules.Rule
+
+
+def _option(default: Any, rule: Rule) -> Any:
+    return field(default=default, metadata={"rule": rule})
+
+
+@dataclass(frozen=True, slots=True)
+class ProposalOptions:
+    """The linear proposer, and how many candidates are proposed.
+
+    proposal_fraction: of a generation that is proposed at first.
+    smallest_fraction, largest_fraction, fraction_rate: limits and speed of its adaptation, see
+        `proposers.image_gate`; rate 0 keeps it as it is.
+    channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
+        own.  Moves compare images in the first of them.
+    buffer_generations: generations that the linear proposer remembers; of many parameters
+        (d > 4 k) at least 3 d / 2 candidates; 600 at most.
+    select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
+    rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
+        see `proposers.linear`.
+    """
+
+    proposal_fraction: float = _option(0.3, rules.fraction)
+    smallest_fraction: float = _option(0.05, rules.fraction)
+    largest_fraction: float = _option(0.8, rules.fraction)
+    fraction_rate: float = _option(0.1, rules.fraction)
+
+    channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
+    buffer_generations: int = _option(4, rules.whole(1))
+    select_tokens: bool = _option(True, rules.switch)
+    rank_weight_scale: float = _option(0.5, rules.positive)
+    ridge: float = _option(0.02, rules.positive)
+    sources: int = _option(5, rules.whole(1))
+    shortest_step: float = _option(0.3, rules.positive)
+    longest_step: float = _option(1.2, rules.positive)
+    sample_noise: float = _option(0.5, rules.not_negative)
+    r2_threshold: float = _option(0.05, rules.fraction)
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOptions:
+    """The published denoiser.  These options are refused where the proposer is no network.
+
+    epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
+    steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
+    precision: "float32" or "bfloat16", see `denoiser.precision`.
+    parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
+    """
+
+    # A generation of 10,000 epochs takes minutes even of the smallest network.  Beyond 1,000 steps
+    # there is nothing between two levels of noise.
+    epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
+    learning_rate: float = _option(1e-3, rules.positive)
+    batch_size: int = _option(50, rules.whole(1))
+    schedule: tuple[float, ...] = _option((0.3, 0.2, 0.1), rules.schedule)
+    steps: int | None = _option(None, rules.whole(1, 1000, "3 are published"))
+    precision: str = _option("float32", rules.one_of("float32", "bfloat16"))
+    parameter_tokens: int | None = _option(None, rules.whole(1))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Everything about an optimizer that does not change while it runs.
+
+    encoder: name in `fide_plugins.encoders`.
+    popsize: k, candidates a generation; None: 4 + 3 ln d.
+    proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
+        on smooth scenes, greedy on others), "both", "diffusion" (the published denoiser) or "none"
+        (CMA-ES).
+    restarts: where the next search begins: "moves" (they keep most of the best candidate, see
+        `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
+        images, and with nothing proposed, "moves" is "anew".
+    groups: exchangeable blocks of parameters, such as [[0, 1, 2], [3, 4, 5]]; None: they are found.
+    patience, improvement: when a search is over that images guide, see `search.termination`;
+        patience None: 5 generations, or d / k if that is more.
+    guard_images: let images guide the search, by proposals, moves and `patience`, only as far
+        as they agree with the losses, see `proposers.image_gate`; otherwise it is CMA-ES.
+    guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
+    background_training: train the network while the user renders, see `proposers.background`; the
+        result is the same.
+    memory_mb: MiB of tokens that are kept for `FIDE.retarget`, see `search.memory`; 0 for none.
+    """
+
+    encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
+    popsize: int | None = _option(None, rules.whole(4, 2**20, "4 to 4,096 are tested"))
+    proposer: str = _option(
+        "linear", rules.one_of("both", "linear", "forward", "diffusion", "none")
+    )
+    restarts: str = _option("moves", rules.one_of("moves", "parts", "anew", "none"))
+    patience: int | None = _option(None, rules.whole(1))
+    improvement: float = _option(0.1, rules.fraction)
+    groups: tuple[tuple[int, ...], ...] | None = _option(None, rules.groups)
+    guard_images: bool = _option(True, rules.switch)
+    guard_search: bool = _option(True, rules.switch)
+    background_training: bool = _option(True, rules.switch)
+    memory_mb: float = _option(8.0, rules.not_negative)
+    proposal: ProposalOptions = ProposalOptions()
+    network: NetworkOptions = NetworkOptions()
+
+
+PRESETS: Mapping[str, Options] = {
+    "fast": Options(proposal=ProposalOptions(channel_subsets=(3,), buffer_generations=3)),
+    "balanced": Options(),
+    "accurate": Options(patience=25),
+    "paper": Options(
+        encoder="patch",
+        popsize=500,
+        proposer="diffusion",
+        restarts="none",
+        guard_images=False,
+        guard_search=False,
+        proposal=ProposalOptions(proposal_fraction=0.5, fraction_rate=0.0, select_tokens=False),
+    ),
+}
+
+_GROUPS = ("proposal", "network")
+_FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
+_FORMER_NAMES = {
+    "share": "proposal_fraction",
+    "smallest_share": "smallest_fraction",
+    "largest_share": "largest_fraction",
+    "share_rate": "fraction_rate",
+    "views": "channel_subsets",
+    "memory": "buffer_generations",
+    "elite": "rank_weight_scale",
+    "noise": "sample_noise",
+    "evidence": "r2_threshold",
+    "overlap": "background_training",
+}
+
+
+def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
+    """The preset's options with `changes`, by name; names of version 0.1 are understood, too.
+
+    None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
+    Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
+    """
+    if not isinstance(preset, str) or preset not in PRESETS:
+        raise UnknownNameError.of("preset", preset, PRESETS)
+    changes = {_FORMER_NAMES.get(name, name): value for name, value in changes.items()}
+    known = dict(_all_fields())
+    for name in changes:
+        if name not in known:
+            raise OptionError(_unknown(name))
+    made: Options = _changed(PRESETS[preset], changes)
+    for group in _GROUPS:
+        made = replace(made, **{group: _changed(getattr(made, group), changes)})
+    _check_together(made, PRESETS[preset])
+    return made
+
+
+def flat(options: Options) -> dict[str, Any]:
+    """All options by name, those of groups too, as `make_options` takes them."""
+    nested = asdict(options)
+    for group in _GROUPS:
+        nested |= nested.pop(group)
+    return nested
+
+
+def _all_fields() -> Iterator[tuple[str, Field[Any]]]:
+    for group in (Options, ProposalOptions, NetworkOptions):
+        yield from ((f.name, f) for f in fields(group) if f.name not in _GROUPS)
+
+
+def _unknown(name: str) -> str:
+    others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST)]
+    rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *others)]
+    close = get_close_matches(name, [*_FIRST, *others, *rare], n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    return (
+        f"FIDE has no option {name!r}{hint}; those that matter most: {', '.join(_FIRST)}; others: "
+        f"{', '.join(others)}; for ablations also: {', '.join(rare)}"
+    )
+
+
+def _changed(options: Any, changes: Mapping[str, Any]) -> Any:
+    """The dataclass `options` with those changes that are fields of it, checked."""
+    assert is_dataclass(options)
+    changed = {}
+    for known in fields(options):
+        if known.name in _GROUPS or known.name not in changes:
+            continue
+        value = changes[known.name]
+        if value is not None:
+            changed[known.name] = known.metadata["rule"](known.name, value)
+        elif known.default is None and known.name != "popsize":
+            changed[known.name] = None
+    return replace(options, **changed)  # type: ignore[type-var]
+
+
+def _check_together(options: Options, preset: Options) -> None:
+    """Raise OptionError for options that contradict each other."""
+    if options.proposer != "diffusion":
+        own, usual = asdict(options.network), asdict(preset.network)
+        for name in (name for name in own if own[name] != usual[name]):
+            raise OptionError(
+                f"{name}={own[name]!r} is of the network, and the proposer {options.proposer!r} "
+                "has none: leave it out, or take preset='paper' or proposer='diffusion'"
+            )
+    network, proposal = options.network, options.proposal
+    if network.steps is not None and network.schedule != preset.network.schedule:
+        raise OptionError(
+            f"steps={network.steps} are even steps in place of a schedule: give steps or "
+            "schedule, not both"
+        )
+    _check_order(proposal, "smallest_fraction", "largest_fraction")
+    _check_order(proposal, "shortest_step", "longest_step")
+
+
+def _check_order(options: ProposalOptions, low: str, high: str) -> None:
+    lower, upper = getattr(options, low), getattr(options, high)
+    if lower > upper:
+        raise OptionError(f"{low}, {lower}, must not be above {high}, {upper}")

@@ -1,0 +1,377 @@
+"""The book of candidates: which were drawn, which are pending, which were evaluated.
+
+FIDE and all baselines keep one.  A generation is complete as soon as as many candidates that were
+asked have been told as were last drawn for it, in whatever order and pieces.  Its members are then
+sorted in the order in which they were asked, so that the result does not depend on the order of
+telling.
+
+- Asking for more than is left of a generation draws more from the same distribution.
+- A candidate told after its generation was completed counts for the generation in which it
+  arrives, marked as late: it is not of that generation's distribution.
+- A candidate that was asked before a restart, told twice, or never asked at all is *injected*: it
+  tells about the renderer, not about the search distribution.
+- The proposals of a generation are its last candidates.  They are made when they are asked for,
+  from all that was told by then, those that are asked together in one call; or all of them when
+  the first one is.
+- A candidate that is never told stays pending until so many others are pending that memory would
+  grow.  After that it counts as injected.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.runtime.schema import Schema, array, check, whole
+from fide_plugins.types import Float64
+
+__all__ = ["Candidate", "Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
+
+Makers: TypeAlias = npt.NDArray[np.int64]
+Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64, Makers]]
+"""From samples (m, d): x and z of proposals, (m, d) each, and who made each, (m,)."""
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
+
+_MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A point of the cube on its way to the user and back.
+
+    index: its number among all candidates ever drawn.
+    x: (d,), what is rendered.
+    z: (d,), what the search distribution learns from; into(z) = x.
+    proposed: whether a proposer made it, and not the search distribution.
+    late: whether it was told after its own generation was complete.
+    maker: which of several proposers made it, from 1; 0 where there is one, or none.
+    mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
+    """
+
+    index: int
+    x: Float64
+    z: Float64
+    proposed: bool = False
+    late: bool = False
+    maker: int = 0
+    mirrored: bool = False
+
+
+class Population:
+    """Candidates drawn, pending and evaluated."""
+
+    def __init__(self) -> None:
+        self.size = 0
+        """Members of the present generation."""
+        self.drawn = 0
+        """Candidates ever drawn."""
+        self.generations = 0
+        """Generations completed."""
+        self._queue: deque[Candidate] = deque()  # drawn, not handed out
+        self._unmade: Float64 = np.empty((0, 0))  # samples for proposals that are not made yet
+        self._unmade_from = 0  # index of the first of these proposals
+        self._propose: Propose | None = None  # makes them
+        self._singly = False  # each when it is asked for
+        self._pending: dict[bytes, list[Candidate]] = {}  # handed out, not told
+        self._n_pending = 0
+        self._most_pending = _MOST_PENDING
+        self._evaluated: list[tuple[Candidate, float]] = []  # of the present generation
+        self._generation_from = 0  # candidates of a lower index belong to an earlier generation
+
+    # -- asking ------------------------------------------------------------------------------------
+
+    @property
+    def remaining(self) -> int:
+        """Candidates of this generation that were drawn and not yet handed out."""
+        return len(self._queue) + len(self._unmade)
+
+    @property
+    def ready(self) -> int:
+        """How many of these wait for nothing; all that remain if none is made."""
+        return self.remaining if self._singly else len(self._queue) or len(self._unmade)
+
+    @property
+    def unmade(self) -> int:
+        """How many of these are proposals that are not made yet."""
+        return len(self._unmade)
+
+    @property
+    def pending(self) -> int:
+        """Candidates that were handed out and not yet told."""
+        return self._n_pending
+
+    def draw(
+        self,
+        x: Float64,
+        z: Float64,
+        unmade: Float64 | None = None,
+        *,
+        pair: bool = False,
+    ) -> None:
+        """Queue candidates x (n, d) with their z (n, d) as a generation.
+
+        unmade: samples (m, d), from which the proposals that follow are made, see `propose_by`.
+        pair: whether the first two are a mirrored pair.
+        """
+        unmade = np.empty((0, 0)) if unmade is None else unmade
+        self.size = len(x) + len(unmade)
+        pair = pair and len(x) >= 2
+        for i, row in enumerate(zip(x, z, strict=True)):
+            self._queue.append(Candidate(self.drawn, *row, mirrored=pair and i < 2))
+            self.drawn += 1
+        self._unmade, self._unmade_from = unmade, self.drawn
+        self.drawn += len(unmade)
+
+    def put_first(self, x: Float64, z: Float64) -> None:
+        """Put points x (m, d) with their z (m, d) in the place of the first that are queued.
+
+        They are not of the generation's distribution, and are told as late ones are.
+        """
+        for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
+            if i < len(self._queue):
+                index = self._queue[i].index
+                self._queue[i] = Candidate(index, point, drawn, late=True)
+
+    def propose_by(self, propose: Propose, *, singly: bool) -> None:
+        """Say what makes the proposals; a checkpoint cannot hold it.
+
+        singly: each proposal when it is asked for, otherwise all when the first one is.  Those that
+            are asked for together are made by one call of `propose`.
+        """
+        self._propose, self._singly = propose, singly
+
+    def make_proposals(self, n: int | None = None) -> None:
+        """Make proposals until n candidates are queued; all if n is None, or if not `singly`.
+
+        If that raises, the next call tries again.
+        """
+        if not len(self._unmade) or (n is not None and n <= len(self._queue)):
+            return
+        assert self._propose is not None
+        m = len(self._unmade) if n is None or not self._singly else n - len(self._queue)
+        now = self._unmade[:m]
+        made = zip(*self._propose(now), strict=True)
+        for index, (x, z, maker) in enumerate(made, self._unmade_from):
+            self._queue.append(Candidate(index, x, z, proposed=True, maker=int(maker)))
+        self._unmade, self._unmade_from = self._unmade[len(now) :], self._unmade_from + len(now)
+
+    def settle(self) -> None:
+        """Make the proposals that no further result can change."""
+        if not self._singly:
+            self.make_proposals()
+
+    def expect(self, n: int) -> None:
+        """Prepare for n candidates that are asked at once: all of them may be pending."""
+        self._most_pending = max(self._most_pending, 2 * n, 2 * self.size)
+
+    def hand_out(self) -> Candidate:
+        """Next candidate of the generation."""
+        self.make_proposals(1)
+        return self._hand_out(self._queue.popleft())
+
+    def hand_out_all(self) -> list[Candidate]:
+        """All candidates of the generation that remain."""
+        self.expect(self.remaining)
+        self.make_proposals()
+        handed_out = [self._hand_out(candidate) for candidate in self._queue]
+        self._queue.clear()
+        return handed_out
+
+    def adopt(
+        self, x: Float64, z: Float64, *, proposed: bool = False, late: bool = False, maker: int = 0
+    ) -> None:
+        """Take x (d,), which was drawn elsewhere, for a candidate that was handed out."""
+        self._hand_out(Candidate(self.drawn, x, z, proposed, late, maker))
+        self.drawn += 1
+
+    def _hand_out(self, candidate: Candidate) -> Candidate:
+        self._await(candidate)
+        if self._n_pending > self._most_pending:
+            self._pop(next(iter(self._pending)), 0)
+        return candidate
+
+    def _await(self, candidate: Candidate) -> None:
+        self._pending.setdefault(_key(candidate.x), []).append(candidate)
+        self._n_pending += 1
+
+    # -- telling -----------------------------------------------------------------------------------
+
+    def record(self, x: Float64, loss: float) -> Candidate | None:
+        """Enter the loss of x (d,); returns the candidate as it was asked, or None: injected."""
+        candidate = self.withdraw(x)
+        if candidate is None:
+            return None
+        if candidate.index < self._generation_from:
+            candidate = replace(candidate, late=True)
+        self._evaluated.append((candidate, loss))
+        return candidate
+
+    def number(self) -> int:
+        """Index of a candidate that was never drawn: no other has it."""
+        self.drawn += 1
+        return self.drawn - 1
+
+    def withdraw(self, x: Float64) -> Candidate | None:
+        """Take x (d,) from the pending candidates; returns it, or None if it is not pending."""
+        key = _key(x)
+        waiting = self._pending.get(key)
+        if not waiting:
+            return None
+        if len(waiting) == 1:
+            return self._pop(key, 0)
+        exact = (i for i, candidate in enumerate(waiting) if np.array_equal(candidate.x, x))
+        return self._pop(key, next(exact, 0))
+
+    def _pop(self, key: bytes, which: int) -> Candidate:
+        candidate = self._pending[key].pop(which)
+        self._n_pending -= 1
+        if not self._pending[key]:
+            del self._pending[key]
+        return candidate
+
+    @property
+    def evaluated(self) -> int:
+        """Candidates of the present generation that were told."""
+        return len(self._evaluated)
+
+    def members(self) -> tuple[list[Candidate], Float64]:
+        """Those in the order in which they were asked, and their losses (n,)."""
+        ordered = sorted(self._evaluated, key=lambda pair: pair[0].index)
+        losses = np.array([loss for _, loss in ordered], np.float64)
+        return [candidate for candidate, _ in ordered], losses
+
+    @property
+    def complete(self) -> bool:
+        """Whether a whole generation has been told."""
+        return 0 < self.size <= len(self._evaluated)
+
+    def close_generation(self) -> tuple[list[Candidate], Float64]:
+        """Members of the generation and their losses (n,), see `members`.
+
+        What was drawn for the generation and never handed out is thrown away.
+        """
+        members, losses = self.members()
+        self._evaluated = []
+        self._queue.clear()
+        self._unmade = np.empty((0, 0))
+        self._generation_from = self.drawn
+        self.generations += 1
+        return members, losses
+
+    def forget_pending(self) -> None:
+        """A restart: what is still pending counts as injected if it is told."""
+        self._pending.clear()
+        self._n_pending = 0
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything, as arrays, but what makes proposals."""
+        self.settle()
+        waiting = [c for several in self._pending.values() for c in several]
+        return {
+            "size": self.size,
+            "drawn": self.drawn,
+            "generations": self.generations,
+            "generation_from": self._generation_from,
+            "most_pending": self._most_pending,
+            "unmade": self._unmade,
+            "unmade_from": self._unmade_from,
+            "queue": _pack(list(self._queue)),
+            "pending": _pack(sorted(waiting, key=lambda c: c.index)),
+            "evaluated": _pack([c for c, _ in self._evaluated]),
+            "losses": np.array([loss for _, loss in self._evaluated], np.float64),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], dim: int) -> Population:
+        """Population of points (dim,) as it was when `state_dict` was taken; ValueError if none."""
+        check(state, _SCHEMA, {"d": dim}, "population")
+        population = cls()
+        population.size = state["size"]
+        population.drawn = state["drawn"]
+        population.generations = state["generations"]
+        population._generation_from = state["generation_from"]
+        population._most_pending = state["most_pending"]
+        population._unmade, population._unmade_from = state["unmade"], state["unmade_from"]
+        population._queue.extend(_unpack(state["queue"]))
+        for candidate in _unpack(state["pending"]):
+            population._await(candidate)
+        losses = state["losses"].tolist()
+        population._evaluated = list(zip(_unpack(state["evaluated"]), losses, strict=True))
+        return population
+
+
+def search_columns(members: list[Candidate]) -> tuple[Float64, Mask]:
+    """What the search distribution learns from: z (n, d), and which it did not draw, (n,)."""
+    z = np.array([candidate.z for candidate in members])
+    return z, np.array([candidate.proposed or candidate.late for candidate in members])
+
+
+def mirrored_pair(members: list[Candidate]) -> tuple[int, int] | None:
+    """Where among members, sorted by index, the first whole mirrored pair is; None without.
+
+    A late one does not count: it lies along an earlier step of the mean.
+    """
+    for i, (one, other) in enumerate(pairwise(members)):
+        is_pair = one.mirrored and other.mirrored and other.index == one.index + 1
+        if is_pair and not one.late and not other.late:
+            return i, i + 1
+    return None
+
+
+def _key(x: Float64) -> bytes:
+    """Name of a point, the same after a way through a renderer in single precision."""
+    return (x.astype(np.float32) + np.float32(0.0)).tobytes()  # 0 and -0 are one number
+
+
+def _pack(candidates: list[Candidate]) -> dict[str, Any]:
+    return {
+        "index": np.array([c.index for c in candidates], np.int64),
+        "x": np.array([c.x for c in candidates]),
+        "z": np.array([c.z for c in candidates]),
+        "proposed": np.array([c.proposed for c in candidates], bool),
+        "late": np.array([c.late for c in candidates], bool),
+        "maker": np.array([c.maker for c in candidates], np.int64),
+        "mirrored": np.array([c.mirrored for c in candidates], bool),
+    }
+
+
+def _unpack(packed: Mapping[str, Any]) -> list[Candidate]:
+    flags = [packed[name].tolist() for name in ("proposed", "late", "maker", "mirrored")]
+    columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
+    return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
+
+
+def _candidates(n: str) -> Schema:
+    return {
+        "index": array(n, kind="i"),
+        "x": array(n, "d", low=0.0, high=1.0),
+        "z": array(n, "d", low=-1e60, high=1e60),
+        "proposed": array(n, kind="b"),
+        "late": array(n, kind="b"),
+        "maker": array(n, kind="i"),
+        "mirrored": array(n, kind="b"),
+    }
+
+
+_SCHEMA: Schema = {
+    "size": whole(),
+    "drawn": whole(),
+    "generations": whole(),
+    "generation_from": whole(),
+    "most_pending": whole(),
+    "unmade": array("unmade", "d", low=-1e60, high=1e60),
+    "unmade_from": whole(),
+    "queue": _candidates("queued"),
+    "pending": _candidates("pending"),
+    "evaluated": _candidates("evaluated"),
+    "losses": array("evaluated", high=np.inf),
+}

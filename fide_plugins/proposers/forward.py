@@ -1,0 +1,273 @@
+"""The forward model: features regressed on parameters, and damped Gauss-Newton steps with it.
+
+Notation
+--------
+=======  ======  ================================================================================
+symbol   shape   meaning
+=======  ======  ================================================================================
+u        (n, d)  parameters minus those of the best candidate b, in units of std = sqrt(diag Sigma)
+e        (n, f)  features minus those of b
+e*       (f,)    features of the target minus those of b: the residual
+J        (d, f)  Jacobian of the features, e ~ u J
+Q        (d, n)  J = Q e; J itself is never formed
+G        (n, n)  e e^T
+=======  ======  ================================================================================
+
+The linear proposer regresses parameters on features, and asks for the parameters of the target.
+This one regresses features on parameters, and asks which step explains the residual:
+
+    x_new = x_b + std * (J J^T + lambda)^-1 J e*,    lambda log-uniform in `damping`,
+
+a Gauss-Newton step with the damping of Levenberg (1944) and Marquardt (1963), where derivatives
+come from evaluated candidates, as in DFO-LS (Cartis, Fiala, Marteau, Roberts 2019).  A small lambda
+trusts the model, a large one steps only along what the image determines well.  `damping` is in
+units of the lambda that the model's own errors ask for.  These grow as c |u|^4 in the square, since
+images are curved, and the step delta that minimizes
+
+    |e* - delta J|^2 + c |delta|^4    has    lambda = 2 c |delta|^2:
+
+far from the answer steps are short, and near it they are those of Gauss and Newton.  c comes from
+the nearest candidates, each predicted as if it had been left out (Allen 1974, PRESS), so a model
+that was fitted to few candidates, or to noise, is trusted little.  Steps are cut to a length.
+
+Short steps from the best candidate would rank before samples for being near it, and the search
+would narrow before it has searched.  So a proposal is a sample z that is *denoised*: what lambda
+damps, in direction and size, is that of z, to the extent g that the step falls short of removing
+what J could explain of the residual:
+
+    x_new = x_b + std * (J J^T + lambda)^-1 (J e* + g lambda (z - x_b) / std).
+
+A model that explains nothing (g = 1, lambda large) gives z back; one that is right (g = 0) gives
+the step of Gauss and Newton.
+
+J comes from `proposers.jacobian`.  It also says what the image does not determine
+(`proposers.sensitivity`).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from fide_plugins.proposers.base import Previewed, SingleProposer
+from fide_plugins.proposers.feature_buffer import FeatureBuffer
+from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
+from fide_plugins.proposers.sensitivity import Sensitivity, information, sensitivity
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe
+from fide_plugins.types import Float64
+
+__all__ = ["ForwardProposer", "balanced"]
+
+_SCHEMA: Schema = {
+    "x": array("n", "d"),
+    "losses": array("n"),
+    "buffer": anything,
+    "information": maybe(array("d", "d", low=-1e120, high=1e120)),
+}
+_TINY = 1e-300
+_SMALLEST_PENALTY = 1e-100  # whose square can be divided by
+_LEAST_KEPT = 0.01
+_FAR = 6.0  # standard deviations between a sample and the best candidate
+_MOST_BYTES = 2**28  # of features
+
+Indices = npt.NDArray[np.intp]
+
+
+class ForwardProposer(Previewed, SingleProposer):
+    """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
+
+    Parameters
+    ----------
+    dim : d, the number of parameters.
+    capacity : n, evaluated candidates that are remembered, the better half and the latest half;
+        fewer if their features would take more than 256 MiB.
+    channels : the leading channels of the tokens that are modelled; None: all.
+    damping : (low, high), range of lambda, in units of the one that balances the model's errors.
+    ridge : penalties of the wide and of the near regression, in units of the mean eigenvalue of
+        u^T u.
+    longest : longest step, in units of sqrt(d) standard deviations.
+    kept : how much of a sample is kept, at most, in directions that lambda damps.
+    minimum : candidates that must be known before anything is proposed.
+    select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
+    """
+
+    singly = True
+
+    def __init__(
+        self,
+        dim: int,
+        *,
+        capacity: int | None = None,
+        channels: int | None = None,
+        damping: tuple[float, float] = (1e-2, 1e1),
+        ridge: tuple[float, float] = (1e-2, 1e-2),
+        longest: float = 1.0,
+        kept: float = 1.0,
+        minimum: int = 4,
+        select: bool = True,
+    ) -> None:
+        self.dim, self.minimum = dim, minimum
+        self.capacity = 4 * dim + 20 if capacity is None else capacity
+        self.channels, self.select = channels, select
+        self.damping, self.ridge = damping, ridge
+        self.longest, self.kept = longest, kept
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin with an empty buffer: another search goes elsewhere."""
+        self._x: Float64 = np.empty((0, self.dim))
+        self._losses: Float64 = np.empty(0)
+        self._buffer = FeatureBuffer(self.channels, self.select)
+        self._fit: tuple[Float64, Jacobian] | None = None  # with its std
+        self._information: Float64 | None = None  # (d, d), the last clear J J^T, per unit of x
+        self._first: tuple[Float64 | None] | None = None  # before anything was proposed
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is enough to propose from."""
+        return len(self._x) >= self.minimum
+
+    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
+        """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
+        self._fit = self._first = None
+        n = max(self.minimum, min(self.capacity, _MOST_BYTES // (8 * tokens[0].numel())))
+        if len(x) > n:
+            kept = _best_and_latest(losses, n)
+            x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
+        self._buffer.add(tokens, n + len(x))
+        self._x = np.concatenate([self._x, x])
+        self._losses = np.concatenate([self._losses, losses])
+        if len(self._x) > n:
+            kept = _best_and_latest(self._losses, n)
+            self._x, self._losses = self._x[kept], self._losses[kept]
+            self._buffer.keep(kept)
+
+    def propose(
+        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
+    ) -> Float64:
+        """Steps from the best candidate towards the target's tokens (T, C).
+
+        z: (m, d), samples of the search distribution, whose mean and sqrt(diag Sigma) are mean and
+        std, (d,) each.  Returns (m, d); values may leave the unit cube.
+        """
+        scale = positive(std)
+        jacobian = self._jacobian(scale)
+        low, high = np.log(self.damping)
+        damping = np.exp(rng.uniform(low, high, size=(len(z), 1)))
+        slope = self._slope(jacobian, target)  # (d,), in the basis of eigenvectors, as all below
+        penalty = damping * balanced(jacobian, slope) + jacobian.rounding + _TINY
+        steps = slope / (jacobian.values + penalty)  # (m, d)
+        steps *= self._cut(steps)
+        kept = self.kept * (1 - predicted_gain(jacobian, slope, steps))  # (m, 1)
+        kept = np.maximum(kept, min(_LEAST_KEPT, self.kept))  # no two proposals are one point
+        undetermined = penalty / (jacobian.values + penalty)  # (m, d), in [0, 1]
+        sampled = np.clip((z - self._x[jacobian.best]) / scale, -_FAR, _FAR) @ jacobian.vectors
+        steps += kept * undetermined * sampled
+        proposals: Float64 = self._x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
+        return proposals
+
+    def _cut(self, steps: Float64) -> Float64:
+        """Factors (m, 1) that hold steps (m, d) to the longest that is allowed."""
+        lengths = np.linalg.norm(steps, axis=1, keepdims=True)
+        factors: Float64 = np.minimum(1.0, self.longest * np.sqrt(self.dim) / (lengths + _TINY))
+        return factors
+
+    def _slope(self, jacobian: Jacobian, target: Tensor) -> Float64:
+        """J e*, (d,), in the basis of the eigenvectors of J J^T."""
+        b = jacobian.best
+        residual = self._buffer.missing(target, b)  # (f,)
+        products = self._buffer.features @ residual  # (n,): of e + e_b with e*
+        slope: Float64 = jacobian.vectors.T @ (jacobian.Q @ (products - products[b]))
+        return slope
+
+    def _jacobian(self, std: Float64) -> Jacobian:
+        """At the best candidate; fitted once for whatever was told."""
+        if self._fit is None or not np.array_equal(self._fit[0], std):
+            u = (self._x - self._x[int(np.argmin(self._losses))]) / std
+            best = int(np.argmin(self._losses))
+            fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
+            self._fit = std.copy(), fit
+            clear = information(fit, std)
+            self._information = self._information if clear is None else clear
+        return self._fit[1]
+
+    def sensitivity(self, target: Tensor) -> Sensitivity | None:
+        """How far the target's tokens (T, C) determine the best candidate, see `sensitivity`."""
+        known = self._information
+        if known is None and self.ready:  # nothing was proposed yet
+            known = self._first_information
+        if known is None:
+            return None
+        best = int(np.argmin(self._losses))
+        residual = self._buffer.missing(target, best)  # (f,)
+        return sensitivity(self._x[best], known, residual, self._buffer.rounding)
+
+    @property
+    def _first_information(self) -> Float64 | None:
+        """That of the candidates so far, in their own scale; computed once for what was told."""
+        if self._first is None:
+            other = self.copy()
+            other._jacobian(positive(self._x.std(axis=0)))
+            self._first = (other._information,)
+        return self._first[0]
+
+    def copy(self) -> Self:
+        """Another with the same buffer, which can be updated without this one."""
+        other = copy.copy(self)  # arrays are replaced, never written to
+        other._buffer = copy.copy(self._buffer)
+        return other
+
+    def state_dict(self) -> dict[str, Any]:
+        """The buffer."""
+        return {
+            "x": self._x,
+            "losses": self._losses,
+            "buffer": self._buffer.state_dict(),
+            "information": self._information,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none."""
+        own = {"d": self.dim}
+        check(state, _SCHEMA, own, "proposer")
+        self._fit = self._first = None
+        self._information = state["information"]
+        self._x, self._losses = state["x"], state["losses"]
+        self._buffer.load_state_dict(state["buffer"], own["n"], (sides or {}).get("T"))
+
+
+def balanced(jacobian: Jacobian, slope: Float64) -> float:
+    """Lambda whose step delta minimizes |e* - delta J|^2 + c |delta|^4: lambda = 2 c |delta|^2.
+
+    slope: (d,), J e* in the basis of the eigenvectors.  Within a factor of 1.5, on a grid.
+    """
+    largest = max(float(jacobian.values.mean()), jacobian.rounding, _SMALLEST_PENALTY)
+    grid = largest * np.logspace(-10, 2, 73)
+    lengths = np.square(slope / (jacobian.values + grid[:, None])).sum(axis=1)  # |delta|^2
+    enough = grid >= 2 * jacobian.curvature * lengths
+    return float(grid[int(np.argmax(enough)) if enough.any() else -1])
+
+
+def predicted_gain(jacobian: Jacobian, slope: Float64, steps: Float64) -> Float64:
+    """How much of the error that J could explain the steps (m, d) remove, (m, 1) in [0, 1].
+
+    Less what the model misses; `slope` and steps are in the basis of the eigenvectors.
+    """
+    removed = steps @ (2 * slope) - np.square(steps) @ jacobian.values
+    removed -= jacobian.curvature * np.square(np.square(steps).sum(axis=1))
+    explained = float((slope**2 / (jacobian.values + jacobian.rounding + _TINY)).sum())
+    gain: Float64 = np.clip(removed[:, None] / (explained + _TINY), 0.0, 1.0)
+    return gain
+
+
+def _best_and_latest(losses: Float64, n: int) -> Indices:
+    """Indices, rising, of n of the candidates (k,), k > n: the latest half, and the best others."""
+    earlier = len(losses) - n // 2
+    best = np.argsort(losses[:earlier], kind="stable")[: n - n // 2]
+    return np.concatenate([np.sort(best), np.arange(earlier, len(losses))])

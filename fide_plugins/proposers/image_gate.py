@@ -1,0 +1,196 @@
+"""Whether the image may steer the search, how far, and how many candidates are proposed.
+
+Proposals go where features come nearer to the target's, and moves take the picture for one of
+several things.  Both pay where a nearer image has a lower loss.  They cost where it has not:
+images that are noise, that never change, that belong to other candidates, a target that has nothing
+to do with the losses.  So three questions are asked of what was evaluated.
+
+**Do images agree with losses?**  Spearman's rank correlation of losses with distances in features,
+
+    rho = corr(rank of loss_i, rank of |e_i - e*|),
+
+where equal values share their mean rank.  If images said nothing of losses, every order of theirs
+would be equally likely, and rho of n candidates would have mean 0 and variance 1 / (n - 1),
+whatever images and losses are (Kendall 1948, "Rank Correlation Methods", sec. 5.8).  Over the
+generations j, older ones counting less by c_j,
+
+    sum_j c_j n_j rho_j / sqrt(sum_j c_j^2 n_j^2 / (n_j - 1))
+
+would then be a number of about standard normal law.  Images that agree lift it beyond 3 in the
+first two generations, and beyond 10 by the tenth.
+
+**How much do they agree of late?**  The first question asks for *some* agreement, and misleading
+images can have some: a target of something else has a side that is nearer, too.  So the mean of
+rho_j over the last generations, the newest counting most, says how far images are followed.
+
+**How do proposals rank?**  Where they rank before samples, more of a generation is proposed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from fide_plugins.options import Options
+from fide_plugins.runtime.schema import Schema, check, real, whole
+from fide_plugins.types import Float64
+
+__all__ = ["ImageGate", "adapt_fraction", "rank_correlation"]
+
+_MEMORY = 400  # candidates after which a generation counts for 1/e
+_SURE = 3.0  # standard deviations
+_SHORT_MEMORY = 100  # candidates, of how much the last generations agree
+_ENOUGH = 20  # generations, before images may end a search
+_LITTLE, _MUCH = 0.2, 0.4  # mean rho; measured, see `docs/extremes.md`
+
+_SCHEMA: Schema = {
+    "fraction": real(0.0, 1.0),
+    "sum": real(-1e60, 1e60),
+    "variance": real(0.0, 1e60),
+    "recent": real(-1e60, 1e60),
+    "weight": real(0.0, 1e60),
+    "noted": whole(),
+}
+
+
+class ImageGate:
+    """How far images steer the search, judged by what was evaluated.
+
+    options: `guard_images`, and `proposal_fraction` with its limits.
+    channel_subsets: leading channels of the tokens in which distances are measured, the mean
+        correlation counts; None: all channels.
+    """
+
+    def __init__(self, options: Options, channel_subsets: tuple[int | None, ...]) -> None:
+        self._guarded, self._options = options.guard_images, options.proposal
+        self._channel_subsets = channel_subsets
+        self.fraction = options.proposal.proposal_fraction
+        """Of a generation that is proposed, where images are followed wholly."""
+        self._sum = 0.0
+        self._variance = 0.0  # of the sum, if images said nothing
+        self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory
+        self._noted = 0  # generations
+
+    @property
+    def strength(self) -> float:
+        """How far images are followed, in [0, 1]; where they are not, the search is CMA-ES.
+
+        0 unless it is as good as certain that nearer images have lower losses, 1 where of late they
+        agree much, in proportion between.
+        """
+        if not self._guarded:
+            return 1.0
+        if not 0 < _SURE * math.sqrt(self._variance) <= self._sum:
+            return 0.0
+        rho = self._recent / self._weight
+        return min(1.0, max(0.0, (rho - _LITTLE) / (_MUCH - _LITTLE)))
+
+    @property
+    def guided(self) -> bool:
+        """Whether images say when a search is over, and where to go on.
+
+        Misleading images may agree with losses for a while, so this takes some generations.
+        """
+        return self.strength == 1.0 and (not self._guarded or self._noted >= _ENOUGH)
+
+    @property
+    def proposed(self) -> float:
+        """Expected fraction of the next generation that is proposed, in [0, 1]."""
+        return self.fraction * self.strength
+
+    def number(self, popsize: int, rng: np.random.Generator) -> int:
+        """How many of a generation to propose, at random around the expected number."""
+        return min(int(self.proposed * popsize + rng.random()), popsize - 1) if self.proposed else 0
+
+    def note_images(self, tokens: Tensor, target: Tensor, losses: Float64) -> None:
+        """Note one generation: tokens (n, T, C) of images, those of the target, losses (n,).
+
+        Losses are finite.  If all are equal, they say nothing.
+        """
+        n = len(losses)
+        if not self._guarded or n < 2 or losses.min() == losses.max():
+            return
+        self._noted += 1
+        squared = (tokens - target.to(tokens.device)).square()
+        distances = [squared[..., :channels].sum(dim=(1, 2)) for channels in self._channel_subsets]
+        rho = np.mean([rank_correlation(d.cpu().numpy(), losses) for d in distances])
+        keep = float(np.exp(-n / _MEMORY))
+        self._sum = keep * self._sum + n * float(rho)
+        self._variance = keep**2 * self._variance + n**2 / (n - 1)
+        keep = float(np.exp(-n / _SHORT_MEMORY))
+        self._recent = keep * self._recent + n * float(rho)
+        self._weight = keep * self._weight + n
+
+    def note_ranks(self, losses: Float64, proposed: npt.NDArray[np.bool_]) -> None:
+        """Note how proposed candidates (k,) of a generation rank, by all its losses (k,)."""
+        o = self._options
+        if o.fraction_rate:
+            limits = {"smallest": o.smallest_fraction, "largest": o.largest_fraction}
+            rate = o.fraction_rate
+            self.fraction = adapt_fraction(self.fraction, losses, proposed, rate=rate, **limits)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "fraction": self.fraction,
+            "sum": self._sum,
+            "variance": self._variance,
+            "recent": self._recent,
+            "weight": self._weight,
+            "noted": self._noted,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; ValueError if it is none."""
+        check(state, _SCHEMA, {}, "image gate")
+        self.fraction = float(state["fraction"])
+        self._sum, self._variance = float(state["sum"]), float(state["variance"])
+        self._recent, self._weight = float(state["recent"]), float(state["weight"])
+        self._noted = state["noted"]
+
+
+def rank_correlation(a: Float64, b: Float64) -> float:
+    """Spearman's, of a (n,) and b (n,), in [-1, 1]; 0 where one of them is constant."""
+    u, v = _ranks(a), _ranks(b)
+    norm = float(np.sqrt((u @ u) * (v @ v)))
+    return float(u @ v) / norm if norm > 0 else 0.0
+
+
+def _ranks(values: Float64) -> Float64:
+    """Ranks (n,) around 0; equal values share their mean."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    mean: Float64 = np.cumsum(counts) - (counts - 1) / 2 - (len(values) + 1) / 2
+    return mean[inverse]
+
+
+def adapt_fraction(
+    fraction: float,
+    losses: Float64,
+    proposed: npt.NDArray[np.bool_],
+    *,
+    smallest: float,
+    largest: float,
+    rate: float = 0.1,
+) -> float:
+    """Raise `fraction` where proposals rank before samples, lower it where they rank behind.
+
+    losses: (k,) of one generation; proposed: (k,), which of them a proposer made.
+    The change is `rate` times the difference of the mean ranks, in units of k / 2; a generation of
+    one kind only says nothing.  Losses that are not finite are tied for the last ranks.  The
+    fraction stays within [smallest, largest]; from 0 it could not recover.
+    """
+    if proposed.all() or not proposed.any():
+        return fraction
+    order = np.argsort(losses, kind="stable")
+    ranks = np.empty(len(losses))
+    ranks[order] = np.arange(len(losses))
+    failed = ~np.isfinite(losses)
+    if failed.any():
+        ranks[failed] = ranks[failed].mean()  # all behind the others, and none before another
+    lead = (ranks[~proposed].mean() - ranks[proposed].mean()) / (len(losses) / 2)
+    return float(np.clip(fraction + rate * lead, smallest, largest))

@@ -1,0 +1,209 @@
+"""What can be read of an optimizer at any time, and what a checkpoint holds of it."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.options import Options, flat
+from fide_plugins.runtime.locks import one_at_a_time
+from fide_plugins.runtime.saving import Saved
+from fide_plugins.runtime.schema import array, check
+from fide_plugins.search.moves.optima import APART
+from fide_plugins.search.moves.status import Facts, Status, status_of
+from fide_plugins.space import Space
+from fide_plugins.state import State
+from fide_plugins.types import Float64, Solution
+from fide_plugins.validation.evaluation import Evaluator
+from fide_plugins.views import Views
+from fide_plugins.views.loss import loss_of
+
+__all__ = ["Readings"]
+
+_ARGUMENTS = ("dim", "target", "weights", "x0", "sigma0", "seed")
+_ROUNDING = (1 / 255) ** 2 / 12  # MSE between a picture and itself in 8 bits
+_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
+
+
+class Readings(Saved):
+    """Readings of `state`: they change nothing."""
+
+    dim: int
+    popsize: int
+    seed: int
+    target: Any
+    x0: Float64
+    sigma0: float | Float64
+    options: Options
+    space: Space | None
+    evaluator: Evaluator
+    state: State
+
+    @property
+    def views(self) -> Views:
+        """Targets and weights of the views; one view for a single target."""
+        return self.evaluator.views
+
+    @property
+    def weights(self) -> Any:
+        """Which pixels count, mask times weights: (H, W), None for all; a list for a list."""
+        return self.views.weights
+
+    @property
+    @one_at_a_time  # an estimate reads what another thread may be training
+    def best(self) -> Solution | None:
+        """Best point told so far; None before the first with a finite loss.
+
+        Its `params` are named where the optimizer was made with a `Space`.  Its `std` is what is
+        known now, and computed when it is read (`proposers.sensitivity`): None where no proposer
+        knows the point.
+        """
+        best = self.state.best
+        if best is None:
+            return None
+        image = self.views.unpacked(best.solution.image)
+        estimate = self.state.estimate_of(best)
+        return replace(best.solution, image=image, space=self.space, estimate=estimate)
+
+    def recommend(self) -> Float64:
+        """Mean (dim,) of the search distribution that found the best point (line 12).
+
+        The best point itself if no search found it: a sensitivity sample, a restart candidate, a
+        point that was never asked.
+        """
+        best = self.state.best
+        mean = self.state.descent.mean if best is None else best.mean
+        recommended: Float64 = self.state.descent.render_mean(mean)
+        return recommended
+
+    @property
+    @one_at_a_time
+    def status(self) -> Status:
+        """What is known of the run so far: a code, and a sentence (see `search.moves.status`)."""
+        state, best = self.state, self.state.best
+        since = state.evaluations - state.retargeted_at
+        facts = Facts(
+            evaluations=state.evaluations,
+            best=None if best is None else best.solution.loss,
+            improved_at=state.improved_at,
+            horizon=max(_STALLED * state.descent.popsize, since // 4),
+            ended=state.moves.ended,
+            noise=state.moves.noise,
+            solved=self._is_solved(),
+        )
+        return status_of(facts)
+
+    def _is_solved(self) -> bool:
+        """Whether the best image equals the target to 8 bits, whatever the loss is."""
+        image = None if self.state.best is None else self.state.best.solution.image
+        if image is None:
+            return False
+        return self.views.squared_error(image) <= _ROUNDING
+
+    @one_at_a_time
+    def solutions(self, k: int = 5) -> list[Solution]:
+        """Up to k distinct good candidates, best first: where searches have ended.
+
+        Exchangeable blocks are matched first, so that no order of the same things counts twice.
+        `evaluation` is the candidate's number in the order of asking, but for the first solution.
+        `probability` is that among those found, by a learned model and by their losses (see
+        `search.moves.modes`); None where no model knows the picture.
+        """
+        best, known = self.best, self.state.moves.known
+        found = [] if best is None else [best]
+        for sample in (optimum.sample for optimum in known.optima.all):
+            distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
+            if min(distances, default=np.inf) >= APART:
+                found.append(Solution(sample.x.copy(), sample.loss, sample.index, space=self.space))
+        points = np.array([one.x for one in found]).reshape(len(found), self.dim)
+        probability = self.state.moves.probabilities([one.loss for one in found], points)
+        if probability is not None:
+            found = [
+                replace(one, probability=p)
+                for one, p in zip(found, probability.tolist(), strict=True)
+            ]
+        return found[:k]
+
+    @property
+    def evaluations(self) -> int:
+        """Points told so far."""
+        return self.state.evaluations
+
+    @property
+    def not_finite(self) -> int:
+        """Points told so far whose loss was NaN or infinite."""
+        return self.state.not_finite
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Seconds spent so far in "encode" (features and losses), "train" and "search"."""
+        return self.state.times
+
+    @property
+    def features_shape(self) -> tuple[int, int]:
+        """(T, C) of the features of an image, see `tell`."""
+        return self.evaluator.features_shape
+
+    @property
+    def training(self) -> bool:
+        """Whether the network learns in the background; saving and proposals would wait for it."""
+        return self.state.proposer is not None and self.state.proposer.busy
+
+    # -- saving: see `runtime.saving` --------------------------------------------------------------
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
+        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        space = None if self.space is None else self.space.to_dict()
+        return given | flat(self.options) | {"popsize": self.popsize, "space": space}
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor, by name, of what `settings` gave."""
+        given = dict(settings)
+        space = given.pop("space")
+        return given if space is None else given | {"dim": Space.from_dict(space)}
+
+    @classmethod
+    def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
+        """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""
+        views = Views.read(settings["target"], weights=settings["weights"])
+        return loss_of(views, loss, device=device)
+
+    @property
+    def loss_name(self) -> str | None:
+        """Name by which the loss can be made again; None for a user's own."""
+        return self.evaluator.loss_name
+
+    def state_dict(self) -> dict[str, Any]:
+        """The state, and the versions of encoder and loss."""
+        return {**self.state.state_dict(), "versions": self.evaluator.versions}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        state = dict(state)
+        self.evaluator.check_versions(state.pop("versions"))
+        (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
+        sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
+        fresh = self._initial_state()
+        fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
+        self.state = fresh
+
+    @abstractmethod
+    def _initial_state(self) -> State:
+        """Return a state in which nothing was asked."""
+
+    @classmethod
+    def check_settings(cls, settings: Mapping[str, Any]) -> None:
+        """Raise ValueError unless all settings are there, and can be those of an optimizer."""
+        super().check_settings(settings)
+        expected = {*_ARGUMENTS, "popsize", "space", *flat(Options())}
+        odd = sorted(set(settings) ^ expected)
+        if odd:
+            raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
+        check(settings["x0"], array("d"), {"d": settings["dim"]}, "x0")
+        Views.check_settings(settings)

@@ -1,0 +1,153 @@
+"""A renderer that is a program: it is run once for each image."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.errors import ImageError, OptionError, RenderError
+from fide_plugins.renderers.child import run, tail_of
+from fide_plugins.renderers.naming import described
+from fide_plugins.renderers.template import Template
+from fide_plugins.space import Space
+from fide_plugins.types import Float32
+from fide_plugins.validation import images
+
+__all__ = ["CommandRenderer"]
+
+
+class CommandRenderer:
+    """Function of a dictionary of parameters that runs a program and reads the image it writes.
+
+    templates: command line of the program, see `template`; or one for each view, then the images
+        are a list.
+    space: the parameters.
+    timeout: seconds until a program is stopped; None waits for ever.
+
+    The program runs in the current folder.  The image and the file of parameters are in a temporary
+    folder of their own, which is removed afterwards.
+
+    Raises OptionError (a ValueError) for what can be known before the first render: see
+    `template.Template`; also for a parameter that no template has, and for an ending of the image
+    that cannot be read.  Calls raise RenderError, with the command and the last lines of its
+    output: if it fails, does not end in time, or writes no image that can be read.
+    """
+
+    def __init__(
+        self, templates: str | Sequence[str], space: Space, timeout: float | None = 60.0
+    ) -> None:
+        if timeout is not None and not timeout > 0:
+            raise OptionError(f"timeout must be a number of seconds > 0, not {timeout!r}")
+        self._one_view = isinstance(templates, str)
+        texts = [templates] if isinstance(templates, str) else list(templates)
+        self.templates = [Template(text, space) for text in texts]
+        self.space, self.timeout = space, timeout
+        self._check_used()
+        for template in self.templates:
+            _check_suffix(template.suffix)
+            template.command(space.decode(np.full(space.dim, 0.5)), "out", "params")
+
+    def __call__(self, params: Mapping[str, Any]) -> Float32 | list[Float32]:
+        """Image (H, W, 3) of the parameters, or one for each view."""
+        pictures = [self._render(template, params) for template in self.templates]
+        return pictures[0] if self._one_view else pictures
+
+    @property
+    def name(self) -> str:
+        """Name of the program."""
+        return Path(self.templates[0].words[0]).name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        texts = [template.text for template in self.templates]
+        return CommandRenderer, (texts[0] if self._one_view else texts, self.space, self.timeout)
+
+    def __repr__(self) -> str:
+        return f"CommandRenderer({', '.join(repr(each.text) for each in self.templates)})"
+
+    def _check_used(self) -> None:
+        used = {name for template in self.templates for name in template.used}
+        unused = [name for name, axes in self.space.axes.items() if axes and name not in used]
+        if unused and "params" not in used:
+            raise OptionError(
+                f"the parameter {unused[0]!r} of the space is nowhere in the command; write "
+                f"{{{unused[0]}}} where the program expects it, or take it out of the space"
+            )
+
+    def _render(self, template: Template, params: Mapping[str, Any]) -> Float32:
+        with tempfile.TemporaryDirectory(prefix="fide-", ignore_cleanup_errors=True) as name:
+            folder = Path(name)
+            written = folder / "image"
+            written.mkdir()
+            parameters = folder / "params.json"
+            if "params" in template.used:
+                parameters.write_text(json.dumps(params), "utf-8")
+            out = written / f"out{template.suffix}"
+            command = template.command(params, str(out), str(parameters))
+            try:
+                self._run(command, folder / "output.txt")
+                return _read(out, folder / "output.txt")
+            except _Failed as failed:
+                shown = template.command(params, f"out{template.suffix}", "params.json")
+                raise RenderError(_message(failed, shown, params)) from None
+
+    def _run(self, command: list[str], log: Path) -> None:
+        try:
+            ended = run(command, log, self.timeout)
+        except OSError as error:
+            raise _Failed(f"cannot be started: {error}") from error
+        if ended.code is None:
+            remedy = "give it more time (--timeout), or make it faster"
+            raise _Failed(f"did not end within {self.timeout:g} s; {remedy}", ended.tail)
+        if ended.code < 0:
+            raise _Failed(f"was ended by signal {-ended.code}", ended.tail)
+        if ended.code > 0:
+            raise _Failed(f"ended with exit code {ended.code}", ended.tail)
+
+
+class _Failed(Exception):
+    """What a program did wrong, and the last lines of its output."""
+
+    def __init__(self, what: str, tail: str = "") -> None:
+        super().__init__(what)
+        self.what, self.tail = what, tail
+
+
+def _read(out: Path, log: Path) -> Float32:
+    """The image that was written: the file `out`, or the only one in its folder.
+
+    Some programs put a number or an ending after the name they are given.
+    """
+    files = [out] if out.exists() else [path for path in out.parent.iterdir() if path.is_file()]
+    if len(files) != 1:
+        names = ", ".join(sorted(path.name for path in files))
+        what = f"wrote several files, but not {out.name}: {names}" if files else "wrote no image"
+        raise _Failed(f"{what}; is {{out}} where it expects the name?", tail_of(log))
+    try:
+        return images.load(files[0])
+    except ImageError as error:
+        reason = str(error).replace(str(files[0]), files[0].name)
+        raise _Failed(f"wrote an image that cannot be read: {reason}", tail_of(log)) from None
+
+
+def _message(failed: _Failed, command: list[str], params: Mapping[str, Any]) -> str:
+    output = f"\nits last output:\n{failed.tail}" if failed.tail else "\nit printed nothing"
+    return (
+        f"{command[0]} {failed.what}\nwith the parameters {described(params)}\n"
+        f"to see it, run: {shlex.join(command)}{output}"
+    )
+
+
+def _check_suffix(suffix: str) -> None:
+    from PIL import Image
+
+    if suffix.lower() not in Image.registered_extensions():
+        raise OptionError(
+            f"images that end with {suffix!r} cannot be read; write {{out}} for .png, or for "
+            "example {out:.jpg}, {out:.tif}, {out:.ppm}"
+        )

@@ -1,0 +1,123 @@
+"""The next picture, with all that is remembered of those before it; see `docs/retarget.md`."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+
+from fide_plugins.proposers import Proposer
+from fide_plugins.proposers.training_sample import TrainingSample, columns
+from fide_plugins.readings import Readings
+from fide_plugins.runtime.locks import one_at_a_time
+from fide_plugins.runtime.threads import one_thread
+from fide_plugins.runtime.timing import timed
+from fide_plugins.search.descent import Descent
+from fide_plugins.search.moves.base import Start
+from fide_plugins.search.recall import Recalled, recall
+from fide_plugins.types import Float64
+from fide_plugins.validation.evaluation import Evaluator
+
+__all__ = ["Retargeting"]
+
+
+class Retargeting(Readings):
+    """An optimizer whose target can be changed."""
+
+    @one_at_a_time
+    @one_thread
+    def retarget(self, picture: object, *, loss: str | Callable[..., object] | None = None) -> None:
+        """Find the parameters of the next picture, with what was learned from earlier ones.
+
+        Parameters
+        ----------
+        picture
+            as `target` of the constructor, of the same size.
+        loss
+            None keeps a loss that was given by its name.  A callable, which may know the old
+            picture only, must be given again.
+
+        The search begins at the candidate whose image, of all that are remembered, is nearest to
+        the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
+        asked first.  Proposers know the remembered images from the first generation on.  `best`,
+        `solutions`, `status` and the local optima begin anew; `evaluations` goes on, and what is
+        known of the scene stays: exchangeable blocks, the noise of the renderer.  Candidates that
+        are still out may be told: they count as points that were never asked.  Hypotheses of a
+        learned model, which are of the first picture, are dropped.
+
+        Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
+        far, as wide as the first one.
+
+        Raises ImageError, LossError or UnknownNameError (ValueErrors), before anything changes.
+        """
+        evaluator = self.evaluator.retargeted(picture, loss)
+        with timed(self.times, "search"):
+            recalled = self._recalled(evaluator)
+            self._forget(evaluator)
+            self._begin(evaluator, recalled)
+
+    def _recalled(self, evaluator: Evaluator) -> Recalled:
+        """What the memory says of the target of an evaluator."""
+        state, new = self.state, evaluator.target_tokens
+        known = state.moves.known
+        samples = self._remembered()
+        if not samples:
+            x = known.x0 if state.best is None else state.best.solution.x
+            nothing = np.empty((0, self.dim))
+            return Recalled(Start(x.copy(), known.sigma0), nothing, [], np.empty(0))
+        learned = max(4 * self.popsize, 4 * self.dim + 20)
+        recalled = recall(samples, known, new, self.popsize, learned)
+        state.memory.set_losses(recalled.losses[: len(state.memory.samples)].tolist())
+        return recalled
+
+    def _remembered(self) -> list[TrainingSample]:
+        """The memory, and the best of each search."""
+        state = self.state
+        samples = state.memory.samples
+        if not samples:
+            return []
+        seen = {_name(sample) for sample in samples}
+        ends = [optimum.sample for optimum in state.moves.known.optima.all]
+        ends += [] if state.search_best is None else [state.search_best]
+        return [*samples, *(one for one in ends if _name(one) not in seen)]
+
+    def _forget(self, evaluator: Evaluator) -> None:
+        """Take over the evaluator, and forget what was of the old target only."""
+        state = self.state
+        self.evaluator = evaluator
+        self.target, self.target_tokens = evaluator.views.targets, evaluator.target_tokens
+        self.encoder = evaluator.encoder
+        state.population.close_generation()
+        state.population.forget_pending()
+        state.best = state.injected = state.search_best = None
+        state.samples, state.learned = [], []
+        state.improved_at = state.retargeted_at = state.over_at = state.evaluations
+        state.improved_to = np.inf
+        state.searches += 1
+
+    def _begin(self, evaluator: Evaluator, recalled: Recalled) -> None:
+        """Begin a search, whose first candidates are remembered ones."""
+        state, start = self.state, recalled.start
+        state.moves.retarget(evaluator.target_tokens, start)
+        state.descent = Descent(start, state.moves.goal, state.descent.setting)
+        if state.proposer is not None:
+            state.proposer.forget()
+            _teach(state.proposer, recalled.samples, start.std, self.popsize)
+        self.draw_generation()
+        x = state.descent.place(recalled.hypotheses)
+        state.population.put_first(x, state.descent.near(x))
+
+    @abstractmethod
+    def draw_generation(self) -> None:
+        """Queue the candidates of the next generation."""
+
+
+def _name(sample: TrainingSample) -> tuple[int, bytes]:
+    return sample.index, sample.x.tobytes()
+
+
+def _teach(proposer: Proposer, samples: list[TrainingSample], std: Float64, popsize: int) -> None:
+    """Let a proposer learn from samples as if they came in generations, the best at last."""
+    for i in range(0, len(samples), popsize):
+        proposer.update(*columns(samples[i : i + popsize]), std)

@@ -1,0 +1,18 @@
+"""The machine: devices, threads, files, time.
+
+===============  ==================================================================
+`devices`        which device computes; copies to it
+`batch_size`     batch sizes that shrink if a device runs out of memory
+`fixed_batches`  networks in batches of a fixed size
+`background`     work in a background thread
+`locks`          locks for objects that are copied, pickled and forked
+`threads`        threads of PyTorch in forked processes
+`timing`         seconds by part
+`files`          atomic writes and file locks
+`checkpoint`     file format of a state, without pickle
+`schema`         checks of a state that was read from a file
+`saving`         `save` and `load` of optimizers
+`registry`       factories by name
+`callables`      tries a user's function of images
+===============  ==================================================================
+"""

@@ -1,0 +1,132 @@
+"""Atomic writes and file locks.
+
+The library writes all files with :func:`atomic_writer`: the bytes go to a temporary file in the
+same folder, are flushed to the disk, and the file is renamed to its final name.  A reader, or the
+next process after a kill, sees the old file or the new file, never a part of either.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+__all__ = [
+    "atomic_writer",
+    "check_writable",
+    "locked",
+    "remove_leftovers",
+    "write_bytes",
+    "write_text",
+]
+
+_SUFFIX = ".tmp"
+
+
+@contextmanager
+def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+    """Open a binary file that replaces `path` when the block ends without an error.
+
+    Raises OSError, naming `path`, if its folder is missing or not writable, or if the disk is
+    full; `path` then stays as it was.
+    """
+    final = Path(path)
+    if final.is_dir():
+        raise IsADirectoryError(f"cannot write {final}: it is a folder; name a file")
+    temporary = final.with_name(f".{final.name}.{secrets.token_hex(6)}{_SUFFIX}")
+    try:
+        # With the mode of an ordinary new file; mkstemp would make the file private.
+        descriptor = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _O_BINARY, 0o666)
+        with os.fdopen(descriptor, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, final)
+        _sync_folder(final.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError) and error.errno is not None:
+            raise type(error)(error.errno, f"cannot write {final}: {_why(error)}") from error
+        raise
+
+
+def _why(error: OSError) -> str:
+    """Reason of the error, and its remedy."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    remedy = "make room, or name another folder" if full else "name a folder that can be written"
+    return f"{error.strerror}; {remedy}"
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write `data` to `path`, atomically."""
+    with atomic_writer(path) as file:
+        file.write(data)
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write `text` to `path` as UTF-8, atomically."""
+    write_bytes(path, text.encode())
+
+
+def check_writable(folder: str | os.PathLike[str]) -> None:
+    """Make `folder` if it is missing; raise OSError unless a file can be written there."""
+    path = Path(folder)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        probe = path / f".probe.{secrets.token_hex(6)}{_SUFFIX}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        message = f"cannot write to the folder {path}: {error.strerror}; name another one"
+        raise type(error)(error.errno, message) from error
+
+
+def remove_leftovers(folder: str | os.PathLike[str]) -> None:
+    """Remove temporary files that a killed process left in `folder`."""
+    for leftover in Path(folder).glob(f".*{_SUFFIX}"):
+        with suppress(OSError):
+            leftover.unlink()
+
+
+_O_BINARY = getattr(os, "O_BINARY", 0)  # Windows would translate line ends without it
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush the rename itself to the disk, if the system can sync a folder."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
+    """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
+
+    wait: wait until no other process holds the lock, and yield True.
+
+    The system releases the lock when a process ends, however it ends.  On a system without such
+    locks (Windows) the result is always True.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield True
+        return
+    descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+    finally:
+        os.close(descriptor)

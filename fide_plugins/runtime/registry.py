@@ -1,0 +1,83 @@
+"""Factories by name, for encoders and losses, also those of plug-ins."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from importlib import import_module
+from typing import Generic, TypeVar
+
+from fide_plugins.errors import OptionError, UnknownNameError
+
+__all__ = ["Registry"]
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Factories by name.
+
+    A factory is a callable, or the string ``"package.module:attribute"`` of one, which is imported
+    when the name is first used: listing names imports nothing.  A factory with an option `variant`
+    also accepts ``"name:variant"``.
+
+    >>> shapes = Registry[str]("shape")
+    >>> shapes.register("line", lambda n: "-" * n)
+    >>> shapes.names()
+    ['line']
+    >>> shapes.make("line", 3)
+    '---'
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._factories: dict[str, Callable[..., T] | str] = {}
+
+    def register(self, name: str, factory: Callable[..., T] | str) -> None:
+        """Add `factory` under `name`, or replace the factory of that name."""
+        sound = isinstance(name, str) and name.isprintable() and name.strip() and ":" not in name
+        if not sound:
+            raise OptionError(
+                f"the name of a {self._kind} is a printable string without a colon, got {name!r}"
+            )
+        if not callable(factory) and not (isinstance(factory, str) and factory.count(":") == 1):
+            raise OptionError(
+                f"the factory of {self._kind} {name!r} is a callable or 'module:attribute', "
+                f"got {factory!r}"
+            )
+        self._factories[name] = factory
+
+    def names(self) -> list[str]:
+        """Return all names, sorted."""
+        return sorted(self._factories)
+
+    def resolve(self, name: str) -> Callable[..., T]:
+        """Return the factory called `name`; raises `UnknownNameError` if there is none."""
+        factory = self._factories.get(name) if isinstance(name, str) else None
+        if factory is None:
+            raise UnknownNameError.of(self._kind, name, self._factories)
+        if isinstance(factory, str):
+            module, attribute = factory.split(":")
+            imported: Callable[..., T] = getattr(import_module(module), attribute)
+            factory = self._factories[name] = imported
+        return factory
+
+    def knows(self, name: str) -> bool:
+        """Whether there is a factory called `name`, or `name` without its variant."""
+        return name.partition(":")[0] in self._factories
+
+    def takes(self, name: str, option: str) -> bool:
+        """Whether the factory called `name`, a variant aside, has an option of that name."""
+        return option in inspect.signature(self.resolve(name.partition(":")[0])).parameters
+
+    def make(self, name: str, *args: object, **options: object) -> T:
+        """Call the factory called `name`, which may end with a colon and a variant."""
+        if not isinstance(name, str):
+            raise UnknownNameError.of(self._kind, name, self._factories)
+        name, colon, variant = name.partition(":")
+        factory = self.resolve(name)
+        if not colon:
+            return factory(*args, **options)
+        if not self.takes(name, "variant"):
+            raise OptionError(f"the {self._kind} {name!r} has no variants, got {name}:{variant}")
+        return factory(*args, variant=variant, **options)

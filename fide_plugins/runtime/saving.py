@@ -1,0 +1,155 @@
+"""`save` and `load` of FIDE and of all baselines."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, ClassVar, Self
+
+from fide_plugins import losses
+from fide_plugins.errors import CheckpointError, LossError, UnknownNameError
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.locks import Locked, one_at_a_time
+from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
+from fide_plugins.runtime.threads import one_thread
+
+__all__ = ["Saved", "as_arrays", "loss_not_stored"]
+
+_MOST = 2**20  # parameters, and candidates of a generation
+
+
+class Saved(Locked, ABC):
+    """An optimizer that is saved as its constructor arguments and its state."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
+
+    @property
+    @abstractmethod
+    def loss_name(self) -> str | None:
+        """Name from which the loss can be made again; None for a user's own callable."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """The evolving state, as nested dicts of arrays, tensors and numbers, not copies."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned, in an optimizer with the same settings.
+
+        Raises ValueError if `state` is impossible.
+        """
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor, by name, of what `settings` gave."""
+        return dict(settings)
+
+    @classmethod
+    def check_settings(cls, settings: Mapping[str, Any]) -> None:
+        """Raise ValueError for impossible numbers of parameters or candidates, or no target."""
+        for name in ("dim", "popsize"):
+            check(settings[name], whole(1, _MOST), {}, name)
+        if "target" not in settings:
+            raise ValueError("settings lack 'target'")
+
+    @classmethod
+    def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
+        """Loss that a user gave for an optimizer of these settings; raises as `losses.resolve`."""
+        return losses.resolve(loss, settings["target"], device=device)
+
+    @one_at_a_time
+    @one_thread
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint from which `load` continues bit for bit; no pickle.
+
+        Raises OSError if the file cannot be written; an existing file then stays as it was.
+        """
+        checkpoint.write(path, self.name, self.snapshot())
+
+    def snapshot(self) -> dict[str, Any]:
+        """Input of `restore`: nested dicts of arrays, tensors and numbers, not copies."""
+        return {"settings": self.settings(), "loss": self.loss_name, "state": self.state_dict()}
+
+    @classmethod
+    def restore(
+        cls, snapshot: Mapping[str, Any], loss: object = None, device: str = "auto"
+    ) -> Self:
+        """Optimizer in the state in which `snapshot` was called.
+
+        loss: None for the loss named in the snapshot.
+
+        Raises ValueError and other errors if the snapshot is impossible.
+        """
+        used = loss or snapshot["loss"] or loss_not_stored
+        arguments = cls.arguments(snapshot["settings"])
+        optimizer = cls(loss=used, device=device, **arguments)  # type: ignore[call-arg]
+        optimizer.load_state_dict(snapshot["state"])
+        return optimizer
+
+    @classmethod
+    @one_thread
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        loss: str | Callable[..., object] | None = None,
+        device: str = "auto",
+    ) -> Self:
+        """Optimizer in the state that was saved at `path`.
+
+        A checkpoint stores a loss only by name: give a callable again as `loss`, or tell losses.
+
+        Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged, of
+        another version, or of another optimizer; and the errors of the constructor for a wrong
+        `loss` or `device`.
+        """
+        saved = checkpoint.read(path, cls.name)
+        if device != "auto":
+            from fide_plugins.runtime.devices import resolve_device  # PyTorch takes a second
+
+            resolve_device(device)
+        with _possible(path):
+            settings = saved["settings"]
+            cls.check_settings(settings)
+        given = None if loss is None else cls.resolve_loss(loss, settings, device)
+        with _possible(path):
+            return cls.restore(saved, given, device)
+
+
+@contextmanager
+def _possible(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn errors of this block, which the file causes, into CheckpointError."""
+    try:
+        yield
+    except IMPOSSIBLE as error:
+        why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
+        remedy = "start again, or use an earlier copy"
+        if isinstance(error, UnknownNameError):
+            remedy = "register what it names first (encoders.register, losses.register)"
+        raise CheckpointError(f"{why}; {remedy}") from error
+
+
+def loss_not_stored(images: object) -> object:
+    """Loss of a loaded optimizer whose original loss was a callable; raises LossError."""
+    raise LossError(
+        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
+        "give it again, load(path, loss=...), or tell losses"
+    )
+
+
+def as_arrays(tree: Any) -> Any:
+    """Copy of nested dicts, lists and tuples with arrays in place of tensors, from any device.
+
+    Tuples become lists.  A snapshot is pickled in this form.
+    """
+    if isinstance(tree, dict):
+        return {key: as_arrays(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [as_arrays(value) for value in tree]
+    return tree.detach().cpu().numpy() if hasattr(tree, "detach") else tree

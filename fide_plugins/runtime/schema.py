@@ -1,0 +1,212 @@
+"""Schemas: types, ranges and shapes of a state that was read from a file.
+
+A checkpoint with a valid checksum may still hold anything, since anybody can write one.  A *schema*
+is a nested dict like the state, with a rule at each leaf.  `check` compares the two before the
+state is used, and raises ValueError with the place of the first entry that breaks its rule.  Sides
+of arrays have names.  A name stands for the same number wherever it appears: arrays ("n", "d") and
+("n",) have the same number of rows, and the caller may give the value of "d".
+
+    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "d"), "n": whole()}, {"d": 2})
+    >>> check({"x": np.zeros((3, 2)), "n": 3}, {"x": array("n", "n"), "n": whole()}, {})
+    Traceback (most recent call last):
+    ValueError: state['x'] has the shape (3, 2), and n is 3
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+
+__all__ = [
+    "GENERATOR",
+    "IMPOSSIBLE",
+    "Rule",
+    "Schema",
+    "Sides",
+    "anything",
+    "array",
+    "check",
+    "each",
+    "flag",
+    "maybe",
+    "numbers",
+    "real",
+    "row",
+    "side",
+    "table",
+    "text",
+    "whole",
+]
+
+Sides: TypeAlias = dict[str, int]
+Rule: TypeAlias = Callable[[Any, str, Sides], None]
+Schema: TypeAlias = "Rule | dict[str, Schema]"
+
+IMPOSSIBLE = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""Errors that may occur when an impossible state is used."""
+_LARGEST = sys.float_info.max  # a legal value: some libraries use it for a failed evaluation
+
+
+def check(state: Any, schema: Schema, sides: Sides, place: str = "state") -> None:
+    """Raise ValueError unless `state` matches the schema; adds the sides found to `sides`."""
+    if not isinstance(schema, dict):
+        schema(state, place, sides)
+        return
+    _demand(isinstance(state, dict), place, "is no dict")
+    odd = sorted(set(state) ^ set(schema))
+    _demand(not odd, place, f"has missing or unknown entries: {', '.join(map(repr, odd))}")
+    for name, part in schema.items():
+        check(state[name], part, sides, f"{place}[{name!r}]")
+
+
+def whole(low: int = 0, high: int = 2**63) -> Rule:
+    """An int within [low, high]."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, int) and not isinstance(value, bool)
+        _demand(sound and low <= value <= high, place, f"is no whole number in [{low}, {high}]")
+
+    return rule
+
+
+def real(low: float = -_LARGEST, high: float = _LARGEST) -> Rule:
+    """A number within [low, high]."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, int | float) and not isinstance(value, bool)
+        _demand(sound and low <= value <= high, place, f"is no number in [{low}, {high}]")
+
+    return rule
+
+
+def anything(value: Any, place: str, sides: Sides) -> None:
+    """Any value: for a component that checks its own state."""
+
+
+def flag(value: Any, place: str, sides: Sides) -> None:
+    """True or False."""
+    _demand(isinstance(value, bool), place, "is neither True nor False")
+
+
+def text(value: Any, place: str, sides: Sides) -> None:
+    """A string."""
+    _demand(isinstance(value, str), place, "is no text")
+
+
+def array(
+    *names: str | int,
+    kind: str = "f",
+    low: float | None = -_LARGEST,
+    high: float = _LARGEST,
+) -> Rule:
+    """An array with these sides, of NumPy's dtype kind `kind`, with values within [low, high].
+
+    low None: any values, also NaN.  An array without rows may lack the other sides.
+    """
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        value = _on_this_machine(value)
+        sound = isinstance(value, np.ndarray) and value.dtype.kind in kind
+        _demand(sound, place, f"is no array of the kind {kind!r}")
+        rows = names[0] if isinstance(names[0], int) else sides.get(names[0], 0)
+        empty = value.shape[:1] == (0,) and rows == 0
+        _demand(empty or value.ndim == len(names), place, f"has the shape {value.shape}")
+        for name, side in zip(names[:1] if empty else names, value.shape, strict=False):
+            known = name if isinstance(name, int) else sides.setdefault(name, side)
+            _demand(side == known, place, f"has the shape {value.shape}, and {name} is {known}")
+        if value.size and kind != "b" and low is not None:
+            ends = float(value.min()), float(value.max())  # NaN if there is one
+            _demand(low <= ends[0] <= ends[1] <= high, place, f"has values outside [{low}, {high}]")
+
+    return rule
+
+
+def numbers(value: Any, place: str, sides: Sides) -> None:
+    """An array of finite numbers of any shape."""
+    value = _on_this_machine(value)
+    sound = isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
+    _demand(sound and bool(np.isfinite(value).all()), place, "is no array of finite numbers")
+
+
+def side(name: str) -> Rule:
+    """An int that equals the side of that name."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        known = sides.get(name)
+        _demand(type(value) is int and known in (None, value), place, f"is not {name}, {known}")
+
+    return rule
+
+
+def maybe(schema: Schema) -> Rule:
+    """None, or a value with this schema."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        if value is not None:
+            check(value, schema, sides, place)
+
+    return rule
+
+
+def each(schema: Schema) -> Rule:
+    """A list of values with this schema."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        _demand(isinstance(value, list), place, "is no list")
+        for i, entry in enumerate(value):
+            check(entry, schema, sides, f"{place}[{i}]")
+
+    return rule
+
+
+def row(*schemas: Schema) -> Rule:
+    """A list with one entry for each of these schemas."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        sound = isinstance(value, list) and len(value) == len(schemas)
+        _demand(sound, place, f"is no list of {len(schemas)} entries")
+        for i, (entry, schema) in enumerate(zip(value, schemas, strict=True)):
+            check(entry, schema, sides, f"{place}[{i}]")
+
+    return rule
+
+
+def table(schema: Schema) -> Rule:
+    """A dict with any keys, whose values have this schema."""
+
+    def rule(value: Any, place: str, sides: Sides) -> None:
+        _demand(isinstance(value, dict), place, "is no dict")
+        for name, entry in value.items():
+            check(entry, schema, sides, f"{place}[{name!r}]")
+
+    return rule
+
+
+def _on_this_machine(value: Any) -> Any:
+    """Tensors as arrays: a state that was never in a file may hold tensors."""
+    return value.detach().cpu().numpy() if hasattr(value, "detach") else value
+
+
+def _demand(sound: bool, place: str, otherwise: str) -> None:
+    if not sound:
+        raise ValueError(f"{place} {otherwise}")
+
+
+GENERATOR: Schema = {
+    "bit_generator": text,
+    "state": {"state": whole(high=2**128), "inc": whole(high=2**128)},
+    "has_uint32": whole(high=1),
+    "uinteger": whole(high=2**32 - 1),
+}
+"""State of NumPy's default generator."""

@@ -1,0 +1,182 @@
+"""One search, from its start until it is over: a distribution, what it stands for, when to stop.
+
+A candidate has two forms: z is what the distribution drew and learns from, x is the point of the
+unit cube that is rendered.  The maps between them are `boundary`, and `mixed` where parameters are
+integers, choices or periodic.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.options import Options
+from fide_plugins.population import Candidate, mirrored_pair, search_columns
+from fide_plugins.runtime.schema import Schema, anything, array, check, whole
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.search.injection import with_injected
+from fide_plugins.search.mixed import Cells, Mixed
+from fide_plugins.search.moves.base import Start
+from fide_plugins.search.termination import Termination, default_patience, patience_alone
+from fide_plugins.types import Float64
+
+__all__ = ["Descent", "Setting"]
+
+_MOST = 2**26  # candidates of a generation: the largest population, doubled as often as it can be
+_SCHEMA: Schema = {
+    "popsize": whole(2, _MOST),
+    "distribution": anything,  # which checks its own
+    "mixed": {"A": array("cells", low=1e-30, high=1e30)},
+    "history": array("h", high=np.inf),
+}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all searches of a run have in common.
+
+    popsize: k; a start may multiply it.
+    sigma0: (d,), standard deviation of the first search.
+    options: `guard_search`, `patience`, `improvement`.
+    cells: what is discrete or periodic in the cube; None: nothing.
+    """
+
+    popsize: int
+    sigma0: Float64
+    options: Options
+    cells: Cells | None = None
+
+
+class Descent:
+    """A search distribution, refined until it stalls, collapses, or has no hope.
+
+    start: where it begins.  goal: loss that it has to beat; +inf for none.
+    """
+
+    def __init__(self, start: Start, goal: float, setting: Setting) -> None:
+        self.setting = setting
+        self.popsize = start.population * setting.popsize
+        self._guard = setting.options.guard_search
+        self._mixed = Mixed(setting.cells)
+        self._start = start
+        std = self._mixed.widened(start.std) if _is_first(start, setting) else start.std
+        self.distribution = CMAES(start.mean, std, self.popsize, limit_std=self._guard)
+        dim, options = len(start.mean), setting.options
+        patience = options.patience or default_patience(dim, self.popsize)
+        self.termination = Termination(
+            setting.sigma0,
+            start.patience * patience,
+            options.improvement,
+            goal,
+            patience_alone(dim, self.popsize),
+        )
+
+    @property
+    def mean(self) -> Float64:
+        """Mean (d,) of the distribution."""
+        return self.distribution.mean
+
+    @property
+    def std(self) -> Float64:
+        """Standard deviations (d,) of what is rendered."""
+        return self._mixed.stretch * self.distribution.std
+
+    def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
+        """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
+        z = self.distribution.sample(n, rng)
+        return self._held(self._mixed.into(z, self.mean)), z
+
+    def render_mean(self, mean: Float64) -> Float64:
+        """Point (d,) of the cube that a mean (d,) stands for."""
+        x: Float64 = self._mixed.place(mean[None])[0]
+        return x
+
+    def rendered(self, z: Float64) -> Float64:
+        """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
+        return self._mixed.stretched(z, self.mean)
+
+    def place(self, x: Float64) -> Float64:
+        """Points of the cube for any (n, d), whose values may leave it."""
+        return self._mixed.place_proposals(x)
+
+    def place_proposals(self, x: Float64) -> Float64:
+        """Points of the cube for proposals (n, d), with the values that this search holds."""
+        return self._held(self.place(x))
+
+    def _held(self, x: Float64) -> Float64:
+        """Points (n, d) with the coordinates of the start on the axes that are held."""
+        held = self._start.held
+        return x if held is None else np.where(held, self._start.mean, x)
+
+    def near(self, x: Float64) -> Float64:
+        """Return the z (n, d) of points x (n, d) that is closest to the mean."""
+        return self._mixed.near(x, self.mean)
+
+    def tell(
+        self, members: list[Candidate], losses: Float64, point: tuple[Float64, float] | None
+    ) -> None:
+        """Learn from the members of a generation and their losses (k,).
+
+        point: x (d,) and loss of an injected candidate, which may take the place of the worst.
+        """
+        self.termination.note(losses)
+        z, injected = search_columns(members)
+        if point is not None:
+            at, loss = self.near(point[0][None])[0], point[1]
+            z, losses, injected = with_injected(at, loss, z, losses, injected)
+        pair = mirrored_pair(members)
+        if pair is not None and injected[list(pair)].any():
+            pair = None
+        self.distribution.tell(z, losses, injected & self._guard, pair)
+        self._correct()
+
+    def preview(self, members: list[Candidate], losses: Float64) -> Descent:
+        """Return what `tell` would make of the search now, with a part of a generation."""
+        z, injected = search_columns(members)
+        other = copy.copy(self)
+        other._mixed = copy.copy(self._mixed)
+        other.distribution = self.distribution.preview(z, losses, injected & self._guard)
+        other._correct()
+        return other
+
+    def _correct(self) -> None:
+        """Apply the margin, and move the mean back to what is held."""
+        self._mixed.correct(self.distribution)
+        self.distribution.mean = self._held(self.distribution.mean)
+
+    def is_over(self, *, guided: bool) -> bool:
+        """Whether to look elsewhere; guided: whether images guide the search."""
+        return self.termination.is_over(self.distribution.std, guided=guided)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes, and the population size."""
+        return {
+            "popsize": self.popsize,
+            "distribution": self.distribution.state_dict(),
+            "mixed": self._mixed.state_dict(),
+            "history": np.array(self.termination.history, np.float64),
+        }
+
+    @classmethod
+    def from_state(
+        cls, state: Mapping[str, Any], start: Start, goal: float, setting: Setting
+    ) -> Descent:
+        """Search that goes on where `state_dict` was called; ValueError if it is none."""
+        check(state, _SCHEMA, {}, "search")
+        descent = cls(start, goal, setting)
+        k, cells = descent.popsize, len(descent._mixed.A)
+        if (state["popsize"], len(state["mixed"]["A"])) != (k, cells):
+            raise ValueError(f"a search of {state['popsize']} candidates, not {k}, or other cells")
+        descent.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
+        descent._mixed.load_state_dict(state["mixed"])
+        descent.termination.history = state["history"].tolist()
+        return descent
+
+
+def _is_first(start: Start, setting: Setting) -> bool:
+    """Whether the search begins as wide as the first one, since nothing is known."""
+    return bool(np.array_equal(start.std, setting.sigma0))

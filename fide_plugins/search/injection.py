@@ -1,0 +1,25 @@
+"""An injected candidate: a point that was never asked, in a generation."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.types import Float64
+
+__all__ = ["with_injected"]
+
+Mask = npt.NDArray[np.bool_]
+
+
+def with_injected(
+    point: Float64, loss: float, z: Float64, losses: Float64, injected: Mask
+) -> tuple[Float64, Float64, Mask]:
+    """Put a point (d,) with its loss in the place of the worst candidate if it is better.
+
+    Of a generation: z (k, d), losses (k,), and which of them are injected, (k,).
+    """
+    worst = int(np.argmax(losses))
+    if loss < losses[worst]:
+        z[worst], losses[worst], injected[worst] = point, loss, True
+    return z, losses, injected

@@ -1,0 +1,111 @@
+"""What was rendered, kept for later pictures: parameters and tokens, in bounded memory.
+
+Half of the room is for the latest samples, which are near the answer of the last picture.  The
+other half is for earlier ones: every s-th of those that have left the first half, where s doubles
+whenever the room is full.  So they are spread evenly over the run, and nothing is drawn at random.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from torch import Tensor, as_tensor, device
+
+from fide_plugins.proposers.training_sample import TrainingSample, columns
+from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
+
+__all__ = ["Memory"]
+
+_MEGABYTE = 2**20
+_PACKED: Schema = {
+    "index": array("n", kind="i", low=0),
+    "x": array("n", "d", low=0.0, high=1.0),
+    "tokens": array("n", "T", "C"),
+    "losses": array("n"),
+}
+_SCHEMA: Schema = {
+    "earlier": maybe(_PACKED),
+    "latest": maybe(_PACKED),
+    "left": whole(),
+    "stride": whole(1),
+}
+
+
+class Memory:
+    """Samples of a run, at most `megabytes` of tokens and parameters; 0: none."""
+
+    def __init__(self, megabytes: float) -> None:
+        self._bytes = megabytes * _MEGABYTE
+        self._latest: deque[TrainingSample] = deque()
+        self._earlier: list[TrainingSample] = []
+        self._left = 0  # samples that have left the first half
+        self._stride = 1  # s
+
+    @property
+    def samples(self) -> list[TrainingSample]:
+        """All of them, the earliest first."""
+        return [*self._earlier, *self._latest]
+
+    def add(self, sample: TrainingSample) -> None:
+        """Remember a sample; others may be forgotten for it."""
+        room = int(self._bytes / (sample.tokens.nbytes + sample.x.nbytes))
+        if room < 2:
+            return
+        self._latest.append(sample)
+        if len(self._latest) > room // 2:
+            self._leave(self._latest.popleft(), room - room // 2)
+
+    def _leave(self, sample: TrainingSample, room: int) -> None:
+        self._left += 1
+        if self._left % self._stride == 0:
+            self._earlier.append(sample)
+        if len(self._earlier) > room:
+            self._earlier = self._earlier[1::2]
+            self._stride *= 2
+
+    def set_losses(self, losses: Sequence[float]) -> None:
+        """Give all samples, in the order of `samples`, the losses (n,) of another target."""
+        every = [replace(one, loss=x) for one, x in zip(self.samples, losses, strict=True)]
+        self._earlier = every[: len(self._earlier)]
+        self._latest = deque(every[len(self._earlier) :])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything, as arrays."""
+        return {
+            "earlier": _pack(self._earlier),
+            "latest": _pack(list(self._latest)),
+            "left": self._left,
+            "stride": self._stride,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: device) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none.
+
+        sides: d, T and C, by these names.
+        """
+        for half in ("earlier", "latest"):  # of different lengths n
+            check({**state, "earlier": None, "latest": state[half]}, _SCHEMA, dict(sides), "memory")
+        self._earlier = _unpack(state["earlier"], device)
+        self._latest = deque(_unpack(state["latest"], device))
+        self._left, self._stride = state["left"], state["stride"]
+
+
+def _pack(samples: list[TrainingSample]) -> dict[str, Any] | None:
+    if not samples:
+        return None
+    x, tokens, losses = columns(samples)
+    index = np.array([sample.index for sample in samples], np.int64)
+    return {"index": index, "x": x, "tokens": tokens, "losses": losses}
+
+
+def _unpack(packed: Mapping[str, Any] | None, device: device) -> list[TrainingSample]:
+    if packed is None:
+        return []
+    tokens: list[Tensor] = [as_tensor(one, device=device).clone() for one in packed["tokens"]]
+    index, losses = packed["index"].tolist(), packed["losses"].tolist()
+    rows = zip(index, packed["x"], tokens, losses, strict=True)
+    return [TrainingSample(i, x.copy(), each, loss) for i, x, each, loss in rows]

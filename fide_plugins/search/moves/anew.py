@@ -1,0 +1,62 @@
+"""A new descent, from a random place.
+
+Where images guide the search, the best of some random places is where it begins. By losses alone
+it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a
+BI-population CMA-ES on the BBOB-2009 function testbed"): populations that double, and small ones
+with narrow beginnings.
+
+Random places are uniform within three standard deviations of where the first search began, which
+is all of the unit cube unless the user said that the answer is nearby.  Periodic parameters have no
+walls.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.types import Float64
+
+__all__ = ["BeginAnew"]
+
+_REACH = 3.0  # standard deviations
+_WIDTH = 0.6  # of sigma0, around the best of the random places
+_MOST_DOUBLINGS = 6
+
+
+class BeginAnew:
+    """Random places, and the distribution around the best of them."""
+
+    name = "begin anew"
+
+    def possible(self, known: Known) -> bool:
+        """Return True: it needs nothing."""
+        return True
+
+    def needs(self, known: Known) -> Stage | None:
+        """Nothing."""
+        return None
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Draw n random places, (n, d)."""
+        low, high = known.x0 - _REACH * known.sigma0, known.x0 + _REACH * known.sigma0
+        clipped = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
+        if known.axes.periodic is None:
+            return rng.uniform(*clipped, (n, known.dim))
+        around = np.maximum(low, known.x0 - 0.5), np.minimum(high, known.x0 + 0.5)
+        low, high = np.where(known.axes.periodic, around, clipped)
+        return known.axes.inside(rng.uniform(low, high, (n, known.dim)))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin around one of them."""
+        return Start(x, _WIDTH * known.sigma0)
+
+    def alone(self, known: Known, number: int, rng: np.random.Generator) -> Start:
+        """Begin a search by losses alone, the `number`-th, from 1.
+
+        Odd ones double the population; even ones have the first population, and a narrow beginning.
+        """
+        mean = self.draw(known, 1, rng)[0]
+        if number % 2:
+            return Start(mean, known.sigma0, 2 ** min((number + 1) // 2, _MOST_DOUBLINGS))
+        return Start(mean, known.sigma0 * 10.0 ** (-2.0 * rng.random()))

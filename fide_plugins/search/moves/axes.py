@@ -1,0 +1,62 @@
+"""Which axes of the cube are one parameter, and which wrap around.
+
+A choice of n > 2 values has n axes, of which the largest coordinate decides: moved singly, they
+mostly change nothing, so moves move them together.  A periodic parameter has no walls: 0.99 and
+0.01 are near each other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.search import boundary
+from fide_plugins.search.mixed import Cells
+from fide_plugins.types import Float64
+
+__all__ = ["Axes"]
+
+Indices = npt.NDArray[np.intp]
+
+
+class Axes:
+    """Axes of the cube.
+
+    dim: d.  cells: what is discrete or periodic; None: nothing.
+    """
+
+    def __init__(self, dim: int, cells: Cells | None = None) -> None:
+        self.dim = dim
+        self.periodic = None if cells is None or not cells.periodic.any() else cells.periodic
+        self.unit: Indices = np.arange(dim)
+        """(d,), number of the parameter of each axis, from 0."""
+        for block in () if cells is None else cells.choices:
+            self.unit[block] = block.start
+        self.unit = np.unique(self.unit, return_inverse=True)[1]
+        self.units = [np.flatnonzero(self.unit == i) for i in range(self.unit[-1] + 1)]
+        """Axes of each parameter."""
+
+    def together(self, chosen: Indices) -> Indices:
+        """All axes of the parameters that these axes are of."""
+        if len(self.units) == self.dim:
+            return chosen
+        return np.flatnonzero(np.isin(self.unit, self.unit[chosen]))
+
+    def whole(self, blocks: Indices) -> bool:
+        """Whether no parameter has axes in a block (one row each) and outside of it."""
+        return all(len(self.together(block)) == len(block) for block in blocks)
+
+    def difference(self, x: Float64, y: Float64, which: Indices | None = None) -> Float64:
+        """Differences of coordinates x and y (..., d), the shorter way around; at least 0.
+
+        which: axes (..., m) of coordinates x and y (..., m); None: all.
+        """
+        difference: Float64 = np.abs(x - y)
+        if self.periodic is None:
+            return difference
+        periodic = self.periodic if which is None else self.periodic[which]
+        return np.where(periodic, np.minimum(difference, 1.0 - difference), difference)
+
+    def inside(self, x: Float64) -> Float64:
+        """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
+        return boundary.inside(x, self.periodic)

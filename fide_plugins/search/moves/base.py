@@ -1,0 +1,135 @@
+"""What a move is, and what all moves know.
+
+A move leaves a local optimum, the *incumbent*, in three steps: it proposes *restart candidates*,
+most of them copies of the incumbent with some parameters changed; these are rendered; a search
+begins at the best of them. Some moves need to know more of the scene first, and name the stage
+(a generation with a purpose of its own) that finds it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.optima import Optima
+from fide_plugins.search.moves.removal import Removal
+from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.moves.values import Values
+from fide_plugins.types import Float64
+
+__all__ = ["Indices", "Known", "Move", "Stage", "Start"]
+
+Indices = npt.NDArray[np.intp]
+
+WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
+
+
+class Stage(StrEnum):
+    """What the candidates of a generation are for."""
+
+    SEARCH = "search"
+    EXCHANGE = "exchange"
+    REMOVAL = "removal"
+    SENSITIVITY = "sensitivity"
+    RESTART = "restart"
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a search begins.
+
+    mean, std: (d,), of its first distribution.
+    population: its population size in units of the run's.
+    patience: generations without progress that end it, in units of the run's.
+    held: (d,), axes that keep their coordinates in the mean during the search; None: none.
+    """
+
+    mean: Float64
+    std: Float64
+    population: int = 1
+    patience: int = 1
+    held: npt.NDArray[np.bool_] | None = None
+
+
+@dataclass(slots=True)
+class Known:
+    """What is known of the scene and of its local optima.
+
+    x0, sigma0: (d,), mean and standard deviation of the first search.
+    target: (T, C), tokens of the target; channels: the leading ones in which images are compared.
+    axes: which of them are one parameter, and which wrap around.
+    place: points of the cube (n, d) as they are rendered: integers and choices in their cells.
+    incumbent: local optimum that moves leave; None before the first.
+    optima: distinct local optima, see `optima`.
+    values: of integers and choices, see `values`.
+    """
+
+    x0: Float64
+    sigma0: Float64
+    target: Tensor
+    channels: int | None
+    exchangeability: Exchangeability
+    removal: Removal
+    sensitivity: Sensitivity
+    axes: Axes
+    place: Callable[[Float64], Float64] = np.copy
+    incumbent: TrainingSample | None = None
+    optima: Optima = field(default_factory=Optima)
+    values: Values = field(default_factory=Values)
+
+    @property
+    def dim(self) -> int:
+        """Number of parameters d."""
+        return len(self.x0)
+
+    @property
+    def here(self) -> TrainingSample:
+        """The incumbent, which must be there."""
+        if self.incumbent is None:
+            raise RuntimeError("no move leaves a local optimum before there is one")
+        return self.incumbent
+
+    def copies(self, n: int) -> Float64:
+        """Copies (n, d) of the incumbent's parameters."""
+        return np.tile(self.here.x, (n, 1))
+
+    def start_at(self, x: Float64, wide: float = WIDE, narrow: float = NARROW) -> Start:
+        """Start at a restart candidate (d,): wide where it differs from the incumbent.
+
+        wide, narrow: standard deviations in units of sigma0.
+        """
+        std = narrow * self.sigma0
+        moved = self.axes.together(np.flatnonzero(x != self.here.x))
+        std[moved] = wide * self.sigma0[moved]
+        return Start(x, std)
+
+
+class Move(Protocol):
+    """One way to leave a local optimum."""
+
+    name: str
+
+    def possible(self, known: Known) -> bool:
+        """Whether the move applies to this scene, as far as is known."""
+        ...
+
+    def needs(self, known: Known) -> Stage | None:
+        """Stage that must come before the restart candidates; None if nothing is missing."""
+        ...
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Draw restart candidates, (n, d) in [0, 1]."""
+        ...
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Return where the search begins, given the best restart candidate x (d,)."""
+        ...

@@ -1,0 +1,109 @@
+"""Hypotheses that a learned model has of this picture: where a run begins, if there is a model.
+
+The first generation renders some of them. The best distinct ones are the starts of searches, each
+as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
+(`termination.is_hopeless`). The other moves come after them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.runtime.schema import Schema, array, check, maybe, real
+from fide_plugins.search.moves.base import Start
+from fide_plugins.types import Float64
+
+__all__ = ["Hypotheses"]
+
+_RENDERED = 96
+_SEARCHED = 4  # of those rendered
+_APART = 0.15  # of the unit cube, in some parameter: other hypotheses
+_NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
+_NARROWEST, _WIDEST = 0.02, 1 / 6  # standard deviations
+_SCHEMA: dict[str, Schema] = {
+    "x": array("n", "d", low=0.0, high=1.0),
+    "waiting": array("waiting", "d", low=0.0, high=1.0),
+    "typical": maybe(real()),
+}
+
+
+class Hypotheses:
+    """Points x (n, d) of the cube, drawn from a posterior; none without a model."""
+
+    name = "learned"
+
+    def __init__(self, x: Float64 | None, dim: int) -> None:
+        self.x = np.empty((0, dim)) if x is None else x
+        self._waiting = np.empty((0, dim))  # starts that were not searched yet, best first
+        self.typical: float | None = None
+        """Median loss of those that were rendered; None before, and where no image is known."""
+
+    @property
+    def there(self) -> bool:
+        """Whether there are any."""
+        return len(self.x) > 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a search can begin at another one."""
+        return len(self._waiting) > 0
+
+    def draw(self) -> Float64:
+        """Those that are rendered first, (m, d)."""
+        return self.x[:_RENDERED]
+
+    def learn(
+        self,
+        found: Sequence[tuple[float, Float64]],
+        best: Float64,
+        distance: Callable[[Float64, Float64], float],
+    ) -> None:
+        """Choose starts: the best distinct ones of those found, as loss and x (d,).
+
+        best: (d,), the best of all, also where no image is known.
+        """
+        chosen = [best]
+        for _, x in sorted(found, key=lambda one: one[0]):
+            if len(chosen) < _SEARCHED and min(distance(x, y) for y in chosen) >= _APART:
+                chosen.append(x)
+        self._waiting = np.array(chosen)
+        self.typical = float(np.median([loss for loss, _ in found])) if found else None
+
+    def next(self) -> Start:
+        """Begin at the next one; there must be one."""
+        x, self._waiting = self._waiting[0], self._waiting[1:]
+        return Start(x, self._spread(x))
+
+    def _spread(self, x: Float64) -> Float64:
+        """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
+
+        They are narrow in what the picture shows well, and wide in the rest.
+        """
+        distance = np.square(self.x - x).sum(axis=1)
+        nearest = self.x[np.argsort(distance)[: max(2, int(_NEAREST * len(self.x)))]]
+        spread = np.sqrt(np.square(nearest - x).mean(axis=0))
+        return np.asarray(np.clip(spread, _NARROWEST, _WIDEST), np.float64)
+
+    def forget(self) -> None:
+        """There are none: the target is another one."""
+        self.x = self._waiting = np.empty((0, self.x.shape[1]))
+        self.typical = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it."""
+        return {"x": self.x, "waiting": self._waiting, "typical": self.typical}
+
+    def load_state_dict(self, state: Mapping[str, Any] | None) -> None:
+        """Put back what `state_dict` gave; None: there are none.  Raises ValueError."""
+        dim = self.x.shape[1]
+        if state is None:
+            self.forget()
+            return
+        state = {"typical": None, **state}  # saved before there were probabilities
+        check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
+        self.x = state["x"].reshape(-1, dim)
+        self._waiting = state["waiting"].reshape(-1, dim)
+        self.typical = state["typical"]

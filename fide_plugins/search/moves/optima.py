@@ -1,0 +1,103 @@
+"""Distinct local optima, and how often moves from each of them failed.
+
+The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
+units of a tolerance: the best one is tried first, and others when it has failed often. A new
+descent is due when its own score is lower still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from torch import device
+
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.types import Float64
+
+__all__ = ["APART", "Optima", "Optimum"]
+
+Distance: TypeAlias = Callable[[Float64, Float64], float]
+
+_MOST = 12  # that are remembered
+APART = 0.05  # of the unit cube, in some parameter, that makes two optima distinct
+_NEW, _NEW_AGAIN = 1.0, 0.5  # score of the first new descent; added by each without a success
+
+
+@dataclass(slots=True)
+class Optimum:
+    """A local optimum.
+
+    failures: of moves from it.  searches: that ended there.  refined: whether `refine` was tried.
+    """
+
+    sample: TrainingSample
+    failures: int = 0
+    searches: int = 1
+    refined: bool = False
+
+
+class Optima:
+    """Local optima, best first."""
+
+    def __init__(self) -> None:
+        self.all: list[Optimum] = []
+        self._descents = 0  # new ones since the best optimum was found
+
+    def __len__(self) -> int:
+        return len(self.all)
+
+    def note(self, found: TrainingSample, distance: Distance) -> bool:
+        """Note where a search ended; returns whether that is the best optimum so far.
+
+        distance: of two points (d,), in units of the unit cube.
+        """
+        best = not self.all or found.loss < self.all[0].sample.loss
+        if best:
+            self._descents = 0
+        near = [o for o in self.all if distance(o.sample.x, found.x) < APART]
+        searches = 1 + sum(optimum.searches for optimum in near)
+        if near and near[0].sample.loss <= found.loss:
+            near[0].searches += 1
+            return False
+        self.all = [optimum for optimum in self.all if optimum not in near]
+        self.all.append(Optimum(found, searches=searches))
+        self.all.sort(key=lambda optimum: optimum.sample.loss)
+        del self.all[_MOST:]
+        return best
+
+    def fail(self, incumbent: TrainingSample) -> None:
+        """Note that a move from this optimum failed."""
+        optimum = self.of(incumbent)
+        if optimum is not None:
+            optimum.failures += 1
+
+    def of(self, sample: TrainingSample) -> Optimum | None:
+        """Return the optimum with this sample, if it is remembered."""
+        return next((optimum for optimum in self.all if optimum.sample is sample), None)
+
+    def next(self, tolerance: float) -> TrainingSample | None:
+        """Return the optimum that is tried next; None: it is time for a new descent.
+
+        tolerance: failures that outweigh one rank.
+        """
+        scores = [rank + one.failures / tolerance for rank, one in enumerate(self.all)]
+        if not scores or min(scores) >= _NEW + _NEW_AGAIN * self._descents:
+            self._descents += 1
+            return None
+        return self.all[int(np.argmin(scores))].sample
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything."""
+        counts = [[one.failures, one.searches, int(one.refined)] for one in self.all]
+        samples = [one.sample.state_dict() for one in self.all]
+        return {"samples": samples, "counts": counts, "descents": self._descents}
+
+    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
+        """Put back what `state_dict` gave, tokens on the device."""
+        samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
+        pairs = zip(samples, state["counts"], strict=True)
+        self.all = [Optimum(one, n, m, bool(refined)) for one, (n, m, refined) in pairs]
+        self._descents = state["descents"]

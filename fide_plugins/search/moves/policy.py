@@ -1,0 +1,334 @@
+"""What the next generation is for: the one class of this package that `FIDE` calls.
+
+::
+
+    search over ──> after_search ──> which move? ──> does it need to know more?
+                                                        │ EXCHANGE, REMOVAL, SENSITIVITY: learn
+                                                        ▼
+                                                     RESTART: its candidates are rendered
+                                                        │ learn
+                                                        ▼
+                                                     SEARCH, from `start`, at the best of them
+
+The incumbent is the best local optimum, until moves from it have failed often: then another one,
+or a new descent (`optima`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from torch import Tensor, device
+
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.mixed import Cells, Mixed
+from fide_plugins.search.moves.anew import BeginAnew
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.moves.base import Known, Move, Stage, Start
+from fide_plugins.search.moves.change_value import ChangeValue
+from fide_plugins.search.moves.choice import Choice
+from fide_plugins.search.moves.crossover import Crossover
+from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.modes import probabilities
+from fide_plugins.search.moves.optima import Optima
+from fide_plugins.search.moves.policy_schema import check_policy
+from fide_plugins.search.moves.refine import Refine
+from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
+from fide_plugins.search.moves.removal import Removal, changed
+from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.moves.split import Split
+from fide_plugins.search.moves.swap import Swap
+from fide_plugins.search.moves.values import Values
+from fide_plugins.types import Float64
+
+__all__ = ["MovePolicy", "Stage", "Start"]
+
+_PRIOR, _PRIORS = 0.1, {"split": 0.5, "change value": 0.5}  # gain of a move before it is tried
+_COST = 12.0  # generations that a move takes, roughly
+_CANDIDATES = 20  # restart candidates, at least
+_TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
+
+
+class MovePolicy:
+    """Moves, and what is known for them.
+
+    x0, sigma0: (d,), mean and standard deviation of the first search.
+    popsize: k; there are at least as many restart candidates.
+    target: (T, C), tokens of the target.
+    channels: leading channels in which images are compared; None: all.
+    seed: of the draws of moves.
+    groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
+    cells: what is discrete or periodic in the cube; None: nothing.
+    hypotheses: (n, d), of a learned model; the run begins with them.  None: there is no model.
+
+    Raises OptionError for groups that are declared wrongly.
+    """
+
+    def __init__(
+        self,
+        x0: Float64,
+        sigma0: Float64,
+        popsize: int,
+        target: Tensor,
+        channels: int | None,
+        seed: int,
+        groups: Sequence[Sequence[int]] | None = None,
+        cells: Cells | None = None,
+        hypotheses: Float64 | None = None,
+    ) -> None:
+        dim = len(x0)
+        axes = Axes(dim, cells)
+        self.known = Known(
+            x0, sigma0, target, channels,
+            Exchangeability(dim, channels, groups, axes), Removal(),
+            Sensitivity(dim, channels, axes), axes, Mixed(cells).place_proposals,
+            values=Values(axes, cells),
+        )  # fmt: skip
+        self._candidates = max(_CANDIDATES, popsize)
+        self._anew = BeginAnew()
+        family: list[Move] = [
+            Split(), Swap(), Crossover(), RelocateGroup(), RelocateSegment(), Refine(), self._anew,
+        ]  # fmt: skip
+        if self.known.values.discrete.any():
+            family.append(ChangeValue())
+        self._moves = {move.name: move for move in family}
+        self._choice = Choice(
+            {name: _PRIORS.get(name, _PRIOR) for name in self._moves}, _COST * popsize
+        )
+        self._rng = np.random.default_rng((seed, 1))
+        self.hypotheses = Hypotheses(hypotheses, dim)
+        self.stage = Stage.RESTART if self.hypotheses.there else Stage.SEARCH
+        self.move: str | None = Hypotheses.name if self.hypotheses.there else None
+        """Name of the move that is under way; None in the first search."""
+        self.start = Start(x0, self.known.sigma0)
+        self.noise: float | None = None
+        """Standard deviation of the loss of one candidate; None where it was not measured."""
+        self.alone = 0
+        """Searches that began anew by losses alone."""
+
+    @property
+    def goal(self) -> float:
+        """Loss that the search has to beat; +inf for none."""
+        new = self.move is None or self.move == BeginAnew.name
+        return np.inf if new or self.known.incumbent is None else self.known.incumbent.loss
+
+    @property
+    def ended(self) -> list[int]:
+        """How many searches ended in each of the distinct places, the best first; see `status`."""
+        return [optimum.searches for optimum in self.known.optima.all]
+
+    def probabilities(self, losses: Sequence[float], X: Float64) -> Float64 | None:
+        """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
+        if not self.hypotheses.there or not len(X):
+            return None
+        posterior = self.hypotheses.x, self.hypotheses.typical
+        known = self.known
+        return probabilities(losses, X, *posterior, self.noise, known.exchangeability, known.axes)
+
+    # -- after a search ----------------------------------------------------------------------------
+
+    def after_search(
+        self, found: TrainingSample | None, evaluations: int, *, guided: bool
+    ) -> Stage:
+        """Say what comes after a search that is over.
+
+        found: its best candidate, or that of its restart candidates, whose image is known.
+        evaluations: since the last search was over.
+        guided: whether images say where to go on.
+        """
+        if self.hypotheses.waiting:
+            if found is not None:
+                self._settle(found, evaluations)
+            return self._begin_at_hypothesis()
+        if found is None or not guided:
+            self.known.incumbent = None
+            self.alone += 1
+            self.start = self._anew.alone(self.known, self.alone, self._rng)
+            self.move = BeginAnew.name
+            return self._go(Stage.SEARCH)
+        self._settle(found, evaluations)
+        return self._decide()
+
+    def _settle(self, found: TrainingSample, evaluations: int) -> None:
+        """Note what the move brought, and who is the incumbent."""
+        known, incumbent = self.known, self.known.incumbent
+        best = known.optima.note(found, known.exchangeability.distance)
+        move = None if self.move == Hypotheses.name else self.move
+        if self.goal < np.inf and incumbent is not None and move is not None:
+            self._choice.note(move, _gain(incumbent.loss, found.loss), evaluations)
+            if found.loss >= incumbent.loss:
+                known.optima.fail(incumbent)
+        if best:
+            self._leave(found)
+
+    def _leave(self, incumbent: TrainingSample) -> None:
+        """Take this optimum for the incumbent."""
+        if incumbent is not self.known.incumbent:
+            self.known.removal.forget()
+        self.known.incumbent = incumbent
+
+    def _decide(self) -> Stage:
+        """Choose the next move, and the stage that comes first."""
+        known = self.known
+        if not known.exchangeability.settled:
+            return self._go(Stage.EXCHANGE)
+        blocks = known.exchangeability.blocks
+        following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
+        if following is None:
+            self.move = BeginAnew.name
+            return self._go(Stage.RESTART)
+        self._leave(following)
+        possible = self._possible() or [BeginAnew.name]
+        self.move = self._choice.draw(possible, self._rng)
+        return self._go(self._moves[self.move].needs(known) or Stage.RESTART)
+
+    def _possible(self) -> list[str]:
+        return [
+            name
+            for name, move in self._moves.items()
+            if name != BeginAnew.name and move.possible(self.known)
+        ]
+
+    def _begin_at_hypothesis(self) -> Stage:
+        self.move, self.start = Hypotheses.name, self.hypotheses.next()
+        return self._go(Stage.SEARCH)
+
+    def _go(self, stage: Stage) -> Stage:
+        self.stage = stage
+        return stage
+
+    def retarget(self, target: Tensor, start: Start) -> None:
+        """Begin at `start` for another target, tokens (T, C).
+
+        What was found of the scene stays: exchangeable blocks, sensitivity, noise, gains of moves.
+        """
+        known = self.known
+        known.target, known.incumbent, known.optima = target, None, Optima()
+        known.removal.forget()
+        known.values.forget()
+        self.hypotheses.forget()
+        self.move, self.start = None, start
+        self._go(Stage.SEARCH)
+
+    # -- a generation that is no search's ----------------------------------------------------------
+
+    def draw(self, rng: np.random.Generator) -> Float64:
+        """Candidates (n, d) of the present stage, which must not be SEARCH.  Changes nothing."""
+        known = self.known
+        if self.stage is Stage.EXCHANGE:
+            return known.exchangeability.draw(known.here.x)
+        if self.stage is Stage.REMOVAL:
+            assert known.exchangeability.blocks is not None
+            return known.removal.draw(known.here.x, known.exchangeability.blocks, rng)
+        if self.stage is Stage.SENSITIVITY:
+            return known.sensitivity.draw(known.here.x, rng)
+        if self.move == Hypotheses.name:
+            return self.hypotheses.draw()
+        return self._the_move.draw(known, self._candidates, rng)
+
+    def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
+        """Learn from a generation that was no search's; return what comes next.
+
+        samples: those of its candidates whose images are known, with parameters as they were asked.
+        best: (d,), the candidate with the lowest loss, as it was asked.
+        """
+        known = self.known
+        if self.stage is Stage.RESTART and self.move == Hypotheses.name:
+            found = [(sample.loss, sample.x) for sample in samples]
+            self.hypotheses.learn(found, best, known.exchangeability.distance)
+            return self._begin_at_hypothesis()
+        if self.stage is Stage.RESTART:
+            chosen = self._most_promising(samples, best)
+            self.start = self._the_move.begin_at(known, chosen)
+            return self._go(Stage.SEARCH)
+        if self.stage is Stage.EXCHANGE:
+            known.exchangeability.learn(known.here, samples, known.place)
+            repeats = [one.loss for one in samples if np.array_equal(one.x, known.here.x)]
+            if len(repeats) > 1 and max(map(abs, repeats)) < 1e150:  # squares would overflow
+                self.noise = float(np.std(repeats, ddof=1))
+            return self._decide()
+        if self.stage is Stage.REMOVAL:
+            blocks = known.exchangeability.blocks
+            assert blocks is not None
+            known.removal.learn(known.here, samples, blocks, known.channels)
+        else:
+            known.sensitivity.learn(known.here, samples)
+        return self._go(Stage.RESTART)
+
+    def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
+        """Return the candidate (d,) at which the search begins.
+
+        The one with the lowest loss, where blocks are exchangeable or the descent is a new one.
+        Elsewhere candidates of low loss are mostly those that change little, and what counts is how
+        much of an image is better than the incumbent's: the sum over tokens of the lesser of the
+        two errors. What a move makes worse elsewhere, the search makes good again.
+        """
+        known = self.known
+        blocks = known.exchangeability.blocks
+        if blocks is not None or not samples or self.move == BeginAnew.name:
+            return best
+        here = changed(known.here.tokens, known.target, known.channels) ** 2
+        errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]
+        scores = [float(np.minimum(here, error).sum()) for error in errors]
+        return samples[int(np.argmin(scores))].x
+
+    @property
+    def _the_move(self) -> Move:
+        assert self.move is not None
+        return self._moves[self.move]
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        known = self.known
+        return {
+            "stage": self.stage.value,
+            "move": self.move,
+            "start": asdict(self.start),
+            "alone": self.alone,
+            "noise": self.noise,
+            "rng": self._rng.bit_generator.state,
+            "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
+            "optima": known.optima.state_dict(),
+            "exchangeability": known.exchangeability.state_dict(),
+            "removal": known.removal.state_dict(),
+            "sensitivity": known.sensitivity.state_dict(),
+            "values": known.values.state_dict(),
+            "choice": self._choice.state_dict(),
+            "hypotheses": self.hypotheses.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
+        """Put back what `state_dict` gave, tokens on the device.
+
+        Raises ValueError for what it cannot have given.
+        """
+        known = self.known
+        check_policy(state, known, [*self._moves, Hypotheses.name])
+        self.hypotheses.load_state_dict(state.get("hypotheses"))
+        self.stage, self.move = Stage(state["stage"]), state["move"]
+        self.start = Start(**state["start"])
+        self.alone, self.noise = state["alone"], state["noise"]
+        self._rng.bit_generator.state = state["rng"]
+        known.optima.load_state_dict(state["optima"], device)
+        saved = state["incumbent"]
+        known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
+        for optimum in known.optima.all:  # it is one of them, not a copy
+            if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
+                known.incumbent = optimum.sample
+        known.exchangeability.load_state_dict(state["exchangeability"])
+        known.removal.load_state_dict(state["removal"])
+        known.sensitivity.load_state_dict(state["sensitivity"])
+        known.values.load_state_dict(state["values"])
+        self._choice.load_state_dict(state["choice"])
+
+
+def _gain(before: float, after: float) -> float:
+    """By how much of it a loss was lowered, in [0, 1]; losses may be negative, and of any size."""
+    scale = max(abs(before), abs(after), 1e-300)
+    return min(1.0, max(0.0, before / scale - after / scale))

@@ -1,0 +1,68 @@
+"""What the state of a `MovePolicy` must be like, apart from that of its parts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    array,
+    check,
+    each,
+    maybe,
+    real,
+    row,
+    text,
+    whole,
+)
+from fide_plugins.search.moves.anew import BeginAnew
+from fide_plugins.search.moves.base import Known, Stage
+from fide_plugins.search.moves.hypotheses import Hypotheses
+
+__all__ = ["check_policy"]
+
+_UNIT = array("d", low=0.0, high=1.0)
+_SCHEMA: dict[str, Schema] = {
+    "stage": text,
+    "move": maybe(text),
+    "start": {
+        "mean": _UNIT,
+        "std": array("d", low=0.0, high=1e6),
+        "population": whole(1, 2**10),
+        "patience": whole(1, 100),
+        "held": maybe(array("d", kind="b")),
+    },
+    "alone": whole(),
+    "noise": maybe(real(0.0)),
+    "incumbent": maybe(SAMPLE),
+    "optima": {
+        "samples": each(SAMPLE),
+        "counts": each(row(whole(), whole(), whole(high=1))),
+        "descents": whole(),
+    },
+}
+
+
+def check_policy(state: Mapping[str, Any], known: Known, moves: Collection[str]) -> None:
+    """Raise ValueError unless this can be the state of a policy for such a scene.
+
+    known: what is known of the scene at first.  moves: names of the moves.
+    """
+    tokens, channels = known.target.shape
+    sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
+    for name, form in _SCHEMA.items():
+        check(state[name], form, sides, f"moves[{name!r}]")
+    stage = Stage(state["stage"])
+    if state["move"] is not None and state["move"] not in moves:
+        raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")
+    anew = stage is Stage.RESTART and state["move"] in (BeginAnew.name, Hypotheses.name)
+    if stage is not Stage.SEARCH and not anew and state["incumbent"] is None:
+        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
+    if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and state["move"] is None:
+        raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
+    blocks = state["exchangeability"]["blocks"]
+    if stage is Stage.REMOVAL and blocks is None:
+        raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")

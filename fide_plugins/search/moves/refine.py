@@ -1,0 +1,45 @@
+"""The incumbent itself, searched closely: it may not have been at the end of its descent.
+
+A search is over soon, so that the next move can begin, and what it found is mostly not as good as
+it could be. This move goes on with more patience and a narrow distribution, once an optimum has
+been left in vain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.types import Float64
+
+__all__ = ["Refine"]
+
+_WIDTH = 1 / 30  # of sigma0
+_PATIENCE = 3  # times that of other searches
+
+
+class Refine:
+    """A narrow search around the incumbent, once for each."""
+
+    name = "refine"
+
+    def possible(self, known: Known) -> bool:
+        """Whether the incumbent was left in vain, and was not refined yet."""
+        optimum = known.optima.of(known.here)
+        return optimum is not None and optimum.failures > 0 and not optimum.refined
+
+    def needs(self, known: Known) -> Stage | None:
+        """Nothing."""
+        return None
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Neighbors (n, d) of the incumbent."""
+        x = known.copies(n)
+        return known.axes.inside(x + _WIDTH * known.sigma0 * rng.standard_normal(x.shape))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at the incumbent."""
+        optimum = known.optima.of(known.here)
+        if optimum is not None:
+            optimum.refined = True
+        return Start(known.here.x, _WIDTH * known.sigma0, patience=_PATIENCE)

@@ -1,0 +1,60 @@
+"""A redundant block becomes a copy of one that has too much to do.
+
+Local optima of exchangeable things have a known shape: several things of the scene stand for one of
+the target's, and one stands for several, as centers do in k-means (Qian et al. 2020,
+arXiv:2002.06694; fission and fusion, arXiv:2201.04822). So the block that is cheapest to remove
+(`removal`) is put beside the one in whose region most of the error lies, with random differences;
+the search then divides the region between the two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.types import Float64
+
+__all__ = ["Split"]
+
+_SMALLEST, _LARGEST = 0.03, 0.5  # standard deviation of a difference, log-uniform
+
+
+class Split:
+    """Donor := source + N(0, s^2), s log-uniform for each parameter."""
+
+    name = "split"
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are exchangeable blocks."""
+        return known.exchangeability.blocks is not None
+
+    def needs(self, known: Known) -> Stage | None:
+        """Removal costs of the incumbent."""
+        return None if known.removal.known else Stage.REMOVAL
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent with one block beside another.
+
+        The donor is drawn by exp(-rank of its removal cost), the source in proportion to the
+        residual in the tokens that it owns.
+        """
+        blocks = known.exchangeability.blocks
+        assert blocks is not None
+        removal = known.removal
+        rank = np.argsort(np.argsort(removal.costs, kind="stable"), kind="stable")
+        cheap = np.exp(-rank.astype(np.float64))
+        residual = removal.residual(known.here, known.target, known.channels) + 1e-300
+        x = known.copies(n)
+        spread = np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST), (n, blocks.shape[1])))
+        jitter = spread * rng.standard_normal((n, blocks.shape[1]))
+        for row, difference in zip(x, jitter, strict=True):
+            donor = rng.choice(len(blocks), p=cheap / cheap.sum())
+            weight = residual.copy()
+            weight[donor] = 0.0
+            source = rng.choice(len(blocks), p=weight / weight.sum())
+            row[blocks[donor]] = row[blocks[source]] + difference
+        return known.axes.inside(x)
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in the donor, narrow elsewhere."""
+        return known.start_at(x)

@@ -1,0 +1,87 @@
+"""Which other values integers and choices can have, and which of them were searched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.runtime.schema import array, check
+from fide_plugins.search.mixed import Cells
+from fide_plugins.search.moves.axes import Axes, Indices
+from fide_plugins.types import Float64
+
+__all__ = ["Values"]
+
+_REMEMBERED = 200  # combinations
+_CELLS_AWAY = (*range(2, 9), *(2**i for i in range(4, 10)))
+_INSIDE = 1e-9  # beyond an edge, and in the next cell
+
+
+class Values:
+    """Values that integers and choices can have, and which combinations were searched.
+
+    axes: those of one parameter.  cells: what is discrete in the cube.  None: nothing is.
+    """
+
+    def __init__(self, axes: Axes | None = None, cells: Cells | None = None) -> None:
+        self._axes, self._cells = axes, cells
+        self.discrete = np.zeros(1, bool) if cells is None else cells.discrete
+        """(d,), axes on which many points stand for one value."""
+        self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
+
+    def others(self, x: Float64) -> Float64:
+        """Copies (n, d) of a rendered point x (d,), each with another value of one parameter.
+
+        All values of a choice; of an integer those up to 8 cells away, and 16, 32, ... 512.
+        """
+        if self._cells is None or self._axes is None:
+            return np.empty((0, len(x)))
+        units = [unit for unit in self._axes.units if self.discrete[unit[0]]]
+        rows = [row for unit in units for row in self._changed(x, unit)]
+        every = self._cells.snap(np.array(rows).reshape(-1, len(x)))
+        every = every[(every != x).any(axis=1)]
+        distinct: Float64 = every[np.sort(np.unique(every, axis=0, return_index=True)[1])]
+        return distinct
+
+    def _changed(self, x: Float64, unit: Indices) -> Float64:
+        """Copies (m, d) of x with coordinates of one parameter changed, x itself among them."""
+        if len(unit) > 1:
+            rows = np.tile(x, (len(unit), 1))
+            rows[:, unit] = np.eye(len(unit))
+            return rows
+        assert self._cells is not None
+        (i,) = unit
+        edges = [float(edge[i]) for edge in self._cells.cells(x) if np.isfinite(edge[i])]
+        values = [edge + np.copysign(_INSIDE, edge - x[i]) for edge in edges]
+        width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
+        values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]
+        values = [v for v in values if 0 <= v <= 1]
+        rows = np.tile(x, (len(values), 1))
+        rows[:, i] = values
+        return rows
+
+    def searches(self, X: Float64) -> Indices:
+        """How often a search began at the values of each point (n, d), (n,)."""
+        same = X[:, None, self.discrete] == self._searched
+        return np.asarray(same.all(axis=2).sum(axis=1), np.intp)
+
+    def note(self, x: Float64) -> None:
+        """Note that a search begins at the values of x (d,)."""
+        every = np.vstack([self._searched, x[self.discrete]])
+        self._searched = every[-_REMEMBERED:]
+
+    def forget(self) -> None:
+        """Begin again, for another target."""
+        self._searched = self._searched[:0]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {"searched": self._searched}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
+        n = self._searched.shape[1]
+        check(dict(state), {"searched": array("m", n, low=0.0, high=1.0)}, {}, "values")
+        self._searched = state["searched"]

@@ -1,0 +1,22 @@
+"""Named parameters of a renderer, and the unit cube in which they are searched.
+
+    from fide_plugins import Choice, Float, Group, Int, Space
+    space = Space(azimuth=Float(-60, 60, unit="deg"), beads=6 * Group(x=Float(0, 1), y=Float(0, 1)))
+
+=================  =================================================================================
+file               idea
+=================  =================================================================================
+`kinds`            what one parameter is: `Float`, `Int`, `Choice`
+`group`            parameters of one thing, and several things of one kind: `Group`
+`layout`           numbers of all parameters <-> points of the cube, for many points at once
+`space`            names: `Space`
+`dictionary`       a space <-> plain dictionaries (JSON)
+`toml_file`        a space <-> a file in TOML
+=================  =================================================================================
+"""
+
+from fide_plugins.space.group import Group, Repeated
+from fide_plugins.space.kinds import Choice, Float, Int, Kind
+from fide_plugins.space.space import Space
+
+__all__ = ["Choice", "Float", "Group", "Int", "Kind", "Repeated", "Space"]

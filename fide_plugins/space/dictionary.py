@@ -1,0 +1,123 @@
+"""A space as plain dictionaries, lists, texts and numbers: for JSON and TOML.
+
+    {"azimuth": {"type": "float", "low": -60.0, "high": 60.0, "unit": "deg", "periodic": true},
+     "floor": {"type": "choice", "values": ["checker", "wood"]},
+     "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
+
+What has a "type" is a parameter, all else is a group.  Keys that are as by default are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fide_plugins.errors import SpaceError
+from fide_plugins.space.group import Group, Member, Repeated, did_you_mean
+from fide_plugins.space.kinds import Choice, Float, Int, Kind
+
+__all__ = ["from_dict", "to_dict"]
+
+_KINDS = {kind.type: kind for kind in (Float, Int, Choice)}
+_KEYS = {
+    "float": ("low", "high", "unit", "log", "periodic", "step"),
+    "int": ("low", "high", "unit", "log", "step"),
+    "choice": ("values",),
+}
+_REQUIRED = {"float": ("low", "high"), "int": ("low", "high"), "choice": ("values",)}
+
+
+def to_dict(members: Mapping[str, Member], prefix: str = "") -> dict[str, Any]:
+    """Plain data of the members of a space or group."""
+    return {key: _data(prefix + key, member) for key, member in members.items()}
+
+
+def _data(name: str, member: Member) -> dict[str, Any]:
+    if isinstance(member, Repeated):
+        return {"repeat": member.times, **to_dict(member.group.members, f"{name}.")}
+    if isinstance(member, Group):
+        return to_dict(member.members, f"{name}.")
+    if isinstance(member, Choice):
+        return {"type": "choice", "values": [_plain(name, value) for value in member.values]}
+    fields = member.__dataclass_fields__
+    given = {key: getattr(member, key) for key in _KEYS[member.type]}
+    return {"type": member.type} | {k: v for k, v in given.items() if v != fields[k].default}
+
+
+def _plain(name: str, value: Any) -> Any:
+    if type(value) not in (str, int, float, bool, type(None)):
+        raise SpaceError(
+            f"parameter {name!r} has the value {value!r}, which files cannot hold; use texts and "
+            "look the objects up by them"
+        )
+    return value
+
+
+def from_dict(data: object) -> dict[str, Member]:
+    """Members of a space; SpaceError naming table and key if it is none."""
+    if not isinstance(data, Mapping):
+        raise SpaceError(f"a space must be a dictionary of parameters, not {data!r}")
+    return _members(data, "")
+
+
+def _members(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
+    return {key: _member(f"{prefix}{key}", value) for key, value in data.items()}
+
+
+def _member(table: str, data: object) -> Member:
+    if not isinstance(data, Mapping):
+        raise SpaceError(
+            f"[{table}] must be a table with a type, not {data!r}; write [{table}] and below it "
+            'type = "float", low = 0, high = 1'
+        )
+    try:
+        return _parameter(table, data) if _is_parameter(data) else _group(table, data)
+    except SpaceError as error:
+        if str(error).startswith("["):  # an inner table has said where
+            raise
+        raise SpaceError(f"[{table}] {error}") from None
+
+
+def _is_parameter(data: Mapping[str, Any]) -> bool:
+    """Whether a table is a parameter, perhaps one without its type."""
+    known = {key for keys in _KEYS.values() for key in keys}
+    return any(
+        key == "type" or key in known
+        for key, value in data.items()
+        if not isinstance(value, Mapping)
+    )
+
+
+def _parameter(table: str, data: Mapping[str, Any]) -> Kind:
+    kind = data.get("type")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        given = "has no type" if "type" not in data else f"type: unknown type {kind!r}"
+        hint = did_you_mean(kind, _KINDS)
+        raise SpaceError(f"{given}; write type = one of {', '.join(map(repr, _KINDS))}{hint}")
+    keys = dict.fromkeys(("type", *_KEYS[kind]))
+    for key in data:
+        if key not in keys:
+            hint = did_you_mean(key, keys)
+            raise SpaceError(f"{key}: unknown key of a {kind}; known are {', '.join(keys)}{hint}")
+    for key in _REQUIRED[kind]:
+        if key not in data:
+            raise SpaceError(f"{key}: missing; a {kind} needs {' and '.join(_REQUIRED[kind])}")
+    values = {key: value for key, value in data.items() if key != "type"}
+    if kind == "choice":
+        if not isinstance(values["values"], list | tuple):
+            raise SpaceError(f'values: must be a list such as ["a", "b"], not {values["values"]!r}')
+        return Choice(*values["values"])
+    return _KINDS[kind](**values)
+
+
+def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
+    members = {key: value for key, value in data.items() if key != "repeat"}
+    for key, value in members.items():
+        if not isinstance(value, Mapping):
+            known = dict.fromkeys(("type", "repeat", "low", "high", "values"))
+            raise SpaceError(
+                f"{key}: a group holds tables and repeat, not {value!r}; write [{table}.{key}]"
+                f"{did_you_mean(key, known)}"
+            )
+    group = Group(_members(members, f"{table}."))
+    return group * data["repeat"] if "repeat" in data else group

@@ -1,0 +1,194 @@
+"""Parameters of one thing, and several things of one kind."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any, NamedTuple, TypeAlias
+
+from fide_plugins.errors import SpaceError
+from fide_plugins.space.kinds import Choice, Float, Int, Kind
+
+__all__ = ["Group", "Leaf", "Member", "Repeated", "check_members", "leaves"]
+
+_MOST = 100_000  # copies of a group
+_RESERVED = ("repeat", "type")  # keys of the file form
+
+
+class Group:
+    """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
+
+    ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
+    dictionaries when decoded.  A group may hold groups.  Names may also come as one dictionary.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
+        checked = check_members("Group", members, named)
+        for name in _RESERVED:
+            if name in checked:
+                raise SpaceError(
+                    f"no member of a Group may be called {name!r}, which has a meaning in files; "
+                    f"call it {name}_"
+                )
+        self.__dict__["members"] = checked
+
+    members: dict[str, Member]
+    """Not to be changed."""
+
+    def __mul__(self, times: int) -> Repeated:
+        return Repeated(self, times)
+
+    __rmul__ = __mul__
+
+    def __repr__(self) -> str:
+        return f"Group({', '.join(f'{n}={m!r}' for n, m in self.members.items())})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Group) and _ordered(self) == _ordered(other)
+
+    def __hash__(self) -> int:
+        return hash(_ordered(self))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a Group cannot be changed; make another one with a new {name}")
+
+
+class Repeated:
+    """Several things of one kind, ``times * group``."""
+
+    def __init__(self, group: Group, times: int) -> None:
+        try:
+            number = 0 if isinstance(times, bool) else operator.index(times)
+        except TypeError:
+            number = 0
+        if not 1 <= number <= _MOST:
+            raise SpaceError(
+                f"a Group may be repeated 1 to {_MOST} times, not {times!r}; write 6 * Group(...)"
+            )
+        if any(isinstance(member, Repeated) for member in _below(group)):
+            raise SpaceError(
+                "a repeated Group cannot hold another repeated Group; write the inner ones under "
+                "names of their own"
+            )
+        self.__dict__.update(group=group, times=number)
+
+    group: Group
+    times: int
+
+    def __repr__(self) -> str:
+        return f"{self.times} * {self.group!r}"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Repeated) and (self.times, self.group) == (
+            other.times,
+            other.group,
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.times, self.group))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a repeated Group cannot be changed; make another one (new {name})")
+
+
+Member: TypeAlias = Kind | Group | Repeated
+
+
+class Leaf(NamedTuple):
+    """One parameter of a space.
+
+    name: flat, such as "beads[2].x".
+    path: its keys in the nested dictionaries and lists.
+    block: (name of the repeated group, number of the copy), or None.
+    """
+
+    name: str
+    path: tuple[str | int, ...]
+    kind: Kind
+    block: tuple[str, int] | None
+
+
+def check_members(owner: str, members: object, named: Mapping[str, object]) -> dict[str, Member]:
+    """Members by name; SpaceError if there are none, or names or kinds are wrong."""
+    if members is not None and not isinstance(members, Mapping):
+        raise SpaceError(f"{owner} takes names: {owner}(x=Float(0, 1)), not {members!r}")
+    given = {**(members or {}), **named}
+    if len(given) < len(members or {}) + len(named):
+        twice = next(name for name in named if name in (members or {}))
+        raise SpaceError(f"parameter {twice!r} is given twice to {owner}; drop one")
+    if not given:
+        raise SpaceError(f"{owner} needs at least one parameter: {owner}(x=Float(0, 1))")
+    for name, member in given.items():
+        _check_name(name)
+        if not isinstance(member, Float | Int | Choice | Group | Repeated):
+            raise SpaceError(
+                f"parameter {name!r} must be a Float, Int, Choice or Group, not {member!r}"
+                f"{_remedy(member)}"
+            )
+    return given
+
+
+def leaves(members: Mapping[str, Member]) -> Iterator[Leaf]:
+    """All parameters below, in order."""
+    return _leaves(members, "", (), None)
+
+
+def _leaves(
+    members: Mapping[str, Member],
+    prefix: str,
+    path: tuple[str | int, ...],
+    block: tuple[str, int] | None,
+) -> Iterator[Leaf]:
+    for key, member in members.items():
+        name, here = prefix + key, (*path, key)
+        if isinstance(member, Group):
+            yield from _leaves(member.members, f"{name}.", here, block)
+        elif isinstance(member, Repeated):
+            for i in range(member.times):
+                yield from _leaves(member.group.members, f"{name}[{i}].", (*here, i), (name, i))
+        else:
+            yield Leaf(name, here, member, block)
+
+
+def _below(group: Group) -> Iterator[Member]:
+    for member in group.members.values():
+        yield member
+        if isinstance(member, Group):
+            yield from _below(member)
+
+
+def _check_name(name: object) -> None:
+    if not isinstance(name, str):
+        raise SpaceError(
+            f"the name of a parameter must be a text, not {name!r}; write it in quotes"
+        )
+    if not name.isidentifier():
+        shape = "".join(c if c.isalnum() else "_" for c in name) or "x"
+        better = shape if shape.isidentifier() else f"_{shape}"
+        raise SpaceError(
+            f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}; "
+            f"call it {better!r}"
+        )
+
+
+def _remedy(member: object) -> str:
+    if isinstance(member, type) and issubclass(member, Float | Int | Choice | Group):
+        return f"; call it: {member.__name__}(...)"
+    if isinstance(member, tuple | list) and len(member) == 2:
+        return f"; write Float({member[0]!r}, {member[1]!r})"
+    if isinstance(member, Mapping):
+        return "; write Group(...), or Space.from_dict for plain data"
+    return ""
+
+
+def _ordered(group: Group) -> tuple[Any, ...]:
+    return tuple(group.members.items())
+
+
+def did_you_mean(name: object, known: Mapping[str, Any]) -> str:
+    """Return a suggestion for a name that is not known, or nothing."""
+    close = get_close_matches(str(name), list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

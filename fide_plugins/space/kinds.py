@@ -1,0 +1,337 @@
+"""What one parameter is: a number, a whole number, or one of several values.
+
+Every kind maps its values to numbers, and `layout` maps numbers to the cube:
+
+=======================  ======  ==================================================================
+kind                     axes    number of a value, and its place in the cube
+=======================  ======  ==================================================================
+Float                    1       the value; linear, or its logarithm
+Int, Float with a step   1       the value; n values are n equal cells of the axis (with log: equal
+                                 in the value, of an axis from log(low - 1/2) to log(high + 1/2))
+Choice of n >= 3         n       index of the value; the axis with the largest coordinate decides
+Choice of 2              1       0 or 1; two equal cells
+Choice of 1              0       a constant
+=======================  ======  ==================================================================
+
+A choice has one axis a value because its values have no order: on one axis the first value would
+be a neighbor of the second and far from the third, and a search could reach the third only through
+the second.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from numbers import Real
+from typing import Any, ClassVar, NamedTuple, TypeAlias
+
+from fide_plugins.errors import SpaceError
+
+__all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
+
+_MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a logarithmic axis apart
+_LARGEST_INT = 2**53  # doubles hold every whole number up to it
+_MOST_CHOICES = 1000
+_OFF_GRID = 1e-6  # of a step, by which a value may miss the grid
+
+
+class Scale(NamedTuple):
+    """Numbers from low to high; with a step > 0 only low, low + step, ... up to high."""
+
+    low: float
+    high: float
+    step: float
+    log: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Float:
+    """A real number in [low, high].
+
+    low, high: finite, low < high.
+    unit: for people, such as "deg" or "m".
+    log: whether its logarithm is searched; low must be above 0.
+    periodic: whether high is the same as low, as for an angle; the search wraps around.
+    step: only low, low + step, ... are meant; high becomes the last of them.  None: every number.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    type: ClassVar[str] = "float"
+    low: float
+    high: float
+    unit: str | None = field(default=None, kw_only=True)
+    log: bool = field(default=False, kw_only=True)
+    periodic: bool = field(default=False, kw_only=True)
+    step: float | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        low, high = (_real(self, name, getattr(self, name)) for name in ("low", "high"))
+        _check_range(self, low, high)
+        _check_settings(self)
+        if self.log and low <= 0:
+            _refuse(self, f"the logarithm needs low > 0, not {low}", "raise low, or drop log")
+        if self.step is not None:
+            step = _real(self, "step", self.step)
+            high = _last_on_grid(self, low, high, step)
+            object.__setattr__(self, "step", step)
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    def __repr__(self) -> str:
+        return _show(self, "low", "high")
+
+    @property
+    def width(self) -> int:
+        """Number of axes."""
+        return 1
+
+    @property
+    def scale(self) -> Scale:
+        """Its numbers."""
+        return Scale(self.low, self.high, self.step or 0.0, self.log)
+
+    def value(self, number: float) -> float:
+        """Value of a number of the scale."""
+        return float(number)
+
+    def number(self, name: str, value: Any) -> float:
+        """Number of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        number = _plain_real(value)
+        if number is None or not self.low <= number <= self.high:
+            raise SpaceError(_outside(name, self, f"a number in [{self.low}, {self.high}]", value))
+        if self.step is not None:
+            steps = (number - self.low) / self.step
+            if abs(steps - round(steps)) > _OFF_GRID:
+                rule = f"one of {self.low}, {self.low + self.step}, ... {self.high}"
+                raise SpaceError(_outside(name, self, rule, value))
+        return number
+
+
+@dataclass(frozen=True, repr=False)
+class Int:
+    """A whole number in [low, high], both included.
+
+    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
+    unit: for people.
+    log: whether its logarithm is searched; low must be above 0.
+    step: only low, low + step, ... are meant; high becomes the last of them.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    type: ClassVar[str] = "int"
+    low: int
+    high: int
+    unit: str | None = field(default=None, kw_only=True)
+    log: bool = field(default=False, kw_only=True)
+    step: int = field(default=1, kw_only=True)
+
+    def __post_init__(self) -> None:
+        low, high, step = (_whole(self, n, getattr(self, n)) for n in ("low", "high", "step"))
+        _check_range(self, low, high)
+        _check_settings(self)
+        if self.log and low <= 0:
+            _refuse(self, f"the logarithm needs low >= 1, not {low}", "raise low, or drop log")
+        if self.log and step != 1:
+            _refuse(self, f"log needs step 1, not {step}", "drop one of them")
+        high = int(_last_on_grid(self, low, high, step))
+        for name, value in (("low", low), ("high", high), ("step", step)):
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return _show(self, "low", "high")
+
+    @property
+    def width(self) -> int:
+        """Number of axes."""
+        return 1
+
+    @property
+    def scale(self) -> Scale:
+        """Its numbers."""
+        return Scale(self.low, self.high, self.step, self.log)
+
+    def value(self, number: float) -> int:
+        """Value of a number of the scale."""
+        return int(number)
+
+    def number(self, name: str, value: Any) -> float:
+        """Number of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        number = _plain_real(value)
+        if number is None or not self.low <= number <= self.high or number != round(number):
+            rule = f"a whole number in [{self.low}, {self.high}]"
+            raise SpaceError(_outside(name, self, rule, value))
+        if (round(number) - self.low) % self.step:
+            rule = f"one of {self.low}, {self.low + self.step}, ... {self.high}"
+            raise SpaceError(_outside(name, self, rule, value))
+        return number
+
+
+@dataclass(frozen=True, init=False, repr=False, eq=False)
+class Choice:
+    """One of some values without an order: texts, numbers, anything hashable.
+
+    values: one or more, at most 1,000, all different; of one value it is a constant.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    type: ClassVar[str] = "choice"
+    unit: ClassVar[str | None] = None
+    values: tuple[Any, ...]
+
+    def __init__(self, *values: Hashable) -> None:
+        object.__setattr__(self, "values", values)
+        if not 0 < len(values) <= _MOST_CHOICES:
+            rule = f"needs 1 to {_MOST_CHOICES} values, not {len(values)}"
+            raise SpaceError(f"Choice {rule}; write them one by one: Choice('a', 'b')")
+        if len(values) == 1 and isinstance(values[0], list | tuple | set | frozenset | dict):
+            raise SpaceError(f"Choice takes its values one by one: Choice(*{values[0]!r})")
+        index: dict[Any, int] = {}
+        for value in values:
+            _check_choice(value, index)
+            index[value] = len(index)
+        object.__setattr__(self, "_index", index)
+
+    def __repr__(self) -> str:
+        return f"Choice({', '.join(map(repr, self.values))})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Choice) and self._typed() == other._typed()
+
+    def __hash__(self) -> int:
+        return hash(self._typed())
+
+    def _typed(self) -> tuple[Any, ...]:
+        """Values that tell 1 from True."""
+        return tuple((type(value), value) for value in self.values)
+
+    @property
+    def width(self) -> int:
+        """Number of axes."""
+        return len(self.values) if len(self.values) > 2 else len(self.values) - 1
+
+    @property
+    def scale(self) -> Scale:
+        """Its numbers: indices of the values."""
+        return Scale(0.0, len(self.values) - 1.0, 1.0, False)
+
+    def value(self, number: float) -> Any:
+        """Value of an index."""
+        return self.values[int(number)]
+
+    def number(self, name: str, value: Any) -> float:
+        """Index of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        index: dict[Any, int] = self.__dict__["_index"]
+        try:
+            found = index.get(value)
+        except TypeError:  # not hashable
+            found = None
+        if found is None:
+            rule = f"one of {', '.join(map(repr, self.values))}"
+            raise SpaceError(_outside(name, self, rule, value))
+        return float(found)
+
+
+Kind: TypeAlias = Float | Int | Choice
+
+
+def _show(kind: Float | Int, *positional: str) -> str:
+    """Return the expression that makes it, without what is as by default."""
+    words = [repr(getattr(kind, name)) for name in positional]
+    for name, parameter in kind.__dataclass_fields__.items():
+        if name not in positional and getattr(kind, name) != parameter.default:
+            words.append(f"{name}={getattr(kind, name)!r}")
+    return f"{type(kind).__name__}({', '.join(words)})"
+
+
+def _refuse(kind: Any, rule: str, remedy: str) -> None:
+    raise SpaceError(f"{_show(kind, 'low', 'high')}: {rule}; {remedy}")
+
+
+def _outside(name: str, kind: Kind, rule: str, value: Any) -> str:
+    hint = f"; change the value, or the parameter {kind!r}"
+    return f"parameter {name!r} must be {rule}, not {value!r}{hint}"
+
+
+def _plain_real(value: Any) -> float | None:
+    """`value` as a float; None if it is no real number."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return None
+    return None
+
+
+def _real(kind: Any, name: str, value: Any) -> float:
+    number = _plain_real(value)
+    if number is None or not math.isfinite(number):
+        _refuse(kind, f"{name} must be a finite number, not {value!r}", f"give {name} as a number")
+    assert number is not None
+    return number
+
+
+def _whole(kind: Any, name: str, value: Any) -> int:
+    try:
+        number = None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or abs(number) > _LARGEST_INT:
+        remedy = "use Float for real numbers"
+        _refuse(kind, f"{name} must be a whole number of at most 2^53, not {value!r}", remedy)
+    assert number is not None
+    return number
+
+
+def _check_range(kind: Any, low: float, high: float) -> None:
+    if not low < high:
+        _refuse(kind, "low must be less than high", "swap them, or use Choice for a constant")
+    if not math.isfinite(high - low):
+        _refuse(kind, "high - low must be finite", "take a narrower range")
+
+
+def _check_settings(kind: Any) -> None:
+    if kind.unit is not None and not isinstance(kind.unit, str):
+        _refuse(kind, f"unit must be a text, not {kind.unit!r}", 'write it as "deg"')
+    for name in ("log", "periodic"):
+        if not isinstance(getattr(kind, name, False), bool):
+            value = getattr(kind, name)
+            _refuse(kind, f"{name} must be True or False, not {value!r}", f"write {name}=True")
+    if kind.log and getattr(kind, "periodic", False):
+        _refuse(kind, "a logarithm does not wrap around", "drop log or periodic")
+    if getattr(kind, "periodic", False) and kind.step is not None:
+        _refuse(kind, "a range with steps does not wrap around", "drop step or periodic")
+
+
+def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
+    """Largest of low, low + step, ... that is at most high, but for rounding."""
+    if not 0 < step <= (high - low) * (1 + _OFF_GRID):
+        _refuse(kind, f"step must lie in (0, high - low], not {step}", "take a smaller step")
+    if isinstance(kind, Float) and kind.log:
+        _refuse(kind, "a logarithm has no steps here", "drop log or step")
+    if (high - low) / step >= _MOST_CELLS:
+        _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", "take a wider step")
+    if isinstance(kind, Int):
+        return low + (high - low) // step * step
+    return min(high, low + math.floor((high - low) / step + _OFF_GRID) * step)
+
+
+def _check_choice(value: Any, others: dict[Any, int]) -> None:
+    try:
+        known = value in others
+    except TypeError:
+        kind = type(value).__name__
+        raise SpaceError(
+            f"a value of Choice must be hashable, not {value!r}; a {kind} is not: use a text or a "
+            "tuple"
+        ) from None
+    if known:
+        raise SpaceError(
+            f"the values of Choice must differ, but {value!r} is there twice; drop one"
+        )
+    if value != value:
+        raise SpaceError(f"a value of Choice must be equal to itself, not {value!r}; use a text")

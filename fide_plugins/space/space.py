@@ -1,0 +1,281 @@
+"""A space of named parameters: dictionaries of physical values <-> points of the unit cube."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import SpaceError
+from fide_plugins.space import dictionary, toml_file
+from fide_plugins.space.group import (
+    Group,
+    Leaf,
+    Member,
+    Repeated,
+    check_members,
+    did_you_mean,
+    leaves,
+)
+from fide_plugins.space.kinds import Kind
+from fide_plugins.space.layout import Layout
+from fide_plugins.types import Float64
+from fide_plugins.validation.points import as_points
+
+__all__ = ["Space"]
+
+Params = dict[str, Any]
+
+
+class Space:
+    """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
+
+    >>> from fide_plugins import Choice, Float, Group, Int, Space
+    >>> beads = 2 * Group(x=Float(0, 1))
+    >>> space = Space(azimuth=Float(-60, 60, unit="deg"), columns=Int(3, 8), beads=beads)
+    >>> space
+    Space(azimuth, columns, beads[2]; dim 4)
+    >>> space.decode([0.5, 0.9, 0.25, 0.75])
+    {'azimuth': 0.0, 'columns': 8, 'beads': [{'x': 0.25}, {'x': 0.75}]}
+    >>> space.encode({"azimuth": 30, "columns": 3, "beads": [{"x": 0}, {"x": 1}]})
+    array([0.75      , 0.08333333, 0.        , 1.        ])
+
+    Names may also come as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.  A space cannot
+    be changed; spaces of the same parameters in the same order are equal.
+
+    Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
+    or nothing is left to search.
+    """
+
+    def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
+        checked = check_members("Space", members, named)
+        found = list(leaves(checked))
+        layout = Layout([leaf.kind for leaf in found])
+        if layout.dim == 0:
+            raise SpaceError(
+                "Space needs a parameter that can vary, but each is a Choice of one value; add one"
+            )
+        self.__dict__.update(_members=checked, _leaves=found, layout=layout)
+
+    _members: dict[str, Member]
+    _leaves: list[Leaf]
+    layout: Layout
+    """Where each parameter lies in the cube."""
+
+    @property
+    def dim(self) -> int:
+        """Number of axes of the cube: one a parameter, but n for a choice of n > 2 values."""
+        return self.layout.dim
+
+    @property
+    def names(self) -> list[str]:
+        """Flat names of the parameters, such as "azimuth" and "beads[2].x", in order."""
+        return [leaf.name for leaf in self._leaves]
+
+    @property
+    def parameters(self) -> dict[str, Kind]:
+        """What each parameter is, by flat name."""
+        return {leaf.name: leaf.kind for leaf in self._leaves}
+
+    @property
+    def axes(self) -> dict[str, list[int]]:
+        """Indices of the axes of each parameter, by flat name."""
+        slices = zip(self._leaves, self.layout.slices, strict=True)
+        return {leaf.name: list(range(s.start, s.stop)) for leaf, s in slices}
+
+    @property
+    def periodic(self) -> npt.NDArray[np.bool_]:
+        """(dim,), axes whose ends are the same."""
+        return self.layout.periodic.copy()
+
+    @property
+    def families(self) -> dict[str, list[list[int]]]:
+        """Blocks of axes that may change places, by the name of their group."""
+        found: dict[str, list[list[int]]] = {}
+        for leaf, s in zip(self._leaves, self.layout.slices, strict=True):
+            if leaf.block is not None:
+                name, number = leaf.block
+                blocks = found.setdefault(name, [])
+                if number == len(blocks):
+                    blocks.append([])
+                blocks[number].extend(range(s.start, s.stop))
+        return {name: blocks for name, blocks in found.items() if len(blocks) > 1 and blocks[0]}
+
+    @property
+    def largest_family(self) -> list[list[int]]:
+        """Blocks of the family that has most; [] if there is none."""
+        return max(self.families.values(), key=len, default=[])
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """Blocks of axes that may change places with others of their family; [] if none."""
+        return [block for blocks in self.families.values() for block in blocks]
+
+    def decode(self, x: object) -> Params:
+        """Values of a point x (dim,) of the cube: float, int, or the choice's own value.
+
+        Groups are dictionaries, repeated ones lists of dictionaries.  Raises PointsError.
+        """
+        return self.decode_many([x])[0]
+
+    def decode_many(self, X: object) -> list[Params]:
+        """Values of points X (n, dim) of the cube, see `decode`."""
+        numbers = self.layout.numbers(as_points(X, self.dim)).tolist()
+        return [self._nested(row) for row in numbers]
+
+    def encode(self, params: Mapping[str, Any]) -> Float64:
+        """Point (dim,) of values, as `decode` gives them: decode(encode(p)) is p but for rounding.
+
+        An integer or a choice is put in the middle of its cell.
+
+        Raises SpaceError (a ValueError) if a name is missing or unknown, or a value is out of its
+        range.
+        """
+        x: Float64 = self.encode_many([params])[0]
+        return x
+
+    def encode_many(self, many: Sequence[Mapping[str, Any]]) -> Float64:
+        """Points (n, dim) of n dictionaries, see `encode`."""
+        rows = [self._numbers(params) for params in many]
+        return self.layout.points(np.array(rows, np.float64).reshape(len(rows), len(self._leaves)))
+
+    def snap(self, X: object) -> Float64:
+        """Points (n, dim), or (dim,), that stand for what is rendered at X.
+
+        Integers and choices go to the middle of their cells, other coordinates stay:
+        decode(snap(x)) is decode(x), and encode(decode(x)) is snap(x) but for rounding.
+        """
+        one = np.ndim(X) == 1  # type: ignore[arg-type]
+        snapped = self.layout.snap(as_points([X] if one else X, self.dim))
+        point: Float64 = snapped[0] if one else snapped
+        return point
+
+    def _nested(self, numbers: list[float]) -> Params:
+        params: Params = {}
+        for leaf, number in zip(self._leaves, numbers, strict=True):
+            inner: Any = params
+            for key, following in zip(leaf.path[:-1], leaf.path[1:], strict=True):
+                inner = _step_into(inner, key, [] if isinstance(following, int) else {})
+            inner[leaf.path[-1]] = leaf.kind.value(number)
+        return params
+
+    def _numbers(self, params: object) -> list[float]:
+        return list(_numbers(self._members, params, ""))
+
+    # -- as data -----------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, texts and numbers, for JSON; see `from_dict`.
+
+        Raises SpaceError if a Choice has values that JSON does not have.
+        """
+        return dictionary.to_dict(self._members)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Space of a dictionary as `to_dict` gives it, or as a TOML file holds it.
+
+        Raises SpaceError, naming table and key.
+        """
+        return cls(dictionary.from_dict(data))
+
+    def to_toml(self) -> str:
+        """Text of a TOML file that `read` reads."""
+        return toml_file.text(self.to_dict())
+
+    @classmethod
+    def from_toml(cls, text: str) -> Self:
+        """Space of the text of a TOML file; raises as `read`."""
+        return cls.from_dict(toml_file.parse(text))
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write a TOML file; raises OSError if that cannot be done."""
+        toml_file.write(path, self.to_dict())
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Self:
+        """Space of a TOML file: a table for each parameter.
+
+        Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
+        """
+        try:
+            return cls.from_dict(toml_file.read(path))
+        except SpaceError as error:
+            raise SpaceError(f"{os.fspath(path)}: {error}") from None
+
+    # -- as a value --------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        words = [n + (f"[{m.times}]" if isinstance(m, Repeated) else "") for n, m in self._items]
+        if len(words) > 8:
+            words = [*words[:6], "...", words[-1]]
+        return f"Space({', '.join(words)}; dim {self.dim})"
+
+    @property
+    def _items(self) -> list[tuple[str, Member]]:
+        return list(self._members.items())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Space) and self._items == other._items
+
+    def __hash__(self) -> int:
+        return hash(tuple(self._items))
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a Space cannot be changed; make another one with a new {name}")
+
+
+def _step_into(inner: Any, key: str | int, empty: Any) -> Any:
+    """Return what `inner` has at the key, which is `empty` if it is new."""
+    if isinstance(inner, list) and key == len(inner):
+        inner.append(empty)
+    elif isinstance(inner, dict):
+        inner.setdefault(key, empty)
+    return inner[key]
+
+
+def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iterator[float]:
+    """Numbers of the parameters below, in order; `prefix` is that of their flat names."""
+    values = _checked(members, params, prefix)
+    for key, member in members.items():
+        name, value = prefix + key, values[key]
+        if isinstance(member, Group):
+            yield from _numbers(member.members, value, f"{name}.")
+        elif isinstance(member, Repeated):
+            for i, each in enumerate(_listed(name, member, value)):
+                yield from _numbers(member.group.members, each, f"{name}[{i}].")
+        else:
+            yield member.number(name, value)
+
+
+def _checked(members: Mapping[str, Member], params: object, prefix: str) -> Mapping[str, Any]:
+    """`params` if they are a dictionary of just these names."""
+    where = f"{prefix[:-1]!r}" if prefix else "params"
+    if not isinstance(params, Mapping):
+        names = ", ".join(members)
+        raise SpaceError(f"{where} must be a dictionary with the keys {names}, not {params!r}")
+    for key in params:
+        if key not in members:
+            flat = prefix + key if isinstance(key, str) else key
+            raise SpaceError(
+                f"unknown parameter {flat!r}; known are {', '.join(members)}"
+                f"{did_you_mean(key, members)}"
+            )
+    missing = [prefix + key for key in members if key not in params]
+    if missing:
+        raise SpaceError(
+            f"missing parameter {', '.join(map(repr, missing))}; give a value for each"
+        )
+    return params
+
+
+def _listed(name: str, member: Repeated, value: object) -> Sequence[Any]:
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != member.times:
+        got = f"{len(value)} entries" if isinstance(value, Sequence) else repr(value)
+        raise SpaceError(
+            f"parameter {name!r} must be a list of {member.times} dictionaries, not {got}"
+        )
+    return value

@@ -1,0 +1,318 @@
+"""Everything of an optimizer that changes while it runs, and what a checkpoint holds of it.
+
+`FIDE` carries one `State`.  Its parts know how to save themselves (`state_dict`) and what a saved
+state of theirs must look like (`load_state_dict`, `from_state`): a checkpoint is whole when its
+checksum agrees, and may still hold anything, since anybody can write one.  Here is what belongs to
+no part.  Whoever copies, previews or replicates an optimizer reads these fields, and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from fide_plugins.population import Candidate, Population
+from fide_plugins.proposers import Proposer
+from fide_plugins.proposers.image_gate import ImageGate
+from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
+from fide_plugins.runtime.schema import (
+    GENERATOR,
+    Rule,
+    Schema,
+    Sides,
+    anything,
+    array,
+    check,
+    each,
+    flag,
+    maybe,
+    real,
+    row,
+    whole,
+)
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.search.descent import Descent
+from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.types import Estimate, Estimated, Float32, Float64, Solution
+from fide_plugins.validation.images import warn_clipped
+
+__all__ = ["Best", "State"]
+
+_SINGLE = 1e-6  # what a parameter may lose in single precision
+_GAIN = 0.1  # of the loss, below which an improvement does not count
+_MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The best point told so far.
+
+    solution: the point.
+    index: number of its candidate.
+    mean: (d,), mean of the search distribution that found it; the point itself if none did.
+    search: number of the search that found it; 0 for none.
+    std: (d,), of its parameters, known when that search was over; None before.
+    """
+
+    solution: Solution
+    index: int
+    mean: Float64
+    search: int
+    std: Float64 | None = None
+
+
+@dataclass
+class State:
+    """What an optimizer has asked, evaluated and learned.
+
+    rng: of the search; nothing else draws from it.
+    population: the book of candidates.
+    descent: the present search.
+    moves: what the present generation is for, and where the next search begins.
+    gate: how far images steer the search.
+    proposer: None where nothing is proposed.
+    searches: begun so far.
+    evaluations: points told so far.  not_finite: those whose loss was NaN or infinite.
+    best: None before the first finite loss.
+    improved_at, improved_to: evaluation and loss of the last improvement by more than a tenth.
+    samples: evaluated, not yet learned from.  learned: of this generation, learned from already.
+    injected: best point (d,) of those never asked since the last generation, and its loss.
+    search_best: best since the last search was over.  over_at: evaluations at that time.
+    memory: samples for the next target.  retargeted_at: evaluations when the present one came.
+    clip_warned: whether the user was warned of values outside [0, 1].
+    times: seconds in "encode", "train" and "search".
+    """
+
+    rng: np.random.Generator
+    population: Population
+    descent: Descent
+    moves: MovePolicy
+    gate: ImageGate
+    proposer: Proposer | None
+    searches: int = 1
+    evaluations: int = 0
+    not_finite: int = 0
+    best: Best | None = None
+    improved_at: int = 0
+    improved_to: float = np.inf
+    samples: list[TrainingSample] = field(default_factory=list)
+    learned: list[TrainingSample] = field(default_factory=list)
+    injected: tuple[Float64, float] | None = None
+    search_best: TrainingSample | None = None
+    over_at: int = 0
+    memory: Memory = field(default_factory=lambda: Memory(0.0))
+    retargeted_at: int = 0
+    clip_warned: bool = False
+    times: dict[str, float] = field(
+        default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0}
+    )
+
+    @property
+    def search(self) -> CMAES:
+        """The search distribution."""
+        return self.descent.distribution
+
+    @property
+    def stage(self) -> Stage:
+        """What the candidates of the present generation are for."""
+        return self.moves.stage
+
+    def record(
+        self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
+    ) -> None:
+        """Enter one result: x (d,), its loss, its image (H, W, 3) and tokens (T, C), if known."""
+        finite = bool(np.isfinite(loss))
+        loss = loss if finite else np.inf
+        candidate = self.population.record(x, loss)
+        number = self.population.number() if candidate is None else candidate.index
+        if candidate is None:
+            exact = x = self.descent.place(x[None])[0]  # what is rendered at x
+        else:
+            exact = candidate.x  # x may have lost digits on its way
+        if finite:
+            if tokens is not None:
+                self._keep(TrainingSample(number, exact.copy(), tokens, loss))
+            if candidate is None and (self.injected is None or loss < self.injected[1]):
+                self.injected = (x, loss)
+            if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
+                image = None if image is None else image.copy()
+                solution = Solution(x.copy(), loss, self.evaluations, image)
+                searched = candidate is not None and self.stage is Stage.SEARCH
+                if self.best is None or loss < self.improved_to - _GAIN * abs(self.improved_to):
+                    self.improved_at, self.improved_to = self.evaluations, loss
+                mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)
+                self.best = Best(solution, number, mean, search)
+        self.not_finite += not finite
+        self.evaluations += 1
+
+    def _keep(self, sample: TrainingSample) -> None:
+        """Remember a sample until the generation is complete; too many of them, the latest."""
+        self.memory.add(sample)
+        self.samples.append(sample)
+        if len(self.samples) > _MOST_INJECTED + 2 * self.population.size:
+            del self.samples[0]
+        if self.stage not in (Stage.SEARCH, Stage.RESTART):
+            return  # tests of the scene are no place where a search ends
+        best = self.search_best
+        if best is None or (sample.loss, sample.index) < (best.loss, best.index):
+            self.search_best = sample
+
+    def take_samples(self) -> list[TrainingSample]:
+        """Samples since the last call, in the order in which they were asked."""
+        samples, self.samples = in_order(self.samples), []
+        return samples
+
+    def finish_search(self, *, guided: bool) -> None:
+        """Go on elsewhere; what the best of all searches found is kept.
+
+        guided: whether images say where.
+        """
+        if self.best is not None and self.best.search == self.searches:
+            estimate = self.estimate_of(self.best)
+            self.best = replace(self.best, std=None if estimate is None else estimate.std)
+        spent = self.evaluations - self.over_at
+        stage = self.moves.after_search(self.search_best, spent, guided=guided)
+        self.search_best, self.over_at = None, self.evaluations
+        self._go_on(stage)
+
+    def finish_stage(
+        self, members: list[Candidate], losses: Float64, samples: list[TrainingSample]
+    ) -> None:
+        """Learn from a generation that was of no search; its losses (k,) and samples."""
+        asked = {candidate.index for candidate in members}
+        own = [sample for sample in samples if sample.index in asked]
+        self._go_on(self.moves.learn(own, members[int(np.argmin(losses))].x))
+
+    def _go_on(self, stage: Stage) -> None:
+        """Forget the generation; begin another search, if that comes next."""
+        self.population.forget_pending()
+        if stage is Stage.SEARCH:
+            self.searches += 1
+            setting = self.descent.setting
+            self.descent = Descent(self.moves.start, self.moves.goal, setting)
+            if self.proposer is not None:
+                self.proposer.forget()
+
+    def estimate_of(self, best: Best) -> Estimate | None:
+        """How well the parameters of the best point are known; None if that is not known.
+
+        The proposer knows it of the best point of the present search.
+        """
+        if best.std is not None:
+            return Estimated(best.std)
+        if self.proposer is None:
+            return None
+        found = self.proposer.sensitivity(self.moves.known.target)
+        same = found is not None and np.abs(found.x - best.solution.x).max() <= _SINGLE
+        return found if same else None
+
+    def warn_clipped(self, message: str) -> None:
+        """Warn of values outside [0, 1], once."""
+        if not self.clip_warned:
+            self.clip_warned = True
+            warn_clipped(message)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
+        self.population.settle()  # which may change the proposer
+        best, found = self.best, self.search_best
+        return {
+            "rng": self.rng.bit_generator.state,
+            "population": self.population.state_dict(),
+            "descent": self.descent.state_dict(),
+            "moves": self.moves.state_dict(),
+            "gate": self.gate.state_dict(),
+            "proposer": None if self.proposer is None else self.proposer.state_dict(),
+            "best": None if best is None else _pack_best(best),
+            "samples": [sample.state_dict() for sample in self.samples],
+            "learned": [sample.state_dict() for sample in self.learned],
+            "injected": None if self.injected is None else list(self.injected),
+            "search_best": None if found is None else found.state_dict(),
+            "memory": self.memory.state_dict(),
+            **{name: getattr(self, name) for name in _PLAIN},
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
+        """Put back what `state_dict` gave, tokens on the device.
+
+        sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
+        """
+        check(state, _SCHEMA, dict(sides))
+        self.rng.bit_generator.state = state["rng"]
+        self.population = Population.from_state(state["population"], sides["d"])
+        self.moves.load_state_dict(state["moves"], device)
+        start, goal = self.moves.start, self.moves.goal
+        self.descent = Descent.from_state(state["descent"], start, goal, self.descent.setting)
+        self.gate.load_state_dict(state["gate"])
+        if self.proposer is not None:
+            self.proposer.load_state_dict(state["proposer"], sides)
+        self.best = None if state["best"] is None else _unpack_best(state["best"])
+        self.samples = [TrainingSample.from_state(sample, device) for sample in state["samples"]]
+        self.learned = [TrainingSample.from_state(sample, device) for sample in state["learned"]]
+        self.injected = None if state["injected"] is None else tuple(state["injected"])
+        found = state["search_best"]
+        self.search_best = None if found is None else TrainingSample.from_state(found, device)
+        self.memory.load_state_dict(state["memory"], sides, device)
+        for name in _PLAIN:
+            setattr(self, name, state[name])
+
+
+def _pack_best(best: Best) -> dict[str, Any]:
+    solution = best.solution
+    return {
+        "x": solution.x,
+        "loss": solution.loss,
+        "evaluation": solution.evaluation,
+        "image": solution.image,
+        "index": best.index,
+        "mean": best.mean,
+        "search": best.search,
+        "std": best.std,
+    }
+
+
+def _unpack_best(packed: Mapping[str, Any]) -> Best:
+    names = ("x", "loss", "evaluation", "image")
+    solution = Solution(**{name: packed[name] for name in names})
+    return Best(solution, packed["index"], packed["mean"], packed["search"], packed["std"])
+
+
+_UNIT: Rule = array("d", low=0.0, high=1.0)
+_PLAIN: dict[str, Schema] = {
+    "searches": whole(),
+    "evaluations": whole(),
+    "not_finite": whole(),
+    "improved_at": whole(),
+    "improved_to": real(high=np.inf),
+    "over_at": whole(),
+    "retargeted_at": whole(),
+    "clip_warned": flag,
+    "times": {"encode": real(), "train": real(), "search": real()},
+}
+_SCHEMA: dict[str, Schema] = {
+    "rng": GENERATOR,
+    # the parts check their own
+    **dict.fromkeys(("population", "descent", "moves", "gate", "proposer", "memory"), anything),
+    "best": maybe(
+        {
+            "x": _UNIT,
+            "loss": real(),
+            "evaluation": whole(),
+            "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+            "index": whole(),
+            "mean": array("d", low=-1e60, high=1e60),
+            "search": whole(),
+            "std": maybe(array("d", low=0.0, high=1.0)),
+        }
+    ),
+    "samples": each(SAMPLE),
+    "learned": each(SAMPLE),
+    "injected": maybe(row(_UNIT, real())),
+    "search_best": maybe(SAMPLE),
+    **_PLAIN,
+}

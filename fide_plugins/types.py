@@ -1,0 +1,133 @@
+"""Arrays by name, what an optimizer is, and what it returns."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from fide_plugins.search.moves.status import Status
+    from fide_plugins.space import Space
+
+__all__ = ["Estimate", "Estimated", "Float32", "Float64", "Optimizer", "Solution"]
+
+Float64: TypeAlias = npt.NDArray[np.float64]
+"""Parameters, losses and everything of the search."""
+Float32: TypeAlias = npt.NDArray[np.float32]
+"""Images and features."""
+
+
+class Estimate(Protocol):
+    """Of a solution, from what was known when the solution was read."""
+
+    @property
+    def std(self) -> Float64 | None:
+        """(dim,), standard deviation of each parameter; None where it is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """An estimate that was made."""
+
+    std: Float64 | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution:
+    """A candidate that was evaluated.
+
+    x: (dim,) float64, parameters in [0, 1].
+    loss: its loss.
+    evaluation: index, from 0, of the evaluation that found it.
+    image: (H, W, 3) float32 in [0, 1], for a list of targets a list of them; None where only the
+        loss was told.
+    probability: share of the posterior, where a model knows one; None otherwise.
+    space: names of the parameters; None: they have none.
+    estimate: of `std`, computed when it is first asked for; None: not known.
+    """
+
+    x: Float64
+    loss: float
+    evaluation: int
+    image: Float32 | None = None
+    probability: float | None = None
+    space: Space | None = None
+    estimate: Estimate | None = None
+
+    @property
+    def params(self) -> dict[str, Any] | None:
+        """Parameters by name, in their own units; None without a space."""
+        return None if self.space is None else self.space.decode(self.x)
+
+    @property
+    def std(self) -> Float64 | None:
+        """(dim,), standard deviation of each parameter, in units of the unit cube.
+
+        It says how far the image leaves the parameter open, locally; at most 0.29, that of a
+        parameter that the image does not show.  None where it is not known.  It is that of the time
+        at which this solution was read of the optimizer, whenever it is asked for.
+        """
+        return None if self.estimate is None else self.estimate.std
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        fields = (self.x, self.loss, self.evaluation, self.image, self.probability, self.space)
+        return Solution, (*fields, Estimated(self.std))
+
+    def __repr__(self) -> str:
+        what = f"dim={len(self.x)}" if self.space is None else f"params={self.params}"
+        return f"Solution(loss={self.loss:.6g}, evaluation={self.evaluation}, {what})"
+
+
+@runtime_checkable
+class Optimizer(Protocol):
+    """FIDE and all its rivals: minimize over [0, 1]^dim by ask and tell."""
+
+    dim: int
+    popsize: int
+
+    @property
+    def name(self) -> str:
+        """Name in `fide_plugins.optimizers`."""
+
+    @property
+    def evaluations(self) -> int:
+        """Points told so far."""
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Seconds spent so far in "encode" (losses and features), "train", "search"."""
+
+    @property
+    def training(self) -> bool:
+        """Whether it learns in the background, so that saving would wait."""
+
+    @property
+    def best(self) -> Solution | None:
+        """Best point told so far."""
+
+    @property
+    def status(self) -> Status | None:
+        """What is known of the run so far; None where the optimizer does not say."""
+
+    def ask(self, n: int | None = None) -> Float64:
+        """Candidates (n, dim) in [0, 1]; None: what is left of the generation."""
+
+    def ask_ready(self) -> Float64:
+        """As `ask`, but only candidates that wait for no training; at least one."""
+
+    def tell(self, X: object, images: object = None, losses: object = None) -> object:
+        """Report results: points (n, dim) with their images, losses (n,), or both."""
+
+    def recommend(self) -> Float64:
+        """Point (dim,) that the search believes in."""
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint."""
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Optimizer that goes on from a checkpoint."""

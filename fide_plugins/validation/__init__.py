@@ -1,0 +1,10 @@
+"""Checks and conversions of user input.
+
+===============  ==============================================
+`images`         targets and renders
+`points`         candidates, seeds, standard deviations
+`features`       tokens that were encoded elsewhere
+`option_rules`   rules for the values of options
+`key_value`      ``key=value`` on the command line
+===============  ==============================================
+"""

@@ -1,0 +1,193 @@
+"""What a user tells of candidates becomes losses and features (Algorithm 1, lines 7 and 9)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import torch
+
+from fide_plugins import encoders
+from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.encoders.own import OwnEncoder
+from fide_plugins.errors import FeaturesError, LossError
+from fide_plugins.losses.base import as_losses
+from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.features import as_features
+from fide_plugins.views import Views
+from fide_plugins.views.encoder import encoder_of
+from fide_plugins.views.loss import loss_of
+
+__all__ = ["Evaluation", "Evaluator", "Result"]
+
+Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None]
+"""x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known."""
+
+    losses: Float64
+    images: Float32 | None
+    tokens: torch.Tensor | None
+
+    def of(self, points: Float64) -> Iterator[Result]:
+        """One result for each of the points (n, d)."""
+        nothing = [None] * len(points)
+        images = nothing if self.images is None else self.images
+        tokens = nothing if self.tokens is None else [each.clone() for each in self.tokens]
+        return zip(points, self.losses.tolist(), images, tokens, strict=True)
+
+
+def _made(encoder: str | Callable[..., object], device: str, for_network: bool) -> PatchEncoder:
+    if isinstance(encoder, PatchEncoder):
+        return encoder
+    if isinstance(encoder, str):
+        for_network = for_network or encoders.uses_network(encoder)
+        return encoders.make(encoder, device=resolve_device(device, for_network=for_network))
+    return OwnEncoder(encoder, device=resolve_device(device, for_network=for_network))
+
+
+class Evaluator:
+    """Loss and encoder for one target.
+
+    target: picture to find, anything that `validation.images.as_target` takes, or a list of views.
+    mask, weights: which pixels count, see `fide_plugins.views`.
+    loss: name, callable, made loss, or None for "mse"; see `fide_plugins.losses`.
+    encoder: name, an encoder that `encoders.make` made, or any callable of a batch; see
+        `fide_plugins.encoders`.  A callable is tried on the target first.
+    device: of both where they are given by name; "auto" takes CUDA where there is some, for an
+        encoder only if it is a network, or if `for_network`.
+
+    Raises ImageError, OptionError, UnknownNameError, DeviceError, or what the encoder raises.
+    """
+
+    def __init__(
+        self,
+        target: object,
+        loss: str | Callable[..., object] | None,
+        encoder: str | Callable[..., object],
+        *,
+        mask: object = None,
+        weights: object = None,
+        device: str = "auto",
+        for_network: bool = False,
+    ) -> None:
+        self._device = device
+        self.views = Views.read(target, mask, weights)
+        self.target = self.views.target  # (H, W, 3), packed if there are several views
+        self.loss = loss_of(self.views, loss, device=device)
+        self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
+        self.target_tokens = self.encoder.compute(self.target[None])[0]  # (T, C)
+
+    def retargeted(
+        self, target: object, loss: str | Callable[..., object] | None = None
+    ) -> Evaluator:
+        """Another for a picture of the same size, with the same encoder and weights of pixels.
+
+        loss: None for the same named loss; a user's own must be given again, since it may know the
+            old picture.
+
+        Raises ImageError, LossError or UnknownNameError.
+        """
+        views = self.views.retargeted(target)
+        if loss is None and self.loss_name is None:
+            raise LossError(
+                f"the loss {self.loss.name!r} was given as an object, which may be for the old "
+                "target only; give the one for the new target: retarget(picture, loss=...)"
+            )
+        other = copy.copy(self)
+        other.views, other.target = views, views.target
+        other.loss = loss_of(views, loss or self.loss_name, device=self._device)
+        other.encoder = encoder_of(views, self.encoder)
+        other.target_tokens = other.encoder.compute(other.target[None])[0]  # (T, C)
+        return other
+
+    @property
+    def loss_name(self) -> str | None:
+        """Name by which the loss can be made again; None for a user's own."""
+        return self.loss.spec
+
+    @property
+    def features_shape(self) -> tuple[int, int]:
+        """(T, C) of the features of an image."""
+        tokens, channels = self.target_tokens.shape
+        return tokens, channels
+
+    @property
+    def versions(self) -> dict[str, str | None]:
+        """Of encoder and loss: they change whenever features or losses of an image do."""
+        return {
+            "encoder": self.encoder.version,
+            "loss": self.loss.version,
+            "loss_name": self.loss_name,
+        }
+
+    def check_versions(self, saved: Mapping[str, object]) -> None:
+        """Raise ValueError unless saved features and losses are of the versions used here.
+
+        Versions of a user's own loss are not known.
+        """
+        own = self.versions
+        if saved["encoder"] != own["encoder"]:
+            raise ValueError(
+                f"features of the encoder {saved['encoder']}; the one here is {own['encoder']}"
+            )
+        loss, same = saved["loss"], saved["loss_name"] == own["loss_name"]
+        if loss is not None and same and loss != own["loss"]:
+            raise ValueError(f"values of the loss {loss}; the one here is {own['loss']}")
+
+    def as_batch(
+        self,
+        n: int,
+        images: object,
+        losses: object,
+        features: object,
+        on_clip: Callable[[str], None],
+    ) -> Float32 | None:
+        """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
+
+        Raises LossError or FeaturesError where what is given contradicts itself, or ImageError.
+        """
+        if images is None and losses is None:
+            raise LossError("tell needs images, losses, or both; got neither")
+        if images is not None and features is not None:
+            raise FeaturesError("tell takes images or their features, not both")
+        if images is None:
+            return None
+        return self.views.as_batch(images, n, on_clip)
+
+    def evaluate(
+        self,
+        n: int,
+        batch: Float32 | None,
+        losses: object = None,
+        features: object = None,
+        *,
+        version: str | None = None,
+        encode: bool = True,
+    ) -> Evaluation:
+        """Losses and tokens of n candidates with images (n, H, W, 3).
+
+        losses: (n,), in place of the loss of the images.
+        features: (n, T, C), in place of the tokens of the images; version: of their encoder.
+        encode: whether tokens are needed at all.
+
+        Raises LossError or FeaturesError.
+        """
+        values = self._cost(batch) if losses is None else as_losses(losses, n)
+        tokens = self.encoder.compute(batch) if encode and batch is not None else None
+        if features is not None:
+            shape = (n, *self.features_shape)
+            taken = as_features(features, shape, self.encoder, version=version)
+            tokens = taken if encode else None
+        return Evaluation(values, batch, tokens)
+
+    def _cost(self, batch: Float32 | None) -> Float64:
+        if batch is None:
+            raise LossError("a loss of images needs images; got none")
+        return self.loss.compute(batch)

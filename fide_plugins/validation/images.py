@@ -1,0 +1,333 @@
+"""Converts and validates targets and renders.
+
+Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays with values in
+[0, 1], `(H, W, 3)` for a target and `(n, H, W, 3)` for a batch.  :func:`as_target` and
+:func:`as_batch` convert all other images by these rules.
+
+=================  ============================================================================
+values             uint8 [0, 255] and bool are scaled to [0, 1]; floats of any precision keep
+                   their values; other types are refused, since their scale is unknown
+channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white
+axes               channels last.  In a torch tensor channels may come first: if the first axis
+                   has 1, 3 or 4 entries and the other two fit the required size (that of the
+                   target), if there is one
+NaN, infinity      refused
+outside [0, 1]     refused in a target; clipped in a batch, with a warning (a renderer may
+                   overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
+                   Floats that are plainly in [0, 255] are refused: up to 255, above 2, and all of
+                   them whole numbers or their mean above 8
+files, PIL images  turned upright (EXIF), palettes and 16-bit grays expanded, at most
+                   `MAX_PIXELS` pixels
+=================  ============================================================================
+
+PyTorch and Pillow are imported only if an image needs them.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.types import Float32
+from fide_plugins.validation.image_sources import (
+    MAX_PIXELS,
+    Pixels,
+    describe,
+    from_pil,
+    from_tensor,
+    is_path,
+    is_pil,
+    is_torch_tensor,
+    read_pixels,
+)
+
+__all__ = [
+    "MAX_PIXELS",
+    "alpha_of",
+    "as_batch",
+    "as_target",
+    "is_image",
+    "load",
+    "warn_clipped",
+]
+
+Size: TypeAlias = tuple[int, int]  # (H, W)
+
+CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
+ROUNDING = 1e-6
+_BRIGHT = 8.0  # mean of floats in [0, 255]; of a render it would be eight times white
+
+
+# -- public ----------------------------------------------------------------------------------------
+
+
+def as_target(target: object, *, what: str = "the target", size: Size | None = None) -> Float32:
+    """Canonical copy of one image.
+
+    Parameters
+    ----------
+    target
+        array, torch tensor, PIL image or path of an image file; see the module's rules.
+    what
+        its name in errors.
+    size
+        required size (H, W); None: any.
+
+    Returns
+    -------
+    float32 (H, W, 3) in [0, 1], C-contiguous, sharing no memory with `target`.
+
+    Raises
+    ------
+    ImageError
+        wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
+    """
+    return _as_image(target, size, what, on_clip=None)
+
+
+def alpha_of(image: object, what: str = "the target") -> Float32:
+    """Alpha channel (H, W) in [0, 1] of any input of `as_target`.
+
+    Raises ImageError if it has none.
+    """
+    array, is_tensor = _to_array(image, what)
+    if array.ndim == 3:
+        array = _channels_last(array, 0, is_tensor, None, what)
+    if array.ndim != 3 or array.shape[-1] != 4:
+        raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
+    alpha: Float32 = np.array(_unit_range(array[..., 3], what, None), np.float32, order="C")
+    return alpha
+
+
+def is_image(value: object) -> bool:
+    """Whether a value is meant as one picture: an array of two or more axes, a path, a PIL image.
+
+    Its contents are not checked.
+    """
+    ndim = getattr(value, "ndim", 0)
+    return is_path(value) or is_pil(value) or (not callable(ndim) and ndim >= 2)
+
+
+def warn_clipped(message: str) -> None:
+    """Issue a RuntimeWarning; the default of `as_batch(on_clip=...)`."""
+    warnings.warn(message, RuntimeWarning, stacklevel=3)
+
+
+def as_batch(
+    images: object,
+    shape: Sequence[int] | None = None,
+    *,
+    n: int | None = None,
+    on_clip: Callable[[str], None] = warn_clipped,
+) -> Float32:
+    """Canonical batch of images.
+
+    A canonical batch is checked and returned without a copy: do not modify the result, and keep
+    no reference to it.
+
+    Parameters
+    ----------
+    images
+        (n, H, W) or (n, H, W, C) array or torch tensor, a torch tensor (n, C, H, W), or a list or
+        tuple of images that `as_target` accepts.
+    shape
+        required size (H, W), or shape (H, W, 3) of the target; None: that of the first image.
+    n
+        required number of images; None: any number, also zero.
+    on_clip
+        called once, with a message, if finite values outside [0, 1] were clipped.
+
+    Returns
+    -------
+    float32 (n, H, W, 3) in [0, 1], C-contiguous.
+
+    Raises
+    ------
+    ImageError
+        wrong number, shape, type or values (also a ValueError).
+    """
+    size = None if shape is None else (int(shape[0]), int(shape[1]))
+    if isinstance(images, (list, tuple)):
+        _check_count(len(images), n)
+        return _list_as_batch(images, size, on_clip)
+    what = "the batch of images"
+    if is_path(images) or is_pil(images):
+        raise ImageError(f"{what} must be an (n, H, W, C) array or a list of images, got {images}")
+    array, is_tensor = _to_array(images, what)
+    _check_batch_axes(array, size, what)
+    _check_count(len(array), n)
+    pixels = _channels_last(array, 1, is_tensor, size, what)
+    if pixels.dtype == np.float32 and pixels.shape[-1] == 3 and pixels.flags.c_contiguous:
+        low, high = _finite_range(pixels, what)
+        if low >= 0.0 and high <= 1.0:
+            return pixels
+    return _canonical(pixels, what, on_clip)
+
+
+def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float32:
+    """Canonical image read from a file, reduced by box averaging to at most `max_side` pixels.
+
+    An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`.
+    """
+    return _as_image(read_pixels(path, max_side), None, repr(os.fspath(path)), on_clip=None)
+
+
+# -- steps: to an array, channels last, unit range, three channels ---------------------------------
+
+
+def _as_image(
+    image: object, size: Size | None, what: str, on_clip: Callable[[str], None] | None
+) -> Float32:
+    array, is_tensor = _to_array(image, what)
+    if array.ndim not in (2, 3):
+        raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
+    return _canonical(_channels_last(array, 0, is_tensor, size, what), what, on_clip)
+
+
+def _list_as_batch(
+    images: Sequence[object], size: Size | None, on_clip: Callable[[str], None]
+) -> Float32:
+    clipped: list[str] = []
+    out: Float32 = np.empty((len(images), *(size or (0, 0)), 3), np.float32)
+    for i, image in enumerate(images):
+        if image is None:
+            raise ImageError(
+                f"image {i} is None; of a render that failed tell nothing: leave its point out, "
+                f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
+            )
+        rgb = _as_image(image, size, f"image {i}", clipped.append)
+        if size is None:
+            size = (rgb.shape[0], rgb.shape[1])
+            out = np.empty((len(images), *size, 3), np.float32)
+        out[i] = rgb
+    if clipped:
+        more = f" (and {len(clipped) - 1} more images)" if len(clipped) > 1 else ""
+        on_clip(clipped[0] + more)
+    return out
+
+
+def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
+    """Return the image as a numpy array, and whether it was a torch tensor."""
+    if is_path(image):
+        image = read_pixels(os.fspath(image), None)  # type: ignore[call-overload]
+    elif is_pil(image):
+        image = from_pil(image, what)
+    elif is_torch_tensor(image):
+        return from_tensor(image, what), True
+    try:
+        array = np.asarray(image)
+    except (TypeError, ValueError, RuntimeError) as e:
+        raise ImageError(f"{what} is not an image: {e}") from e
+    if array.dtype.kind not in "fb" and array.dtype != np.uint8:
+        raise ImageError(
+            f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got "
+            f"{describe(array) if array.ndim else type(image).__name__}; convert it, for example "
+            "image.astype(np.uint8) if its values are in [0, 255]"
+        )
+    return array, False
+
+
+def _channels_last(
+    array: Pixels, batch: int, is_tensor: bool, size: Size | None, what: str
+) -> Pixels:
+    """View of `array` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size."""
+    if array.ndim == batch + 2:
+        array = array[..., None]
+    else:
+        first, *rest = array.shape[batch:]
+        if is_tensor and first in CHANNELS and size in (None, tuple(rest)):
+            array = np.moveaxis(array, batch, -1)
+        elif array.shape[-1] not in CHANNELS:
+            remedy = "; np.moveaxis(image, -3, -1) puts the channels last"
+            raise ImageError(
+                f"{what} must have 1, 3 or 4 channels in its last axis, got "
+                f"{describe(array)}{remedy if first in CHANNELS else ''}"
+            )
+    height, width = array.shape[batch : batch + 2]
+    if height == 0 or width == 0:
+        raise ImageError(f"{what} is empty: {describe(array)} has no pixels")
+    if size is not None and size != (height, width):
+        raise ImageError(
+            f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
+            f"{height} x {width}: {describe(array)}; render at that size, or resize the target"
+        )
+    return array
+
+
+def _canonical(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None) -> Float32:
+    """Canonical copy of (..., C): gray repeated, alpha composited over white."""
+    values = _unit_range(pixels, what, on_clip)
+    if values.shape[-1] == 3 and values.dtype == np.float32 and values is not pixels:
+        return values  # a copy already
+    out: Float32 = np.empty((*values.shape[:-1], 3), np.float32)
+    if values.shape[-1] == 4:
+        alpha = values[..., 3:].astype(np.float32)
+        out[...] = 1.0 - alpha * (1.0 - values[..., :3].astype(np.float32))
+    else:
+        out[...] = values
+    return out
+
+
+def _unit_range(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None) -> Pixels:
+    """Values of (..., C) as floats in [0, 1], itself if they are; `on_clip` None: never clip."""
+    if pixels.dtype == np.uint8:
+        return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
+    if pixels.dtype == np.bool_:
+        return pixels.astype(np.float32, order="C")
+    low, high = _finite_range(pixels, what)
+    if low >= 0.0 and high <= 1.0:
+        return pixels
+    if low < -ROUNDING or high > 1.0 + ROUNDING:
+        hint = "; if they are in [0, 255], divide by 255" if high > 2.0 else ""
+        values = f"values in [{low:.6g}, {high:.6g}], {describe(pixels)}"
+        if on_clip is None or _is_of_bytes(pixels, low, high):
+            raise ImageError(f"{what} must have values in [0, 1], got {values}{hint or '; clip'}")
+        on_clip(f"{what} has {values}; they are clipped to [0, 1]{hint}")
+    return np.clip(pixels, 0.0, 1.0, order="C")
+
+
+def _is_of_bytes(pixels: Pixels, low: float, high: float) -> bool:
+    """Whether floats are plainly in [0, 255]; an overexposed render is not as bright as that."""
+    if low < 0 or not 2 < high <= 255 + ROUNDING:
+        return False
+    return bool(pixels.mean(dtype=np.float64) > _BRIGHT or (pixels == np.rint(pixels)).all())
+
+
+# -- checks ----------------------------------------------------------------------------------------
+
+
+def _finite_range(pixels: Pixels, what: str) -> tuple[float, float]:
+    """Smallest and largest value; raises ImageError if one of them is NaN or infinite."""
+    if pixels.size == 0:
+        return 0.0, 0.0
+    with np.errstate(invalid="ignore"):
+        low, high = float(pixels.min()), float(pixels.max())
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
+        raise ImageError(
+            f"{what} must be finite, got {bad} NaN or infinite values in {describe(pixels)}; "
+            "mend them in the renderer, or replace them with np.nan_to_num"
+        )
+    return low, high
+
+
+def _check_batch_axes(array: Pixels, size: Size | None, what: str) -> None:
+    single = array.ndim == 2 or (
+        # (H, W, C) could pass for n gray images where no size tells them apart
+        array.ndim == 3 and array.shape[2] in CHANNELS and (size is None or array.shape[1:] != size)
+    )
+    if single or array.ndim not in (3, 4):
+        raise ImageError(
+            f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(array)}"
+            + ("; for a single image write image[None]" if single else "")
+        )
+
+
+def _check_count(count: int, n: int | None) -> None:
+    if n is not None and count != n:
+        raise ImageError(f"there must be one image per point: got {count} images for {n} points")

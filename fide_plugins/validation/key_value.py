@@ -1,0 +1,31 @@
+"""Options on the command line: ``key=value``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fide_plugins.errors import OptionError
+
+__all__ = ["parse"]
+
+
+def parse(text: str) -> tuple[str, Any]:
+    """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
+
+    Raises OptionError (a ValueError) for anything else.
+
+    >>> parse("popsize=50"), parse("sigma0=1e-1"), parse("restarts=none"), parse("fast=true")
+    (('popsize', 50), ('sigma0', 0.1), ('restarts', 'none'), ('fast', True))
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.isidentifier():
+        raise OptionError(f"key=value, not {text!r}")
+    words: dict[str, Any] = {"true": True, "false": False}
+    if value.lower() in words:
+        return key, words[value.lower()]
+    for kind in (int, float):
+        try:
+            return key, kind(value)
+        except ValueError:
+            continue
+    return key, value

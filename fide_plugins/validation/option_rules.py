@@ -1,0 +1,130 @@
+"""Rules for the values of options: each takes an option's name and value, and returns the value.
+
+All rules raise OptionError (a ValueError) that names the option, its value and the rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from fide_plugins.errors import OptionError
+from fide_plugins.validation.points import whole_number
+
+__all__ = [
+    "Rule",
+    "fraction",
+    "groups",
+    "not_negative",
+    "one_of",
+    "positive",
+    "schedule",
+    "switch",
+    "text",
+    "whole",
+    "whole_numbers",
+]
+
+Rule: TypeAlias = Callable[[str, Any], Any]
+
+_MOST_STEPS = 1000
+
+
+def whole(low: int, high: int | None = None, note: str = "") -> Rule:
+    """A whole number from `low` to `high`; `note` ends the error for a larger one."""
+
+    def rule(name: str, value: Any) -> int:
+        number = whole_number(name, value, low)
+        if high is not None and number > high:
+            raise OptionError(f"{name} must be at most {high:,}, not {number:,}; {note}")
+        return number
+
+    return rule
+
+
+def whole_numbers(name: str, value: Any) -> tuple[int, ...]:
+    """One positive whole number or several, as a tuple."""
+    several = value if isinstance(value, tuple | list) else (value,)
+    return tuple(whole_number(f"each of {name}", number, 1) for number in several)
+
+
+def groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
+    """Lists of parameter numbers; what they must be is known when the dimension is."""
+    try:
+        return tuple(tuple(whole_number(f"each of {name}", i, 0) for i in group) for group in value)
+    except TypeError as error:
+        raise OptionError(
+            f"{name} must be lists of parameter numbers, such as [[0, 1], [2, 3]]; got {value!r}"
+        ) from error
+
+
+def one_of(*choices: str) -> Rule:
+    """One of `choices`."""
+
+    def rule(name: str, value: Any) -> str:
+        if value not in choices:
+            raise OptionError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
+        return str(value)
+
+    return rule
+
+
+def text(meaning: str) -> Rule:
+    """A string; `meaning` describes it in the error."""
+
+    def rule(name: str, value: Any) -> str:
+        if not isinstance(value, str):
+            raise OptionError(f"{name} must be {meaning}, not {value!r}")
+        return value
+
+    return rule
+
+
+def switch(name: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, bool):
+        raise OptionError(f"{name} must be True or False, not {value!r}")
+    return value
+
+
+def positive(name: str, value: Any) -> float:
+    """A positive, finite number."""
+    number = _number(name, value)
+    if not number > 0:
+        raise OptionError(f"{name} must be positive, not {value!r}")
+    return number
+
+
+def not_negative(name: str, value: Any) -> float:
+    """A finite number, at least 0."""
+    number = _number(name, value)
+    if number < 0:
+        raise OptionError(f"{name} must not be negative, got {value!r}")
+    return number
+
+
+def fraction(name: str, value: Any) -> float:
+    """A number in [0, 1]."""
+    number = _number(name, value)
+    if not 0 <= number <= 1:
+        raise OptionError(f"{name} must lie in [0, 1], not {value!r}")
+    return number
+
+
+def schedule(name: str, value: Any) -> tuple[float, ...]:
+    """Noise levels, see `denoiser.sampling`; at most 1,000."""
+    from fide_plugins.denoiser.sampling import check_schedule  # imports torch
+
+    levels: tuple[float, ...] = check_schedule(value)
+    whole(1, _MOST_STEPS, "3 are published")("steps", len(levels))
+    return levels
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if isinstance(value, bool) or not abs(number) < float("inf"):
+        raise OptionError(f"{name} must be a finite number, not {value!r}")
+    return number

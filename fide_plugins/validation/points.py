@@ -1,0 +1,102 @@
+"""Validates points of the unit cube, seeds, and standard deviations."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import OptionError, PointsError
+from fide_plugins.types import Float64
+
+__all__ = [
+    "as_points",
+    "new_seed",
+    "standard_deviation",
+    "standard_deviations",
+    "starting_point",
+    "whole_number",
+]
+
+
+def as_points(X: object, dim: int) -> Float64:
+    """`X` as float64 (n, dim), a copy.
+
+    Raises PointsError (a ValueError) unless it is a real (n, dim) array, finite and within [0, 1].
+    """
+    if hasattr(X, "detach"):  # a torch tensor, perhaps on another device
+        X = X.detach().cpu()
+    try:
+        points: npt.NDArray[Any] = np.asarray(X)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise PointsError(f"X must be an array of shape (n, {dim}): {error}") from error
+    if points.dtype.kind not in "fiub":
+        raise PointsError(f"X must hold real numbers, not {points.dtype}")
+    if points.ndim != 2 or points.shape[1] != dim:
+        hint = "; for one point pass x[None]" if points.shape == (dim,) else ""
+        raise PointsError(f"X must have the shape (n, {dim}), not {points.shape}{hint}")
+    inside = (points >= 0.0) & (points <= 1.0)  # False for NaN too
+    if not inside.all():
+        row, column = np.argwhere(~inside)[0]
+        raise PointsError(
+            f"every value of X must lie in [0, 1], but X[{row}, {column}] = "
+            f"{points[row, column]}; scale your parameters to the unit cube"
+        )
+    return np.array(points, np.float64, order="C")
+
+
+def whole_number(name: str, value: object, minimum: int) -> int:
+    """`value` as an int; OptionError (a ValueError) unless it is a whole number >= `minimum`."""
+    try:
+        number = None if isinstance(value, bool | np.bool_) else operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        number = None
+    if number is None or number < minimum:
+        raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}")
+    return number
+
+
+def new_seed(seed: object) -> int:
+    """`seed`, checked; for None a fresh 128-bit seed from the operating system."""
+    if seed is None:
+        entropy = np.random.SeedSequence().entropy
+        return int(entropy) if isinstance(entropy, int) else 0
+    return whole_number("seed", seed, 0)
+
+
+_SMALLEST_STD = 1e-16  # a smaller one cannot change doubles near the center of the cube
+
+
+def standard_deviation(value: Any) -> float:
+    """`value` as a float; OptionError (a ValueError) unless it lies in [1e-16, 1]."""
+    try:
+        number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
+    except (TypeError, ValueError):
+        number = 0.0
+    if not _SMALLEST_STD <= number <= 1:
+        raise OptionError(
+            f"sigma0 must lie in (0, 1] and be at least {_SMALLEST_STD}, not {value!r}"
+        )
+    return number
+
+
+def standard_deviations(value: Any, dim: int) -> float | Float64:
+    """`value` as a float or as floats (dim,); OptionError unless all lie in [1e-16, 1]."""
+    if np.ndim(value) == 0:
+        return standard_deviation(value)
+    if np.shape(value) != (dim,):
+        raise OptionError(f"sigma0 must be one number or {dim}, not of shape {np.shape(value)}")
+    return np.array([standard_deviation(number) for number in value])
+
+
+def starting_point(value: object, dim: int) -> Float64:
+    """`value` as float64 (dim,), for None the center of the cube; PointsError if outside."""
+    if value is None:
+        return np.full(dim, 0.5)
+    try:
+        point: Float64 = as_points([value], dim)[0]
+    except PointsError as error:
+        raise PointsError(f"x0 must be a point of the cube, (dim,) = ({dim},): {error}") from error
+    return point

@@ -1,0 +1,34 @@
+"""Several views of one scene, masks and weights of pixels.
+
+    opt = FIDE(space, target=[front, side], mask=[None, "side-mask.png"])
+    opt.tell(X, [fronts, sides])       # (n, H, W, C) each, of that view's size
+
+**Views.**  A target that is a list has one entry for each view; sizes may differ.  Renders are then
+a list of batches, one for each view, in the same order.  The loss is the mean of the views' losses:
+a view of many pixels counts as much as one of few.  The tokens of all views are joined along T.
+
+**Weights.**  `mask` and `weights` are pictures (H, W) in [0, 1]; where both are given they are
+multiplied.  Only ratios within a view count: the largest weight becomes 1.  Let t be the target, x
+a render, w the weights.  Loss and encoder get
+
+    x' = t + sqrt(w) (x - t),
+
+so a pixel of weight 0 is that of the target and costs nothing, and the squared difference of any
+other is w (x - t)^2.  The loss of x' is divided by the mean of w, so that it does not depend on how
+much is hidden: `mse` is sum w (x - t)^2 / sum w.  A callable loss gets x' and is not divided.
+
+One view without weights is not changed in any way.
+
+==============  ==================================================================
+`views`         targets and weights; several pictures packed as one
+`weights`       reads masks and weights
+`loss`          the loss of views
+`encoder`       the tokens of views
+==============  ==================================================================
+"""
+
+from __future__ import annotations
+
+from fide_plugins.views.views import View, Views, is_list_of_images
+
+__all__ = ["View", "Views", "is_list_of_images"]

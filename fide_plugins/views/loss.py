@@ -1,0 +1,133 @@
+"""The loss of several views, or of the pixels that count."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from fide_plugins import losses
+from fide_plugins.errors import LossError
+from fide_plugins.losses.base import CallableLoss, ImageLoss, LossOfTarget, as_losses
+from fide_plugins.losses.own import check_loss
+from fide_plugins.runtime.callables import name_of
+from fide_plugins.runtime.saving import loss_not_stored
+from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.images import warn_clipped
+from fide_plugins.views.views import View, Views
+
+__all__ = ["CallableOfViews", "LossOfViews", "loss_of"]
+
+
+def loss_of(
+    views: Views,
+    loss: str | Callable[..., object] | None,
+    *,
+    device: str | torch.device | None = None,
+) -> ImageLoss:
+    """Loss from a name, None for "mse", a callable, or a loss of one view that was made.
+
+    A callable gets a list of batches (n, H, W, 3) if the target is a list, one batch otherwise.  A
+    user's own is tried on the target first (`losses.own`).
+    Raises as `losses.resolve`; LossError for a made loss where there are several views.
+    """
+    if isinstance(loss, LossOfViews | CallableOfViews):
+        return loss
+    if views.plain:
+        made = losses.resolve(loss, views.target, device=device)
+        return made if made is loss or loss is loss_not_stored else _tried(made, views.target)
+    if loss is None or isinstance(loss, str):
+        name = "mse" if loss is None else loss
+        return LossOfViews(views, [_of_view(name, view, device) for view in views.views], name)
+    if isinstance(loss, LossOfTarget | CallableLoss):
+        if views.listed:
+            raise LossError(
+                f"the loss {loss.name!r} was made for one target, and there are "
+                f"{len(views.views)} views; pass its name, or a function of a list of batches"
+            )
+        of_one = losses.resolve(loss, views.target)
+        return LossOfViews(views, [of_one], of_one.spec)
+    if not callable(loss):
+        return losses.resolve(loss, views.target)  # raises
+    several = CallableOfViews(views, loss)
+    return several if loss is loss_not_stored else _tried(several, views.target)
+
+
+def _tried(loss: ImageLoss, target: Float32) -> ImageLoss:
+    if isinstance(loss, CallableLoss | CallableOfViews):
+        check_loss(loss, target)
+    return loss
+
+
+def _of_view(name: str, view: View, device: str | torch.device | None) -> ImageLoss:
+    """Loss of one view: with its weights, if it takes them."""
+    if view.weights is not None and losses.takes_weights(name):
+        return losses.make(name, view.target, weights=view.weights)
+    return _tried(losses.resolve(name, view.target, device=device), view.target)
+
+
+class _OfViews:
+    """What the losses below share: named in `version`, called with what `FIDE.tell` takes."""
+
+    views: Views
+
+    def __call__(self, images: object) -> Float64:
+        """Losses (n,) of images, after validation."""
+        first = images[0] if self.views.listed and isinstance(images, list | tuple) else images
+        n = len(first) if hasattr(first, "__len__") else 0
+        return self.compute(self.views.as_batch(images, n, warn_clipped))
+
+    def compute(self, batch: Float32) -> Float64:
+        """Losses (n,) of packed renders, without further checks."""
+        raise NotImplementedError
+
+    def _shown(self, batch: Float32) -> list[Float32]:
+        """What is seen of each view, (n, H, W, 3) each."""
+        pairs = zip(self.views.views, self.views.split(batch), strict=True)
+        return [view.shown(part) for view, part in pairs]
+
+
+class LossOfViews(_OfViews):
+    """Mean of the views' losses, each divided by the mean of its weights.
+
+    each: loss of each view, in order.  One that knows the weights is not divided.
+    """
+
+    def __init__(self, views: Views, each: list[ImageLoss], spec: str | None) -> None:
+        self.views, self._each, self.spec = views, each, spec
+        self.name = each[0].name
+        version = each[0].version
+        self.version = None if version is None else version + views.version
+
+    def compute(self, batch: Float32) -> Float64:
+        """Losses (n,) of packed renders, without further checks."""
+        parts = zip(self.views.views, self._each, self.views.split(batch), strict=True)
+        values = [_loss_of_view(*part) for part in parts]  # (n,) each
+        mean: Float64 = values[0] if len(values) == 1 else np.mean(values, axis=0)
+        return mean
+
+
+def _loss_of_view(view: View, loss: ImageLoss, part: Float32) -> Float64:
+    if view.weights is None or getattr(loss, "weights", None) is not None:
+        return loss.compute(part)
+    values: Float64 = loss.compute(view.shown(part)) / view.mean_weight
+    return values
+
+
+class CallableOfViews(_OfViews):
+    """A user's function of what is seen of the views, with checks of its values."""
+
+    version = None
+    spec = None
+
+    def __init__(self, views: Views, function: Callable[..., object]) -> None:
+        self.views, self.name, self._function = views, name_of(function), function
+
+    @user_threads
+    def compute(self, batch: Float32) -> Float64:
+        """Losses (n,) of packed renders; the function gets copies, which it may modify."""
+        shown = [part.copy() for part in self._shown(batch)]
+        values = self._function(shown if self.views.listed else shown[0])
+        return as_losses(values, len(batch), f"the loss {self.name!r}")

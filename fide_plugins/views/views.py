@@ -1,0 +1,281 @@
+"""Targets and weights of the views of a scene.
+
+Everything behind `validation.evaluation` handles one array for each candidate.  Several views are
+*packed*: all pixels of all views, in order, as one picture (P, 1, 3) with P = sum H W.  Loss and
+encoder of views take it apart again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.runtime.schema import array, check
+from fide_plugins.types import Float32
+from fide_plugins.validation.images import as_batch, as_target, is_image
+from fide_plugins.views.weights import ALPHA, joined, read_weights
+
+__all__ = ["View", "Views", "is_list_of_images", "views_of"]
+
+
+def is_list_of_images(value: object) -> bool:
+    """Whether it is a list or tuple of pictures, rather than one picture of nested lists."""
+    listed = isinstance(value, list | tuple) and len(value) > 0
+    return listed and all(is_image(each) for each in value)  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One view.
+
+    target: (H, W, 3).
+    weights: (H, W) in [0, 1], the largest 1; None: all are.
+    """
+
+    target: Float32
+    weights: Float32 | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.target.shape[0], self.target.shape[1]
+
+    @cached_property
+    def mean_weight(self) -> float:
+        """Mean of the weights."""
+        return 1.0 if self.weights is None else float(self.weights.mean(dtype=np.float64))
+
+    @cached_property
+    def _roots(self) -> Float32:
+        assert self.weights is not None
+        roots: Float32 = np.sqrt(self.weights)[..., None]
+        return roots
+
+    def shown(self, batch: Float32) -> Float32:
+        """What loss and encoder see of renders (n, H, W, 3): x' = t + sqrt(w) (x - t)."""
+        if self.weights is None:
+            return batch
+        t, roots = self.target, self._roots
+        blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
+        return blended
+
+    def squared_error(self, image: Float32) -> float:
+        """Weighted mean of the squared difference of an image (H, W, 3) from the target."""
+        squared = np.square(image - self.target, dtype=np.float64)
+        if self.weights is None:
+            return float(squared.mean())
+        return float(np.average(squared.mean(axis=-1), weights=self.weights))
+
+
+class Views:
+    """The views of a scene.
+
+    views: at least one.
+    listed: whether the target was a list, so that renders are, too.
+    """
+
+    def __init__(self, views: Sequence[View], *, listed: bool) -> None:
+        self.views, self.listed = tuple(views), listed
+        for view in views:
+            view.target.flags.writeable = False
+
+    @classmethod
+    def read(cls, target: object, mask: object = None, weights: object = None) -> Views:
+        """Views from what a user passes as `target`, `mask` and `weights`.
+
+        target: a picture, any input of `as_target`, or a list of them; or views, as they are.
+        mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
+            channel; for a list of targets a list with one of them for each view, or "alpha".
+
+        Raises ImageError, naming the view.
+        """
+        if isinstance(target, Views) and mask is None and weights is None:
+            return target
+        if not is_list_of_images(target):
+            return cls([_view(target, mask, weights, "")], listed=False)
+        assert isinstance(target, list | tuple)
+        k = len(target)
+        each = zip(target, _one_a_view("mask", mask, k), _one_a_view("weights", weights, k))  # noqa: B905
+        return cls([_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
+
+    def retargeted(self, target: object) -> Views:
+        """The same views and weights, for the next picture, or list of pictures.
+
+        Raises ImageError unless it has the sizes of the first.
+        """
+        other = Views.read(target)
+        if (other.listed, other.sizes) != (self.listed, self.sizes):
+            raise ImageError(
+                f"the next target must have the size of the first, {self.sizes}, not "
+                f"{other.sizes}: resize it, or make another optimizer"
+            )
+        pairs = zip(other.views, self.views, strict=True)
+        return Views([View(new.target, old.weights) for new, old in pairs], listed=self.listed)
+
+    @property
+    def plain(self) -> bool:
+        """Whether there is one view without weights, given as such."""
+        return not self.listed and self.views[0].weights is None
+
+    @cached_property
+    def target(self) -> Float32:
+        """Packed target (P, 1, 3); one view that is not listed, (H, W, 3)."""
+        return self._packed([view.target for view in self.views], ())
+
+    @property
+    def targets(self) -> Any:
+        """As the user passed it: (H, W, 3), or a list of them."""
+        targets = [view.target for view in self.views]
+        return targets if self.listed else targets[0]
+
+    @property
+    def weights(self) -> Any:
+        """Mask times weights: (H, W) or None, or a list of them."""
+        weights = [view.weights for view in self.views]
+        return weights if self.listed else weights[0]
+
+    @cached_property
+    def version(self) -> str:
+        """Ends the version of encoder and loss, whose values depend on sizes and weights."""
+        if self.plain:
+            return ""
+        digest = hashlib.blake2b(digest_size=4)
+        for view in self.views:
+            digest.update(b"-" if view.weights is None else view.weights.tobytes())
+        return f", views {self.sizes}, weights {digest.hexdigest()}"
+
+    @property
+    def sizes(self) -> str:
+        """Height x width of each view."""
+        return " + ".join(f"{height} x {width}" for height, width in (v.size for v in self.views))
+
+    def as_batch(self, images: object, n: int, on_clip: Callable[[str], None]) -> Float32:
+        """Renders of n candidates, (n, H, W, 3), packed if there are several views.
+
+        images: as `FIDE.tell` takes them, or what this method returned.
+        Raises ImageError, naming the view, its shape and the rule.
+        """
+        is_packed = isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape)
+        if not self.listed or is_packed:
+            return as_batch(images, self.target.shape, n=n, on_clip=on_clip)
+        if not isinstance(images, list | tuple) or len(images) != len(self.views):
+            raise ImageError(self._rule(images))
+        batches = []
+        for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
+            try:
+                batches.append(as_batch(batch, view.size, n=n, on_clip=_naming(i, on_clip)))
+            except ImageError as error:
+                raise ImageError(f"view {i}: {error}") from error
+        return self._packed(batches, (n,))
+
+    def _rule(self, images: object) -> str:
+        shapes = ", ".join(f"(n, {h}, {w}, C)" for h, w in (view.size for view in self.views))
+        got = f"a {type(images).__name__}"
+        hint = ""
+        if isinstance(images, list | tuple):
+            got = f"{len(images)} entries"
+            if images and all(is_list_of_images(one) for one in images):
+                hint = "; of renders candidate by candidate list(zip(*images)) makes that"
+        elif isinstance(images, np.ndarray):
+            got = f"an array of shape {images.shape}"
+        return (
+            f"images must be a list of {len(self.views)} batches, one for each view, {shapes}; "
+            f"got {got}{hint}"
+        )
+
+    def split(self, batch: Float32) -> list[Float32]:
+        """Renders (n, H, W, 3) of each view."""
+        if not self.listed:
+            return [batch]
+        parts, start = [], 0
+        for height, width in (view.size for view in self.views):
+            part = batch[:, start : start + height * width]
+            parts.append(np.ascontiguousarray(part).reshape(len(batch), height, width, 3))
+            start += height * width
+        return parts
+
+    def batch_of_one(self, image: object, on_clip: Callable[[str], None]) -> Float32:
+        """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images."""
+        if not self.listed:
+            is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
+            batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
+        else:
+            listed = isinstance(image, list | tuple)
+            batch = [[one] for one in image] if listed else image  # type: ignore[attr-defined]
+        return self.as_batch(batch, 1, on_clip)
+
+    def unpacked(self, image: Float32 | None) -> Any:
+        """Image (H, W, 3) of a candidate; a list of them for a list of targets."""
+        if image is None or not self.listed:
+            return image
+        return [part[0] for part in self.split(image[None])]
+
+    def squared_error(self, image: Float32) -> float:
+        """Mean over the views of the weighted mean squared difference of a packed image."""
+        pairs = zip(self.views, self.split(image[None]), strict=True)
+        return float(np.mean([view.squared_error(part[0]) for view, part in pairs]))
+
+    def _packed(self, pictures: Sequence[Float32], leading: tuple[int, ...]) -> Float32:
+        """One array of pictures (..., H, W, 3), one for each view."""
+        if not self.listed:
+            return pictures[0]
+        flat = [picture.reshape(*leading, -1, 1, 3) for picture in pictures]
+        packed: Float32 = np.concatenate(flat, axis=len(leading))
+        return packed
+
+    @staticmethod
+    def check_settings(settings: Mapping[str, Any]) -> None:
+        """Raise ValueError unless `target` and `weights` can be those of saved views."""
+        target, weights = settings["target"], settings["weights"]
+        listed = isinstance(target, list)
+        if listed and not (target and isinstance(weights, list) and len(weights) == len(target)):
+            raise ValueError("weights are not one for each target")
+        pairs = zip(target, weights, strict=True) if listed else [(target, weights)]
+        for picture, weight in pairs:
+            sides: dict[str, int] = {}
+            check(picture, array("H", "W", 3, low=0.0, high=1.0), sides, "target")
+            if weight is not None:
+                check(weight, array("H", "W", low=0.0, high=1.0), sides, "weights")
+
+
+def views_of(target: object, mask: object, weights: object) -> Views | None:
+    """Views where a target is optional; ImageError for a mask without a target."""
+    if target is None:
+        if mask is not None or weights is not None:
+            raise ImageError("mask and weights belong to a target: set target=, too")
+        return None
+    return Views.read(target, mask, weights)
+
+
+def _view(target: object, mask: object, weights: object, of: str) -> View:
+    """One view; `of` names it in errors."""
+    if is_list_of_images(mask) or is_list_of_images(weights):
+        raise ImageError("a list of masks or weights needs a list of targets, one for each")
+    picture = as_target(target, what=f"the target{of}")
+    size = picture.shape[0], picture.shape[1]
+    first = read_weights(mask, target, size, f"mask{of}")
+    second = read_weights(weights, target, size, f"weights{of}")
+    return View(picture, joined(first, second, f"mask times weights{of}"))
+
+
+def _one_a_view(name: str, given: object, k: int) -> list[object]:
+    """A list of k masks or weights."""
+    if given is None or (isinstance(given, str) and given == ALPHA):
+        return [given] * k
+    if not isinstance(given, list | tuple) or len(given) != k:
+        got = f"{len(given)} of them" if isinstance(given, list | tuple) else "a single one"
+        raise ImageError(
+            f"{name} must be a list with one entry for each of the {k} views, None for a view "
+            f"without; got {got}"
+        )
+    return list(given)
+
+
+def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:
+    return lambda message: on_clip(f"view {view}: {message}")

@@ -1,0 +1,55 @@
+"""Reads masks and weights of pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.types import Float32
+from fide_plugins.validation.images import alpha_of, as_target
+
+__all__ = ["ALPHA", "joined", "read_weights"]
+
+ALPHA = "alpha"
+"""In place of a mask: the alpha channel of the target."""
+
+
+def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
+    """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
+
+    given: a gray picture, any input of `as_target`, of that size; "alpha" for the alpha channel of
+        the target; None.
+    what: its name in errors.
+
+    Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str) and given == ALPHA:
+        weights = alpha_of(target, f"the target of {what}='alpha'")
+    else:
+        picture = as_target(given, what=what, size=size)
+        weights = picture[..., 0].copy()
+        if (picture != weights[..., None]).any():
+            raise ImageError(f"{what} must be gray, (H, W), but it has colors; pass one channel")
+    return joined(weights, None, what)
+
+
+def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
+    """Product of two weights (H, W), None for ones, of which the largest becomes 1.
+
+    None if all are equal.  Raises ImageError for zeros everywhere.
+    """
+    if a is None and b is None:
+        return None
+    product = np.asarray((1 if a is None else a) * (1 if b is None else b))
+    largest = product.max()
+    if largest <= 0:
+        raise ImageError(
+            f"{what} is zero everywhere, so no pixel of the picture counts; white is what counts, "
+            "black what is hidden"
+        )
+    if product.min() == largest:
+        return None
+    weights: Float32 = np.ascontiguousarray(product / largest, np.float32)
+    return weights

@@ -1,0 +1,102 @@
+"""What a fit says of itself between two checkpoints."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.renderers.naming import flat
+from fide_plugins.runtime import files
+
+if TYPE_CHECKING:
+    from fide_plugins.fitting.callbacks import Event, Run
+
+__all__ = ["LIVE", "LiveFile", "listed"]
+
+LIVE = "live.json"
+_MOST = 2000  # improvements that are kept; beyond that every second of the older half is dropped
+
+
+class LiveFile:
+    """Callback of `fit` that writes `live.json` and `best.png` into its run directory.
+
+    every: seconds between two of them, at least.
+
+    Without a run directory it does nothing.  A disk that is full does not end the fit.
+    """
+
+    def __init__(self, every: float = 0.5, clock: Callable[[], float] = time.monotonic) -> None:
+        self._every, self._clock = every, clock
+        self._out: Path | None = None
+        self._workers, self._budget = 1, None
+        self._improvements: list[tuple[int, float]] = []
+        self._written = -float("inf")
+        self._new_best = True  # since best.png was written
+        self._last: dict[str, Any] = {}
+
+    def on_start(self, run: Run) -> None:
+        """Remember where to write."""
+        self._out, self._workers, self._budget = run.out, max(1, run.workers), run.budget  # type: ignore[assignment]
+
+    def on_evaluation(self, event: Event) -> None:
+        """Write what is known, unless that was done just now."""
+        known = self._improvements[-1][1] if self._improvements else float("inf")
+        if event.best_loss < known:
+            self._new_best = True
+            self._improvements.append((event.evaluation + 1, event.best_loss))
+            if len(self._improvements) > _MOST:
+                half = _MOST // 2
+                self._improvements[:half] = self._improvements[:half:2]
+        now = self._clock()
+        if self._out is None or now < self._written + self._every:
+            return
+        self._written = now
+        best = event.optimizer.best
+        self._last = {
+            "evaluations": event.evaluation + 1,
+            "budget": self._budget,
+            "seconds": event.seconds,
+            "best_loss": event.best_loss,
+            "improvements": self._improvements,
+            "parameters": [] if best is None else listed(event.optimizer.space, best.x),
+            "workers": self._workers,
+            "busy": event.busy,
+            "failures": event.failures,
+            "sentence": str(event.optimizer.status),
+        }
+        self._write(event.optimizer)
+
+    def on_end(self, result: Any) -> None:
+        """Write that no worker is busy."""
+        if self._last:
+            self._last["busy"] = 0
+            self._write(None)
+
+    def _write(self, optimizer: Any) -> None:
+        assert self._out is not None
+        with suppress(OSError):
+            best = optimizer.state.best if self._new_best and optimizer is not None else None
+            if best is not None and best.solution.image is not None:
+                from fide_plugins.experiments.run.figures import as_png
+                from fide_plugins.fitting.pictures import picture
+
+                image = as_png(picture(optimizer, best.solution.image))
+                files.write_bytes(self._out / "best.png", image)
+                self._new_best = False
+            files.write_text(self._out / LIVE, json.dumps(self._last))
+
+
+def listed(space: Any, x: Any) -> list[list[str]]:
+    """Parameters of a point x (d,) as text: name, value, unit; without a space x itself."""
+    if space is None:
+        return [[f"x[{i}]", f"{value:.4f}", ""] for i, value in enumerate(x)]
+    values, rows = dict(flat(space.decode(x))), []
+    for name, kind in space.parameters.items():
+        value = values[name]
+        text = f"{value:.5g}" if isinstance(value, float) else str(value)
+        rows.append([name, text, getattr(kind, "unit", None) or ""])
+    return rows

@@ -1,0 +1,104 @@
+"use strict";
+const EVERY = 1000;
+const SVG = "http://www.w3.org/2000/svg";
+const byId = (id) => document.getElementById(id);
+const shown = {};
+
+function short(value) {
+  return Math.abs(value) >= 1e-3 && Math.abs(value) < 1e5 ? String(+value.toPrecision(4)) : value.toExponential(2);
+}
+
+function duration(seconds) {
+  const s = Math.round(seconds);
+  if (s < 60) return `${s} s`;
+  return s < 3600 ? `${Math.floor(s / 60)} min ${s % 60} s` : `${Math.floor(s / 3600)} h ${Math.floor((s % 3600) / 60)} min`;
+}
+
+function numbers(state) {
+  const rows = [];
+  if ("best_loss" in state) rows.push(["best loss", short(state.best_loss)]);
+  if ("evaluations" in state) rows.push(["renders", state.evaluations + (state.budget ? ` of ${state.budget}` : "")]);
+  if ("seconds" in state) rows.push(["time", duration(state.seconds)]);
+  if ("busy" in state) rows.push(["workers busy", `${state.busy} of ${state.workers}`]);
+  if (state.failures) rows.push(["failed renders", state.failures]);
+  byId("numbers").replaceChildren(...rows.map(([name, value]) => {
+    const box = document.createElement("div");
+    const dt = document.createElement("dt");
+    const dd = document.createElement("dd");
+    dt.textContent = name;
+    dd.textContent = value;
+    box.append(dt, dd);
+    return box;
+  }));
+}
+
+function pictures(versions) {
+  for (const name of ["target", "best", "difference"]) {
+    const version = versions[`${name}.png`];
+    if (!version || shown[name] === version) continue;
+    shown[name] = version;
+    const image = byId(name);
+    image.src = `/${name}.png?${version}`;
+    image.hidden = false;
+  }
+}
+
+function tick(x1, y1, x2, y2, text, x, y, anchor) {
+  const line = document.createElementNS(SVG, "line");
+  for (const [key, value] of Object.entries({ x1, y1, x2, y2 })) line.setAttribute(key, value);
+  const label = document.createElementNS(SVG, "text");
+  label.setAttribute("x", x);
+  label.setAttribute("y", y);
+  label.setAttribute("text-anchor", anchor);
+  label.textContent = text;
+  return [line, label];
+}
+
+function curve(points, last) {
+  points = points.filter(([, loss]) => loss > 0);
+  if (!points.length) return;
+  const logs = points.map(([, loss]) => Math.log10(loss));
+  const low = Math.floor(Math.min(...logs)), high = Math.max(Math.ceil(Math.max(...logs)), low + 1);
+  const end = Math.max(last || 0, points[points.length - 1][0], 1);
+  const x = (n) => 70 + (560 * n) / end;
+  const y = (log) => 15 + (210 * (high - log)) / (high - low);
+  let path = `M${x(points[0][0])} ${y(logs[0])}`;
+  for (let i = 1; i < points.length; i += 1) path += `H${x(points[i][0])}V${y(logs[i])}`;
+  byId("line").setAttribute("d", `${path}H${x(end)}`);
+  const ticks = [];
+  const step = Math.ceil((high - low) / 5);
+  for (let log = low; log <= high; log += step) ticks.push(...tick(70, y(log), 630, y(log), `1e${log}`, 62, y(log) + 5, "end"));
+  ticks.push(...tick(630, 225, 630, 231, `${end} renders`, 630, 250, "end"));
+  byId("ticks").replaceChildren(...ticks);
+}
+
+function parameters(rows) {
+  byId("parameters").replaceChildren(...rows.map((row) => {
+    const tr = document.createElement("tr");
+    tr.append(...row.map((text) => {
+      const td = document.createElement("td");
+      td.textContent = text;
+      return td;
+    }));
+    return tr;
+  }));
+}
+
+async function update() {
+  try {
+    const state = await (await fetch("/state.json", { cache: "no-store" })).json();
+    document.title = "best_loss" in state ? `${short(state.best_loss)} · ${state.task}` : state.task;
+    byId("task").textContent = state.task;
+    byId("status").textContent = state.sentence ? `${state.status}: ${state.sentence}` : state.status;
+    byId("curve-title").textContent = `${state.loss}, best so far`;
+    numbers(state);
+    pictures(state.pictures);
+    curve(state.improvements, state.evaluations);
+    parameters(state.parameters);
+  } catch {
+    byId("status").textContent = "the run does not answer; it may have ended";
+  }
+  setTimeout(update, EVERY);
+}
+
+update();

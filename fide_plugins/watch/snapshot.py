@@ -1,0 +1,207 @@
+"""What is known of a run, from the files of its directory, which may be anybody's."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.watch.live import LIVE, listed
+
+__all__ = ["PICTURES", "RunFiles"]
+
+PICTURES = ("target.png", "best.png", "difference.png")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_MOST_BYTES = 2**28
+_MOST_POINTS = 1000
+_KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
+    **dict.fromkeys(("evaluations", "budget", "workers", "busy", "failures"), (int,)),
+    **dict.fromkeys(("seconds", "best_loss"), (int, float)),
+    "sentence": (str,),
+}
+
+
+class RunFiles:
+    """Files of one run directory, by a fixed list of names.
+
+    Results are kept until the files change.
+    """
+
+    def __init__(self, directory: str | os.PathLike[str]) -> None:
+        self.path = Path(directory)
+        self._kept: dict[str, tuple[Any, Any]] = {}
+
+    def picture(self, name: str) -> bytes | None:
+        """PNG of that name in `PICTURES`; None if there is none."""
+        if name == "difference.png":
+            marks = tuple(self._mark(one) for one in PICTURES[:2])
+            made: bytes | None = self._once(name, marks, self._difference)
+            return made
+        data = self._read(name)
+        return data if data is not None and data.startswith(_PNG) else None
+
+    def state(self) -> dict[str, Any]:
+        """Everything the page shows, as JSON has it; what is not known is absent."""
+        run = self._json("run.json")
+        settings = run.get("settings")
+        settings = settings if isinstance(settings, dict) else {}
+        shown: dict[str, Any] = {
+            "status": _text(run.get("status", "not begun")),
+            "task": _text(settings.get("task", self.path.name)),
+            "optimizer": _text(settings.get("optimizer", "")),
+            "loss": _text(settings.get("loss", "loss")),
+            "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
+        }
+        totals = run.get("totals")
+        if isinstance(totals, dict) and isinstance(totals.get("status"), str):
+            shown["sentence"] = _text(totals["status"])
+        live = self._json(LIVE)
+        curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
+        newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
+        shown |= _checked(curve) | _checked(live) | _checked(newest)
+        shown["improvements"] = _joined(curve, newest)
+        shown["parameters"] = _rows(live.get("parameters")) or self._parameters(settings)
+        if shown["status"] != "running":
+            shown.pop("busy", None)
+        return shown
+
+    # -- files -------------------------------------------------------------------------------------
+
+    def _read(self, name: str) -> bytes | None:
+        """Contents of a regular file of the directory itself; None if there is none."""
+        try:
+            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            descriptor = os.open(self.path / name, flags | getattr(os, "O_BINARY", 0))
+            with os.fdopen(descriptor, "rb") as file:
+                about = os.fstat(file.fileno())
+                if not stat.S_ISREG(about.st_mode) or about.st_size > _MOST_BYTES:
+                    return None
+                return file.read()
+        except OSError:
+            return None
+
+    def _mark(self, name: str) -> tuple[int, int] | None:
+        try:
+            about = (self.path / name).stat(follow_symlinks=False)
+        except OSError:
+            return None
+        return about.st_mtime_ns, about.st_size
+
+    def _version(self, name: str) -> str:
+        names = PICTURES[:2] if name == "difference.png" else (name,)
+        marks = [self._mark(one) for one in names]
+        return "" if None in marks else "-".join(str(mark[0]) for mark in marks if mark)
+
+    def _once(self, name: str, mark: Any, make: Any) -> Any:
+        if name not in self._kept or self._kept[name][0] != mark:
+            self._kept[name] = (mark, make())
+        return self._kept[name][1]
+
+    def _json(self, name: str) -> dict[str, Any]:
+        try:
+            found = json.loads(self._read(name) or b"{}")
+        except (ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    # -- what they say -----------------------------------------------------------------------------
+
+    def _difference(self) -> bytes | None:
+        """Absolute difference of target and best image, four times as strong."""
+        import numpy as np
+        from PIL import Image
+
+        from fide_plugins.experiments.run.figures import as_png
+
+        arrays = []
+        for data in (self.picture(name) for name in PICTURES[:2]):
+            try:
+                with Image.open(io.BytesIO(data or b""), formats=["PNG"]) as image:
+                    arrays.append(np.asarray(image.convert("RGB"), np.float32) / 255)
+            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+                return None
+        if arrays[0].shape != arrays[1].shape:
+            return None
+        return as_png(np.clip(4 * np.abs(arrays[0] - arrays[1]), 0, 1))
+
+    def _curve(self) -> dict[str, Any]:
+        """From `curve.csv`: evaluations, best loss, seconds, and when the best loss fell."""
+        text = (self._read("curve.csv") or b"").decode("utf-8", "replace")
+        lines = csv.DictReader(io.StringIO(text))
+        improvements: list[list[float]] = []
+        number, seconds = 0, 0.0
+        try:
+            for number, row in enumerate(lines, 1):
+                best, seconds = float(row["best_loss"]), float(row["seconds"])
+                if math.isfinite(best) and (not improvements or best < improvements[-1][1]):
+                    improvements.append([number, best])
+        except (KeyError, TypeError, ValueError, csv.Error):
+            return {}
+        if not improvements or not math.isfinite(seconds):
+            return {}
+        best = improvements[-1][1]
+        known = {"evaluations": number, "best_loss": best, "seconds": seconds}
+        return {**known, "improvements": improvements}
+
+    def _parameters(self, settings: dict[str, Any]) -> list[list[str]]:
+        return self._once("run.ckpt", self._mark("run.ckpt"), lambda: self._saved(settings)) or []
+
+    def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
+        """Parameters of the best point in the checkpoint; none where it is damaged."""
+        from fide_plugins.runtime import checkpoint
+        from fide_plugins.runtime.schema import IMPOSSIBLE
+        from fide_plugins.space import Space
+
+        try:
+            x = checkpoint.read(self.path / "run.ckpt", "run")["record"]["x_best"]
+            space = settings.get("space")
+            named = None if space is None else Space.from_dict(space)
+            return [] if x is None else _rows(listed(named, x))
+        except (OSError, *IMPOSSIBLE):
+            return []
+
+
+def _text(value: Any) -> str:
+    return str(value)[:300]
+
+
+def _whole(value: Any) -> int:
+    return value if isinstance(value, int) else -1
+
+
+def _checked(live: dict[str, Any]) -> dict[str, Any]:
+    """Entries of `live.json` that have the right type, and are finite."""
+    right = {k: live[k] for k, types in _KNOWN.items() if type(live.get(k)) in types}
+    return {k: v for k, v in right.items() if not isinstance(v, float) or math.isfinite(v)}
+
+
+def _points(value: Any) -> list[list[float]]:
+    """Pairs of finite numbers, at most a thousand of them."""
+    if not isinstance(value, list):
+        return []
+    try:
+        pairs = [[float(a), float(b)] for a, b in value]
+    except (TypeError, ValueError):
+        return []
+    finite = [pair for pair in pairs if all(map(math.isfinite, pair))]
+    step = 1 + len(finite) // _MOST_POINTS
+    return [*finite[:-1:step], *finite[-1:]]
+
+
+def _joined(curve: dict[str, Any], newest: dict[str, Any]) -> list[list[float]]:
+    """Improvements of the newest, after those of the curve, which knows of former calls."""
+    early, late = _points(curve.get("improvements")), _points(newest.get("improvements"))
+    return [point for point in early if not late or point[0] < late[0][0]] + late
+
+
+def _rows(value: Any) -> list[list[str]]:
+    """Rows of three texts."""
+    if not isinstance(value, list):
+        return []
+    rows = [row for row in value if isinstance(row, list) and len(row) == 3]
+    return [[_text(cell) for cell in row] for row in rows[:_MOST_POINTS]]

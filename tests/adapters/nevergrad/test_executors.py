@@ -1,0 +1,119 @@
+"""Acceptance point 23: executors of `minimize`."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_adapters.nevergrad import DaskExecutor
+
+from .conftest import fide, mse, render, traveling
+
+
+@contextmanager
+def threads(folder: Path) -> Iterator[Any]:
+    with concurrent.futures.ThreadPoolExecutor(3) as executor:
+        yield executor
+
+
+@contextmanager
+def processes(folder: Path) -> Iterator[Any]:
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(2, mp_context=context) as executor:
+        yield executor
+
+
+@contextmanager
+def dask(folder: Path) -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield DaskExecutor(client)
+
+
+@contextmanager
+def submitit(folder: Path) -> Iterator[Any]:
+    module = pytest.importorskip("submitit", reason="not installed")
+    executor = module.LocalExecutor(folder=folder / "jobs")
+    executor.update_parameters(timeout_min=5)
+    yield executor
+
+
+EXECUTORS = {
+    "threads": (threads, 24),
+    "processes": (processes, 24),
+    "dask": (dask, 24),
+    "submitit": (submitit, 4),
+}
+
+
+@pytest.mark.filterwarnings("ignore:Ignoring since timer was stopped")  # of Nevergrad's batches
+@pytest.mark.parametrize(
+    "name", ["threads", "processes", "dask", pytest.param("submitit", marks=pytest.mark.slow)]
+)
+def test_point_23_executors(name: str, tmp_path: Path) -> None:
+    """Every result comes back once, with its image, in both modes; from real processes."""
+    executor_of, budget = EXECUTORS[name]
+    optimizer = fide(budget=budget, workers=3)
+    seen: list[float] = []
+    optimizer.register_callback("tell", lambda _, c, loss: seen.append(loss - mse(render(c.value))))
+    with executor_of(tmp_path) as executor:
+        optimizer.budget = budget // 2
+        optimizer.minimize(traveling(), executor=executor, batch_mode=True)
+        optimizer.budget = budget
+        optimizer.minimize(traveling(), executor=executor, batch_mode=False)
+    np.testing.assert_allclose(seen, np.zeros(budget), atol=1e-9)  # each with its own candidate
+    assert optimizer.num_tell == optimizer.num_ask == optimizer.num_images == budget
+    assert optimizer.num_tell_not_asked == 0 and optimizer.num_objectives == 1
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_nothing_but_time(tmp_path: Path) -> None:
+    """SIGKILL in the midst: every candidate counts exactly once."""
+    optimizer = fide(budget=40, workers=2)
+    victim = tmp_path / "killed"
+    inner = traveling().function
+
+    def sometimes_deadly(x: Any) -> Any:
+        time.sleep(0.02)
+        try:
+            victim.touch(exist_ok=False)
+        except FileExistsError:
+            return inner(x)
+        os.kill(os.getpid(), 9)
+
+    counted: list[Any] = []
+    optimizer.register_callback("tell", lambda _, c, loss: counted.append(c.uid))
+    with dask(tmp_path) as executor:
+        optimizer.minimize(sometimes_deadly, executor=executor)
+    assert victim.exists()
+    assert len(set(counted)) == len(counted) == 40 == optimizer.num_images
+
+
+def test_dask_keeps_no_argument_and_no_old_result() -> None:
+    """Parameters may be called `key`, and a noisy objective is called each time."""
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+
+    def noisy(key: float, workers: float) -> Any:
+        return key, workers, time.perf_counter_ns()
+
+    with distributed.Client(
+        processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0"
+    ) as client:
+        executor = DaskExecutor(client)
+        futures = [executor.submit(noisy, key=0.5, workers=2.0) for _ in range(3)]
+        results = {future.result() for future in futures}
+    assert len(results) == 3 and {result[:2] for result in results} == {(0.5, 2.0)}

@@ -1,0 +1,301 @@
+"""Standardized space as a unit cube; any parametrization, alone and in portfolios (point 24)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import nevergrad as ng
+import numpy as np
+import pytest
+
+from fide_adapters.nevergrad import FIDE, IMAGE, ParametrizedFIDE
+from fide_adapters.nevergrad.parametrization import Cube
+from fide_plugins import FIDE as Core
+from fide_plugins.types import Float32
+
+from .conftest import TARGET, box, fide, mse, render
+
+pytestmark = pytest.mark.filterwarnings("ignore::nevergrad.common.errors.NevergradWarning")
+
+P = ng.p
+
+
+# -- the unit cube ---------------------------------------------------------------------------------
+
+INF = np.inf
+AXES: dict[str, tuple[Any, list[float], list[float]]] = {
+    "box": (P.Array(shape=(2,), lower=0, upper=1), [-3, -3], [3, 3]),
+    "box of its own": (P.Array(shape=(2,), lower=[0, 1], upper=[1, 5]), [-3, -3], [3, 3]),
+    "box with steps": (P.Array(init=[0.0, 1.0]).set_bounds(-5, 5), [-5, -6], [5, 4]),
+    "constraint": (P.Array(init=[2.0]).set_bounds(-5, 5, method="constraint"), [-7], [3]),
+    "no bounds": (P.Array(shape=(2,)), [-INF, -INF], [INF, INF]),
+    "arctan": (P.Array(shape=(1,)).set_bounds(-5, 5, method="arctan"), [-INF], [INF]),
+    "tanh": (P.Array(shape=(1,)).set_bounds(-5, 5, method="tanh"), [-INF], [INF]),
+    "lower": (P.Array(init=[2.0, 3.0]).set_bounds(2, None, method="clipping"), [0, -1], [INF, INF]),
+    "upper": (P.Array(init=[2.0]).set_bounds(None, 3, method="clipping"), [-INF], [1]),
+    "turned": (-P.Array(init=[3.0]).set_bounds(2, None, method="clipping"), [-1], [INF]),
+    "scaled": (3 * P.Array(shape=(1,), lower=0, upper=1) + 1, [-3], [3]),
+    "scalar": (P.Scalar(lower=0.1, upper=0.7), [-3], [3]),
+    "off center": (P.Scalar(init=0.2, lower=0.1, upper=0.7), [-1], [5]),
+    "log": (P.Log(lower=1e-3, upper=10), [-3], [3]),
+    "log without bounds": (P.Log(init=2.0), [-INF], [INF]),
+    "whole": (P.Scalar(lower=0, upper=9).set_integer_casting(), [-3], [3]),
+    "choice": (P.Choice(["a", "b", "c"]), [-INF] * 3, [INF] * 3),
+    "nested": (
+        P.Instrumentation(
+            P.Array(shape=(2,), lower=0, upper=1),
+            P.Choice([1, 2]),
+            b=P.Dict(z=P.Scalar(), a=P.Log(lower=1, upper=2)),
+            a=P.Tuple(P.Scalar(init=5, lower=4, upper=10), 3),
+        ),
+        [-3, -3, -INF, -INF, -1, -3, -INF],
+        [3, 3, INF, INF, 5, 3, INF],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", AXES)
+def test_the_bounds_of_the_cube_are_those_of_the_parametrization(kind: str) -> None:
+    parametrization, lower, upper = AXES[kind]
+    cube = Cube(parametrization)
+    for corner, expected in ((np.zeros(cube.dim), lower), (np.ones(cube.dim), upper)):
+        z = cube.from_cube(corner)
+        finite = np.isfinite(expected)
+        np.testing.assert_allclose(z[finite], np.array(expected)[finite], atol=1e-9)
+        assert (np.abs(z[~finite]) > 1e8).all() and np.isfinite(z).all()
+
+
+@pytest.mark.parametrize("kind", AXES)
+def test_there_and_back(kind: str) -> None:
+    cube = Cube(AXES[kind][0])
+    for x in np.random.default_rng(0).random((50, cube.dim)):
+        np.testing.assert_allclose(cube.to_cube(cube.from_cube(x)), x, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", AXES)
+def test_it_begins_where_the_user_does_and_as_wide(kind: str) -> None:
+    """The deviation is the width in the cube of one natural step, measured."""
+    cube = Cube(AXES[kind][0])
+    np.testing.assert_allclose(cube.from_cube(cube.mean), 0.0, atol=1e-12)
+    h = 1e-6
+    one_sided = (cube.to_cube(np.full(cube.dim, h)) - cube.mean) / h
+    other = (cube.mean - cube.to_cube(np.full(cube.dim, -h))) / h
+    slope = np.maximum(one_sided, other)  # at a bound, one of them is zero
+    np.testing.assert_allclose(cube.std, np.minimum(slope, 1 / 3), rtol=1e-4)
+
+
+def test_the_cube_itself_is_the_one_of_fide() -> None:
+    for parametrization in (
+        P.Array(shape=(3,), lower=0, upper=1),
+        P.Array(shape=(3,), lower=0.1, upper=0.7),
+        P.Dict(a=P.Log(lower=1e-3, upper=10), b=P.Scalar(lower=-7, upper=3), c=P.Scalar()),
+    ):
+        cube = Cube(parametrization)
+        np.testing.assert_array_equal(cube.mean, np.full(3, 0.5))
+        np.testing.assert_array_equal(cube.std, np.full(3, 1 / 6))
+
+
+@pytest.mark.parametrize("kind", AXES)
+def test_it_keeps_the_order(kind: str) -> None:
+    cube = Cube(AXES[kind][0])
+    x = np.linspace(0, 1, 101)
+    z = np.array([cube.from_cube(np.full(cube.dim, value)) for value in x])
+    assert (np.diff(z, axis=0) >= 0).all()
+    assert (np.diff(z[1:-1], axis=0) > 0).all()
+
+
+def test_angles_have_no_bounds() -> None:
+    from nevergrad.parametrization._datalayers import Angles
+
+    cube = Cube(Angles(shape=(2,)))
+    np.testing.assert_array_equal(cube.mean, np.full(4, 0.5))
+    assert (np.abs(cube.from_cube(np.ones(4))) > 1e8).all()
+
+
+# -- candidates ------------------------------------------------------------------------------------
+
+
+def kinds() -> dict[str, Any]:
+    """New ones each time: optimizers freeze them, and they hold random state."""
+    nested = P.Instrumentation(
+        P.Array(shape=(2, 2), lower=-1, upper=2),
+        P.Choice(["a", "b"]),
+        scale=P.Log(lower=1e-3, upper=10),
+        depth=P.Dict(
+            n=P.Scalar(lower=1, upper=12).set_integer_casting(),
+            kind=P.TransitionChoice([3, 5, 7]),
+            free=P.Tuple(P.Scalar(), "constant"),
+        ),
+    )
+    return {
+        "box": P.Array(shape=(3,), lower=0, upper=1),
+        "one parameter": P.Scalar(lower=-5, upper=-4),
+        "off center": P.Array(init=[0.1, 0.9]).set_mutation(sigma=0.3).set_bounds(0, 1),
+        "on the bound": P.Array(init=[0.0, 3.0]).set_bounds(0, 3),
+        "clipping": P.Array(shape=(2,)).set_bounds(-1, None, method="clipping"),
+        "arctan": P.Array(shape=(2,)).set_bounds(-2, 2, method="arctan"),
+        "constraint": P.Array(shape=(2,)).set_bounds(-2, 2, method="constraint"),
+        "log": P.Log(lower=1e-3, upper=10),
+        "whole": P.Array(init=[3.0, 3.0]).set_bounds(0, 7).set_integer_casting(),
+        "choices": P.Choice([0.0, 0.5, 1.0], repetitions=2),
+        "nested": nested,
+    }
+
+
+def numbers(value: Any) -> list[float]:
+    """All numbers in a value."""
+    if isinstance(value, dict):
+        return [n for v in value.values() for n in numbers(v)]
+    if isinstance(value, tuple | list):
+        return [n for v in value for n in numbers(v)]
+    if isinstance(value, np.ndarray):
+        return [float(n) for n in value.ravel()]
+    return [] if isinstance(value, str) else [float(value)]
+
+
+def check(kind: str, value: Any) -> None:
+    """Kind and bounds of one value."""
+    assert np.isfinite(numbers(value)).all()
+    x = np.array(numbers(value))
+    match kind:
+        case "box" | "off center":
+            assert ((x >= 0) & (x <= 1)).all()
+        case "one parameter":
+            assert isinstance(value, float) and -5 <= value <= -4
+        case "on the bound":
+            assert ((x >= 0) & (x <= 3)).all()
+        case "clipping":
+            assert (x >= -1).all()
+        case "arctan" | "constraint":
+            assert ((x >= -2) & (x <= 2)).all()
+        case "log":
+            assert 1e-3 * (1 - 1e-9) <= value <= 10 * (1 + 1e-9)
+        case "whole":
+            assert value.dtype.kind == "i" and ((x >= 0) & (x <= 7)).all()
+        case "choices":
+            assert all(v in (0.0, 0.5, 1.0) for v in value) and len(value) == 2
+        case "nested":
+            (array, letter), named = value
+            assert ((array >= -1) & (array <= 2)).all() and letter in "ab"
+            assert 1e-3 * (1 - 1e-9) <= named["scale"] <= 10 * (1 + 1e-9)
+            depth = named["depth"]
+            assert isinstance(depth["n"], int) and 1 <= depth["n"] <= 12
+            assert depth["kind"] in (3, 5, 7) and depth["free"][1] == "constant"
+
+
+def picture(value: Any) -> Float32:
+    x = np.resize(np.array(numbers(value)), 6)
+    return render(1 / (1 + np.exp(-x)))
+
+
+@pytest.mark.parametrize("kind", kinds())
+def test_point_24_candidates_are_inside_whatever_is_told(kind: str) -> None:
+    """In a run with images, failures, and extreme losses."""
+    optimizer = fide(kinds()[kind], options={"patience": 3})
+    check(kind, optimizer.recommend().value)
+    losses = [None, 1.0, np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0]
+    for step in range(48):
+        candidate = optimizer.ask()
+        check(kind, candidate.value)
+        image = picture(candidate.value)
+        loss = losses[step % 8] if 12 < step < 30 else None
+        optimizer.tell(candidate, image if loss is None else loss)
+        check(kind, optimizer.recommend().value)
+    assert optimizer.num_tell == 48 and optimizer.fide.not_finite > 0
+
+
+@pytest.mark.parametrize("kind", ["box", "whole", "nested"])
+def test_point_24_the_mean_is_recommended_where_renders_are_noisy(kind: str) -> None:
+    optimizer = fide(kinds()[kind])
+    optimizer.parametrization.function.deterministic = False
+    for _ in range(15):
+        check(kind, optimizer.recommend().value)
+        candidate = optimizer.ask()
+        optimizer.tell(candidate, picture(candidate.value))
+    if kind == "box":
+        mean = optimizer.fide.recommend()
+        np.testing.assert_allclose(optimizer.recommend().value, mean, atol=1e-12)
+
+
+def test_point_24_whole_numbers_and_choices_are_found() -> None:
+    parametrization = P.Instrumentation(
+        x=P.Array(shape=(3,), lower=0, upper=9).set_integer_casting(), kind=P.Choice(["a", "b"])
+    )
+    optimizer = fide(parametrization, target=None, budget=350)
+
+    def loss(x: Any, kind: str) -> float:
+        return float(((x - [2, 5, 8]) ** 2).sum() + 3 * (kind == "a"))
+
+    best = optimizer.minimize(loss)
+    assert best.kwargs["x"].tolist() == [2, 5, 8] and best.kwargs["kind"] == "b"
+
+
+def test_a_candidate_that_violates_a_cheap_constraint_is_withdrawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Any] = []
+    withdrawn: list[Any] = []
+    ask, withdraw = Core.ask, Core.withdraw
+
+    def spy_ask(self: Core, n: int | None = None) -> Any:
+        asked.append(ask(self, n))
+        return asked[-1]
+
+    def spy_withdraw(self: Core, X: Any) -> None:
+        withdrawn.append(X)
+        withdraw(self, X)
+
+    monkeypatch.setattr(Core, "ask", spy_ask)
+    monkeypatch.setattr(Core, "withdraw", spy_withdraw)
+    parametrization = box(6)
+    parametrization.register_cheap_constraint(right_half)
+    optimizer = fide(parametrization)
+    for _ in range(60):
+        candidate = optimizer.ask()
+        assert candidate.value[0] >= 0.5
+        optimizer.tell(candidate, render(candidate.value))
+    assert len(asked) == 60 + len(withdrawn) and all(x[0] < 0.5 for (x,) in withdrawn)
+    assert withdrawn and optimizer.fide.evaluations == 60
+    assert optimizer.fide.best.loss < 0.01
+
+
+def right_half(x: Any) -> bool:
+    return bool(x[0] >= 0.5)
+
+
+def run(portfolio: Any, n: int) -> None:
+    for _ in range(n):
+        candidate = portfolio.ask()
+        image = render(candidate.value)
+        candidate._meta[IMAGE] = image
+        portfolio.tell(candidate, mse(image))
+        assert IMAGE not in candidate._meta
+
+
+def test_point_24_images_reach_fide_in_a_portfolio() -> None:
+    """Its own candidates as its own, those of other members as injected ones."""
+    members = [ParametrizedFIDE(target=TARGET, seed=0), "TwoPointsDE"]
+    portfolio = ng.optimizers.ConfPortfolio(optimizers=members)(box(), budget=60)
+    run(portfolio, 60)
+    inner = portfolio.optims[0]
+    assert inner.num_ask == 30 and inner.num_tell == 60 and inner.num_tell_not_asked == 30
+    assert inner.num_images == inner.fide.evaluations == 60
+    check("box", portfolio.recommend().value)
+
+
+def test_point_24_images_reach_fide_in_a_chain() -> None:
+    """What the first optimizer found teaches FIDE before it is asked."""
+    chain = ng.optimizers.Chaining(
+        [ng.optimizers.RandomSearch, ParametrizedFIDE(target=TARGET, seed=0)], [20]
+    )(box(), budget=60)
+    run(chain, 60)
+    inner = chain.optimizers[1]
+    assert inner.num_ask == 40 and inner.num_tell == 60 and inner.num_images == 60
+    assert chain.recommend().loss < 0.01
+
+
+def test_point_24_the_registered_one_in_a_portfolio_gets_its_target() -> None:
+    portfolio = ng.optimizers.ConfPortfolio(optimizers=[FIDE, "OnePlusOne"])(box(), budget=20)
+    portfolio.optims[0].target = TARGET
+    run(portfolio, 20)
+    assert portfolio.optims[0].num_images == 20

@@ -1,0 +1,196 @@
+"""The same everywhere, and the same again (acceptance points 2, 3 and 4)."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pickle
+import subprocess
+import sys
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.samplers import RandomSampler
+from optuna.trial import Trial
+
+from fide_adapters.optuna import FIDESampler
+from fide_adapters.optuna.settings import OptimizerSettings
+from fide_plugins import FIDE, encoders
+
+from .conftest import Bench, asked_by_core, counts_of
+
+
+@pytest.mark.parametrize("preset", ["fast", "balanced", "accurate"])
+def test_point_4_one_worker_asks_what_the_core_asks(bench: Bench, preset: str) -> None:
+    settings = {"preset": preset, "patience": 2}  # so little that it relocates
+    study = optuna.create_study(sampler=bench.sampler(search_space=bench.space, **settings))
+    bench.run(study, 150)
+    np.testing.assert_array_equal(bench.points(study), asked_by_core(bench, 150, **settings))
+    assert counts_of(study) == {"member": 150, "image": 150}
+
+
+@pytest.mark.parametrize("names", [[f"x{i}" for i in range(12)], ["a", "b", "c"]])
+def test_point_4_without_a_given_space_it_is_the_same(bench: Bench, names: list[str]) -> None:
+    """The first trial is rounded otherwise by a bit at most; from the second on all are equal."""
+    sampler: FIDESampler = bench.sampler(popsize=None)
+    study = optuna.create_study(sampler=sampler)
+
+    def objective(trial: Trial) -> float:
+        x = [trial.suggest_float(name, 0, 1) for name in names]
+        return sampler.tell_image(trial, bench.render(np.resize(x, 5)))
+
+    study.optimize(objective, n_trials=60)
+    core = FIDE(len(names), bench.target, seed=0)
+    asked = np.array([[trial.params[name] for name in names] for trial in study.trials])
+    while core.evaluations < len(asked):
+        X = core.ask()  # whole generations, as a replica hands them out
+        i = core.evaluations
+        atol = np.where(np.arange(i, i + len(X)) > 0, 0.0, 1e-15)[:, None]
+        assert (np.abs(asked[i : i + len(X)] - X[: len(asked) - i]) <= atol[: len(asked) - i]).all()
+        core.tell(X, np.stack([bench.render(np.resize(x, 5)) for x in X]))
+    assert sampler.counts(study) == {"member": 60, "image": 60}
+
+
+@pytest.mark.parametrize("target", [True, False])
+def test_an_encoder_is_made_once_and_few_optimizers(
+    bench: Bench, target: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also in the first trial, whose 20 parameters are suggested one by one."""
+    made: Counter[str] = Counter()
+    make_encoder, make_optimizer = encoders.make, OptimizerSettings.make
+
+    def counted_encoder(*arguments: Any, **options: Any) -> Any:
+        made["encoders"] += 1
+        return make_encoder(*arguments, **options)
+
+    def counted_optimizer(*arguments: Any) -> FIDE:
+        made["optimizers"] += 1
+        return make_optimizer(*arguments)
+
+    monkeypatch.setattr(encoders, "make", counted_encoder)
+    monkeypatch.setattr(OptimizerSettings, "make", counted_optimizer)
+    sampler: FIDESampler = bench.sampler(target=bench.target if target else None)
+
+    def objective(trial: Trial) -> float:
+        x = [trial.suggest_float(f"x{i}", 0, 1) for i in range(20)]
+        image = bench.render(x[:5])
+        return sampler.tell_image(trial, image) if target else float(image.mean())
+
+    optuna.create_study(sampler=sampler).optimize(objective, n_trials=20)
+    # an optimizer for the first trial, and one for the search
+    assert made == {"encoders": 1 if target else 2, "optimizers": 2}
+
+
+@pytest.mark.parametrize("target", [True, False])
+def test_point_4_without_images_it_is_cma_es(bench: Bench, target: bool) -> None:
+    def sphere(trial: Trial) -> float:
+        return float(((np.array(bench.suggest(trial)) - 0.3) ** 2).sum())
+
+    settings: dict[str, Any] = {} if target else {"target": None}
+    study = optuna.create_study(sampler=bench.sampler(search_space=bench.space, **settings))
+    study.optimize(sphere, n_trials=120)
+    core = FIDE(5, bench.target, seed=0, popsize=6, proposer="none")
+    for x in bench.points(study):
+        np.testing.assert_array_equal(core.ask(1)[0], x)
+        core.tell(x[None], losses=[((x - 0.3) ** 2).sum()])
+
+
+def test_point_4_same_seed_same_study(bench: Bench) -> None:
+    runs = []
+    for seed in (0, 0, 1):
+        study = optuna.create_study(sampler=bench.sampler(seed=seed))
+        bench.run(study, 40)
+        runs.append(bench.points(study))
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert (runs[0] != runs[2]).any(axis=1).all()
+
+
+# -- points 2 and 3: seeds, copies -----------------------------------------------------------------
+
+
+def mixed(trial: Trial) -> float:
+    return float(
+        trial.suggest_float("a", 1, 9)
+        + trial.suggest_float("b", 1, 9, log=True)
+        + trial.suggest_float("c", 1, 9, step=1)
+        + trial.suggest_int("d", 1, 9)
+        + trial.suggest_int("e", 1, 9, log=True)
+        + trial.suggest_int("f", 1, 9, step=2)
+        + trial.suggest_categorical("g", range(1, 10))
+    )
+
+
+def params_of(sampler: FIDESampler, constant: bool = False) -> list[dict[str, Any]]:
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda trial: 0.0 * mixed(trial) if constant else mixed(trial), n_trials=15)
+    return [trial.params for trial in study.trials]
+
+
+@pytest.mark.parametrize("constant", [False, True])
+def test_point_2_reproducible(constant: bool) -> None:
+    first = params_of(FIDESampler(seed=1), constant)
+    assert params_of(FIDESampler(seed=1), constant) == first
+    assert params_of(FIDESampler(seed=2), constant) != first
+
+
+def test_point_2_reseeding_changes_what_is_sampled() -> None:
+    sampler = FIDESampler(seed=1)
+    sampler.reseed_rng()
+    assert params_of(sampler) != params_of(FIDESampler(seed=1))
+
+
+def test_point_2_reseeding_reaches_the_independent_sampler() -> None:
+    independent = RandomSampler(seed=0)
+    before = str(independent._rng.rng.get_state())
+    sampler = FIDESampler(seed=0, independent_sampler=independent)
+    sampler.reseed_rng()
+    assert str(independent._rng.rng.get_state()) != before
+
+
+ELSEWHERE = """
+import json
+import optuna
+from fide_adapters.optuna import FIDESampler
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+study = optuna.create_study(sampler=FIDESampler(seed=1))
+study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
+print(json.dumps([[t.params for t in study.trials], hash("differs from process to process")]))
+"""
+
+
+def test_point_2_reproducible_in_another_process() -> None:
+    run = [sys.executable, "-c", ELSEWHERE]
+    environment = {**os.environ, "PYTHONHASHSEED": "12345"}
+    done = subprocess.run(run, env=environment, capture_output=True, text=True, check=True)
+    params, hashed = json.loads(done.stdout)
+    study = optuna.create_study(sampler=FIDESampler(seed=1))
+    study.optimize(lambda t: t.suggest_float("a", 0, 1) + t.suggest_int("g", 1, 3), n_trials=15)
+    assert [t.params for t in study.trials] == params
+    assert hash("differs from process to process") != hashed
+
+
+@pytest.mark.parametrize("how", ["pickle", "deepcopy"])
+def test_point_3_a_copy_goes_on_as_if_nothing_had_happened(bench: Bench, how: str) -> None:
+    study = optuna.create_study(sampler=bench.sampler(patience=2))
+    bench.run(study, 30)
+    sampler = study.sampler
+    copied = pickle.loads(pickle.dumps(sampler)) if how == "pickle" else copy.deepcopy(sampler)
+    again = copy.deepcopy(study)
+    again.sampler = copied
+    bench.run(study, 30)
+    bench.run(again, 30)
+    np.testing.assert_array_equal(bench.points(again), bench.points(study))
+    assert counts_of(study)["image"] == 60
+
+
+def test_point_3_a_pickle_holds_no_image_and_no_lock(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    bench.run(study, 100)
+    small = len(pickle.dumps(study.sampler))
+    bench.run(study, 100)
+    assert len(pickle.dumps(study.sampler)) < 1.2 * small

@@ -1,0 +1,73 @@
+"""Settings that are not valid, and what a user is warned of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import FloatDistribution
+
+from fide_adapters.optuna import FIDESampler
+from fide_plugins.errors import ImageError, OptionError, ProtocolError
+
+from .conftest import Bench, counts_of
+
+WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
+    "no image": ({"target": np.zeros((8, 8, 2))}, ImageError, "channels"),
+    "preset": ({"preset": "best"}, OptionError, "preset"),
+    "option": ({"colour": 3}, OptionError, "colour"),
+    "popsize": ({"popsize": 1}, OptionError, "popsize"),
+    "sigma0": ({"sigma0": 0}, OptionError, "sigma0"),
+    "seed": ({"seed": -1}, OptionError, "seed"),
+    "loss": ({"loss": "nice"}, OptionError, "nice"),
+    "encoder": ({"encoder": "eye"}, OptionError, "eye"),
+    "startup": ({"n_startup_trials": -1}, OptionError, "n_startup_trials"),
+    "search space": ({"search_space": ["x"]}, OptionError, "search_space"),
+    "search space of numbers": ({"search_space": {"x": (0, 1)}}, OptionError, "FloatDistribution"),
+    "independent sampler": ({"independent_sampler": 3}, OptionError, "independent_sampler"),
+    "loss without target": ({"target": None, "loss": "mse"}, OptionError, "target"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_settings(bench: Bench, what: str) -> None:
+    settings, error, message = WRONG[what]
+    with pytest.raises(error, match=message) as caught:
+        bench.sampler(**settings)
+    assert isinstance(caught.value, ValueError)
+
+
+def test_images_need_a_target(bench: Bench) -> None:
+    sampler = FIDESampler()
+    study = optuna.create_study(sampler=sampler)
+    trial = study.ask()
+    with pytest.raises(ProtocolError, match="target=") as caught:
+        sampler.tell_image(trial, bench.target)
+    assert isinstance(caught.value, RuntimeError)
+
+
+def test_without_a_target_it_says_once_that_it_is_cma_es(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    study = optuna.create_study(sampler=FIDESampler())
+    study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=10)
+    assert [r.message for r in caplog.records if "CMA-ES" in r.message] == [
+        "FIDESampler without a target is CMA-ES"
+    ]
+
+
+def test_a_search_space_that_promises_too_much_is_warned_of_once(bench: Bench) -> None:
+    space = {**bench.space, "never": FloatDistribution(0.0, 1.0)}
+    study = optuna.create_study(sampler=bench.sampler(search_space=space))
+    with pytest.warns(RuntimeWarning, match="has no never, which search_space names") as caught:
+        bench.run(study, 5)
+    assert len(caught) == 1
+    assert counts_of(study) == {"left out": 5}
+
+
+def test_it_is_found_where_the_optimizer_is() -> None:
+    import fide_plugins
+
+    assert fide_plugins.FIDESampler is FIDESampler

@@ -1,0 +1,384 @@
+"""`fide fit` with a renderer of one's own: a function of a file, or a program."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fide_plugins import FIDE, Space
+from fide_plugins.cli import main
+from fide_plugins.cli.extra_renders import check_first
+from fide_plugins.errors import ImageError
+from fide_plugins.renderers import FunctionRenderer
+
+PROGRAM = """
+import sys
+out, gray, rows = sys.argv[1:4]
+if float(gray) < 0.1:
+    sys.exit("it is too dark")
+lines = b"".join(bytes([int(255 * float(gray) * (i % int(rows) == 0))] * 8) for i in range(6))
+open(out, "wb").write(b"P5 8 6 255\\n" + lines)
+"""
+SLOW = """
+import time
+from scene import render as draw, space
+
+def render(params):
+    time.sleep(0.02)
+    return draw(params)
+"""
+SPACE = """
+[gray]
+type = "float"
+low = 0
+high = 1
+
+[rows]
+type = "int"
+low = 1
+high = 4
+"""
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return result
+
+
+@pytest.fixture
+def program(target: Path) -> str:
+    """Command line of a program that draws 8 x 6 pixels; its target is lines.png."""
+    folder = target.parent
+    (folder / "program.py").write_text(PROGRAM)
+    (folder / "space.toml").write_text(SPACE)
+    draw = f"{shlex.quote(sys.executable)} -I -S program.py"
+    subprocess.run(shlex.split(f"{draw} lines.ppm 0.6 3"), check=True, cwd=folder)
+    Image.open(folder / "lines.ppm").save(folder / "lines.png")
+    return f"{draw} {{out}} {{gray}} {{rows}}"
+
+
+# -- a fit -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("target")
+def test_a_function_is_fitted_and_the_json_names_parameters(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 40, "--out", "out"]
+    assert fide("fit", "target.png", *words, "--json") == 0
+    result = summary(capsys)
+    assert {"task", "best_loss", "mse", "x_best", "wall_s", "params", "status"} <= set(result)
+    assert (result["task"], result["evaluations"]) == ("scene.py:render", 40)
+    space = FunctionRenderer("scene.py:render").space
+    assert isinstance(space, Space)
+    assert result["params"] == space.decode(result["x_best"])
+    assert Path("out/best.png").is_file() and Path("out/target.png").is_file()
+    curve = np.loadtxt("out/curve.csv", delimiter=",", skiprows=1)[:, 1]
+    best = json.loads(Path("out/run.json").read_text())["totals"]["best_loss"]
+    assert best == result["best_loss"] == curve.min()
+
+
+@pytest.mark.usefixtures("target")
+def test_a_finished_fit_goes_on_with_a_larger_budget(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
+    assert fide(*words, "--budget", 60, "--out", "whole") == 0
+    whole = summary(capsys)
+    assert fide(*words, "--budget", 25, "--out", "out") == 0
+    assert fide(*words, "--budget", 60, "--out", "out", "--resume") == 0
+    captured = capsys.readouterr()
+    assert "continuing out after 25 renders" in captured.err
+    result = json.loads(captured.out.splitlines()[-1])
+    assert (result["evaluations"], result["x_best"]) == (60, whole["x_best"])
+    assert fide(*words, "--budget", 70, "--out", "out") == 2  # not without --resume
+    assert "resume it (--resume)" in capsys.readouterr().err
+
+
+def test_a_program_is_fitted_without_a_shell(
+    program: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["lines.png", "--command", program, "--space", "space.toml", "--workers", 1]
+    assert fide("fit", *words, "--budget", 25, "--json", "--out", "out") == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out.splitlines()[-1])
+    assert set(result["params"]) == {"gray", "rows"} and result["evaluations"] == 25
+    if result["failures"]:  # the first one is shown whole
+        assert captured.err.count("ended with exit code 1") == captured.err.count("rows = ") == 1
+        assert "it is too dark" in captured.err
+
+
+@pytest.mark.usefixtures("target")
+def test_the_other_rules_by_which_a_fit_stops(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
+    assert fide(*words, "--stop-at", 0.5) == 0
+    assert summary(capsys)["stopped"] == "stop_at"
+    assert fide(*words, "--time", "0.2s") == 0
+    assert summary(capsys)["stopped"] == "time"
+
+
+@pytest.mark.usefixtures("target")
+def test_a_picture_is_reduced_to_the_renderers_size(capsys: pytest.CaptureFixture[str]) -> None:
+    with Image.open("target.png") as image:
+        image.resize((160, 120)).save("large.png")
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 5]
+    assert fide("fit", "large.png", *words) == 2
+    err = capsys.readouterr().err
+    assert "large.png has 160 x 120 pixels, and the renderer's image has 16 x 12" in err
+    assert not Path("runs").exists()
+    assert fide("fit", "large.png", *words, "--size", 16) == 0
+
+
+def test_ctrl_c_saves_and_resume_goes_on(target: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (target.parent / "slow.py").write_text(SLOW)
+    words = [sys.executable, "-m", "fide_plugins", "fit", "target.png"]
+    words += ["--renderer", "slow.py:render", "--workers", "0", "--out", "out"]
+    child = subprocess.Popen([*words, "--budget", "100000"], stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 60
+    while not Path("out/run.ckpt").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert child.returncode == 130, err
+    assert "stopped by SIGINT after" in err and "--resume" in err
+    done = json.loads(Path("out/run.json").read_text())["totals"]["evaluations"]
+    assert done > 0
+    assert fide(*words[3:], "--budget", done + 5, "--resume", "--json") == 0
+    assert summary(capsys)["evaluations"] == done + 5
+
+
+def test_the_json_of_a_model_names_parameters_too(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--model", "voronoi", "--cells", 2, "--budget", 20, "--json"]
+    assert fide("fit", target, *words) == 0
+    result = summary(capsys)
+    assert len(result["params"]["cells"]) == 2 and result["status"] == "improving"
+
+
+@pytest.mark.parametrize(
+    "what", [["--renderer", "scene.py:render", "--workers", 0], ["--model", "voronoi"]]
+)
+def test_live_shows_the_fit_while_it_goes_on(
+    what: list[object],
+    target: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def visit(url: str) -> None:
+        with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
+            seen.append({"url": url, **json.load(answer)})
+
+    monkeypatch.setattr("webbrowser.open", visit)
+    assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
+    captured = capsys.readouterr()
+    (page,) = seen
+    assert page["status"] == "running" and page["url"] in captured.err
+    assert json.loads(captured.out)["evaluations"] == 20
+    assert Path("out/live.json").exists() == ("--renderer" in what)
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(page["url"], timeout=20)
+
+
+# -- wrong usage -----------------------------------------------------------------------------------
+
+COMMAND = ["target.png", "--command"]
+RENDERER = ["target.png", "--renderer"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["target.png"], "one of the arguments --renderer --command --model is required"),
+        ([*RENDERER, "scene.py"], "scene.py is a file, not a function; its functions: render"),
+        ([*RENDERER, "scene.py:rendr"], "has no 'rendr'; .*did you mean 'render'"),
+        ([*RENDERER, "bare.py:render"], "parameters of bare.py:render are unknown.*--space"),
+        ([*RENDERER, "broken.py:render"], "(?s)cannot be imported.*line 1.*ZeroDivisionError"),
+        (["no.png", *RENDERER[1:], "scene.py:render"], "no image file at 'no.png'"),
+        (
+            [*RENDERER, "scene.py:render", "--optimizer", "cma"],
+            "--optimizer has no meaning",
+        ),
+        ([*RENDERER, "scene.py:render", "--cells", "3"], "--cells has no meaning with --renderer"),
+        ([*RENDERER, "scene.py:render", "--time", "soon"], "time must be .* '10m'.*not 'soon'"),
+        (
+            [*RENDERER, "scene.py:render", "--preset", "best"],
+            "preset.*'best'",
+        ),
+        ([*RENDERER, "scene.py:render", "--set", "popsiz=4"], "popsiz"),
+        ([*COMMAND, "ls {out} {gray} {rows}"], "--command needs --space FILE.toml"),
+        ([*COMMAND, "ls {out} {gray}", "--space", "space.toml"], "'rows' of the space is nowhere"),
+        ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
+        ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
+        ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' on the PATH"),
+        ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
+        ([*COMMAND, "ls {out}", "--space", "empty.toml"], "empty.toml: .gray.*low must be less"),
+        (
+            [*COMMAND, "a {out}", "--command", "b {out}", "--space", "space.toml"],
+            "2 commands",
+        ),
+        (
+            ["target.png", "--model", "voronoi", "--time", "5m"],
+            "--time has no meaning",
+        ),
+        (["target.png", "target.png", "--model", "voronoi"], "--model draws one picture, not 2"),
+    ],
+)
+@pytest.mark.usefixtures("program")
+def test_wrong_usage_is_said_before_anything_is_written(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("bare.py").write_text("def render(params): ...")
+    Path("broken.py").write_text("1 / 0")
+    Path("typo.toml").write_text('[gray]\ntype = "float"\nlow = 0\nhihg = 1\n')
+    Path("empty.toml").write_text('[gray]\ntype = "float"\nlow = 1\nhigh = 1\n')
+    more = [] if "--model" in words or len(words) == 1 else ["--workers", 0]
+    assert fide("fit", *words, *more) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("fide fit: ") and re.search(message, err), err
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("raise ValueError('no light')", "the first render failed: .*no light"),
+        ("import time; time.sleep(600)", "the first render failed: it did not end within 2 s"),
+        ("return None", "is not an image|must be|None"),
+        ("import os; os._exit(7)", "the first render failed: .*died with exit code 7"),
+    ],
+)
+@pytest.mark.usefixtures("target")
+def test_a_renderer_that_cannot_render_is_found_by_the_first_render(
+    body: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("bad.py").write_text(f"from scene import space\ndef render(p):\n    {body}\n")
+    words = ["--renderer", "bad.py:render", "--workers", 1, "--timeout", 2, "--budget", 4]
+    assert fide("fit", "target.png", *words) in (1, 2)
+    assert re.search(message, " ".join(capsys.readouterr().err.split()))
+    assert not Path("runs").exists()
+
+
+def test_a_program_that_writes_another_size_is_refused(
+    program: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--command", program, "--space", "space.toml", "--workers", 1]
+    assert fide("fit", "target.png", *words) == 2
+    assert "16 x 12 pixels, and the renderer's image has 8 x 6" in capsys.readouterr().err
+
+
+def test_the_picture_of_a_fit_is_that_of_its_parameters(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 30, "--out", "out"]
+    assert fide("fit", target, *words, "--json") == 0
+    image = FunctionRenderer("scene.py:render")(summary(capsys)["params"])
+    with Image.open("out/best.png") as stored:
+        np.testing.assert_array_equal(np.asarray(stored)[..., 0], np.rint(image * 255))
+
+
+def test_views_need_one_image_each() -> None:
+    target = np.zeros((8, 8, 3), np.float32)
+    optimizer = FIDE(2, target)
+    both = [target, target]
+    with pytest.raises(ImageError, match="2 targets, and the renderer gives 1 images; .* a list"):
+        check_first(lambda x: target, optimizer, both, ["a", "b"], 0, None)
+    check_first(lambda x: both, optimizer, both, ["a", "b"], 0, None)
+    with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):
+        check_first(lambda x: [target, target[:4]], optimizer, both, ["a", "b"], 0, None)
+
+
+# -- views and masks -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def hidden(target: Path) -> Path:
+    """``mask.png``: the left half of the target counts.  ``spoiled.png``: its right half is not."""
+    mask = np.zeros((12, 16), np.uint8)
+    mask[:, :8] = 255
+    Image.fromarray(mask).save(target.parent / "mask.png")
+    with Image.open(target) as image:
+        spoiled = np.asarray(image).copy()
+    spoiled[:, 8:] = 77
+    Image.fromarray(spoiled).save(target.parent / "spoiled.png")
+    return target
+
+
+@pytest.mark.usefixtures("hidden")
+def test_what_a_mask_hides_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--renderer", "scene.py:render", "--mask", "mask.png", "--workers", 0, "--json"]
+    losses = []
+    for picture in ("target.png", "spoiled.png"):
+        assert fide("fit", picture, *words, "--budget", 20) == 0
+        losses.append(summary(capsys)["best_loss"])
+    assert losses[0] == losses[1] > 0
+
+
+@pytest.mark.usefixtures("hidden")
+def test_the_alpha_of_the_target_and_weights_are_masks_too(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with Image.open("target.png") as gray, Image.open("mask.png") as mask:
+        image = gray.convert("RGB")
+        Image.merge("RGBA", (*image.split(), mask)).save("cut.png")
+        Image.composite(image, Image.new("RGB", image.size, "white"), mask).save("white.png")
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 20, "--json"]
+    losses = []
+    for picture, *given in (
+        ["cut.png", "--mask", "alpha"],
+        ["white.png", "--mask", "mask.png"],
+        ["white.png", "--weights", "mask.png"],
+    ):
+        assert fide("fit", picture, *words, *given) == 0
+        losses.append(summary(capsys)["best_loss"])
+    assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
+    assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
+    assert "target.png must have an alpha channel" in one_line(capsys)
+
+
+@pytest.fixture
+def views(hidden: object) -> None:
+    """views.py renders two views; the second target is small.png."""
+    Path("views.py").write_text(
+        "from scene import render as draw, space\n"
+        "def render(p):\n    return [draw(p), draw(p)[::2, ::2]]\n"
+    )
+    with Image.open("target.png") as image:
+        Image.fromarray(np.asarray(image)[::2, ::2]).save("small.png")
+
+
+@pytest.mark.usefixtures("views")
+def test_several_targets_are_views_of_one_render(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--renderer", "views.py:render", "--workers", 0, "--budget", 20, "--out", "out"]
+    assert fide("fit", "target.png", "small.png", *words, "--json") == 0
+    assert summary(capsys)["evaluations"] == 20
+    assert fide("solutions", "out") == 0
+
+
+@pytest.mark.usefixtures("views")
+def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--renderer", "views.py:render", "--workers", 0]
+    assert fide("fit", "small.png", "target.png", *words) == 2
+    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in one_line(capsys)
+    assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
+    assert "1 of --mask for 2 targets; give --mask once for each" in one_line(capsys)
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    return capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,121 @@
+"""A user's renderer as a task of `fide run` and `fide compare`."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, Choice, Float, Int, Space
+from fide_plugins.cli import main
+from fide_plugins.experiments.run.renderer_task import make
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
+    first, again, other = (make("scene.py:render", seed, {}) for seed in (3, 3, 4))
+    assert first.target.shape == (12, 16, 3)
+    np.testing.assert_array_equal(first.target, again.target)
+    assert not np.array_equal(first.x_star, other.x_star)
+    (image,) = first.render(first.x_star[None])
+    np.testing.assert_allclose(np.repeat(image[..., None], 3, 2), first.target, atol=1e-7)
+    assert first.search_space is not None
+    np.testing.assert_array_equal(first.search_space.snap(first.x_star), first.x_star)
+
+
+def test_a_renderer_may_change_what_it_gets(tmp_path: Path) -> None:
+    scene = tmp_path / "changes.py"
+    scene.write_text(
+        "import numpy as np\nspace = 2\n"
+        "def render(x):\n    x *= 100\n    return np.full((4, 4, 3), x[0] / 100)\n"
+    )
+    task = make(f"{scene}:render", 0, {})
+    x_star, X = task.x_star.copy(), np.full((3, 2), 0.5)
+    assert task.target.shape == (4, 4, 3)
+    task.render(X)
+    np.testing.assert_array_equal(task.x_star, x_star)
+    np.testing.assert_array_equal(X, 0.5)
+
+
+@pytest.mark.usefixtures("scene")
+def test_run_searches_the_space_and_records_it(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--budget", 24, "--task-seed", 3, "--out", "out", "--json"]
+    assert fide("run", "scene.py:render", *words) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (result["task"], result["dim"], result["task_seed"]) == ("scene.py:render", 4, 3)
+    settings = json.loads(Path("out/run.json").read_text())["settings"]
+    space = Space(
+        x=Float(-1, 1, unit="m"), gray=Float(0.01, 1, log=True), rows=Int(1, 4),
+        shape=Choice("disk", "square"),
+    )  # fmt: skip
+    assert Space.from_dict(settings["space"]) == space
+    assert settings["size"] == [12, 16]
+    (checkpoint,) = Path("out").glob("optimizer-*.ckpt")
+    assert FIDE.load(checkpoint).space == space  # integers and choices are searched as such
+    assert fide("run", "scene.py:render", *words, "--resume") == 0
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_function_of_x_and_other_optimizers() -> None:
+    assert fide("run", "scene.py:render_x", "--optimizer", "cma", "--budget", 12) == 0
+    assert Path("runs/scene.py_render_x-cma-mse-seed0/summary.png").is_file()
+    assert fide("run", "scene.py:render", "--optimizer", "cma", "--budget", 12) == 0
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_space_from_a_file_replaces_that_of_the_function() -> None:
+    space = Space(x=Float(0, 1), gray=Float(0, 1), rows=Int(1, 2), shape=Choice("disk"))
+    space.write("space.toml")
+    words = ["--optimizer", "cma", "--budget", 8, "--space", "space.toml", "--out", "out"]
+    assert fide("run", "scene.py:render", *words) == 0
+    settings = json.loads(Path("out/run.json").read_text())["settings"]
+    assert Space.from_dict(settings["space"]) == space and settings["dim"] == 3
+
+
+@pytest.mark.usefixtures("scene")
+def test_compare_takes_a_renderer_as_a_task(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["scene.py:render", "voronoi", "--optimizers", "cma,random", "--seeds", 1]
+    words += ["--budget", 16, "--size", 16, "--out", "out"]
+    assert fide("compare", *words) == 0
+    assert len(list(Path("out/cells").glob("scene.py+render/mse/*/seed-0/run.json"))) == 2
+    assert "scene.py:render" in Path("out/report.md").read_text()
+    assert "scene.py:render mse cma seed 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["scene.py"], "scene.py is a file, not a function; its functions: render, render_x"),
+        (["scene.py:rendr"], "has no 'rendr'; its functions: .*did you mean 'render'"),
+        (["nowhere.py:render"], "no file '/.*/nowhere.py'; write FILE.py:NAME"),
+        (["scene.py:render", "--space", "no.toml"], "No such file or directory: 'no.toml'"),
+        (["scene.py:render", "--space", "bad.toml"], "bad.toml: .a. hihg: unknown key.*'high'"),
+        (["scene.py:render", "--task-set", "cells=3"], "has no option 'cells'; it has space"),
+        (["bare.py:render"], "parameters of bare.py:render are unknown; .*--space FILE.toml"),
+        (["voronoi", "--space", "bad.toml"], "voronoi has no option 'space'"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    words: list[str], message: str, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene.parent / "bad.toml").write_text('[a]\ntype = "float"\nlow = 0\nhihg = 1\n')
+    (scene.parent / "bare.py").write_text("def render(params): ...")
+    assert fide("run", *words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert captured.err.startswith("fide run: ")
+    assert re.search(message, captured.err), captured.err
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_renderer_that_fails_names_its_parameters(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("run", "scene.py:fails", "--optimizer", "random", "--budget", 30) == 1
+    err = capsys.readouterr().err
+    assert "with the parameters x=-" in err and "ValueError: x is below 0" in err

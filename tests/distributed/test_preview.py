@@ -1,0 +1,124 @@
+"""Candidates drawn when all of a generation are pending and some of its results are not known."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import torch
+
+from fide_plugins import encoders
+from fide_plugins.distributed.preview import preview_candidate
+from fide_plugins.distributed.replica import Replica, Role
+from fide_plugins.fide import FIDE
+from fide_plugins.proposers.ensemble import EnsembleProposer
+from fide_plugins.proposers.training_sample import columns
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.types import Float32, Float64
+
+DIM, SIZE = 6, 8
+SETTINGS: dict[str, Any] = {"seed": 0, "popsize": SIZE, "patience": 50, "proposer": "both"}
+
+
+def look(x: Float64) -> tuple[float, torch.Tensor]:
+    """Loss of x (6,), and tokens of an image that shows it."""
+    image = np.kron(x.reshape(2, 3), np.ones((4, 4)))[None, ..., None].repeat(3, axis=-1)
+    return float(np.square(x - 0.3).sum()), encoders.make("dense")(image.astype(np.float32))[0]
+
+
+TARGET: Float32 = np.full((8, 12, 3), 0.3, np.float32)
+
+
+def replica_in_the_midst(told: int, **settings: object) -> Replica:
+    """After three generations, with so many results of the fourth."""
+    replica = Replica(FIDE(DIM, TARGET, **SETTINGS | settings))
+    for slots in (SIZE, SIZE, SIZE, told):
+        generation = replica.generation
+        for slot in range(slots):
+            x = replica.candidate(slot).x
+            replica.tell(x, *look(x), generation=generation, slot=slot)
+    return replica
+
+
+def test_they_are_drawn_from_what_the_results_so_far_make_of_the_search() -> None:
+    replica = replica_in_the_midst(6, proposer="none")
+    members, losses = replica.optimizer.state.population.members()
+    now = replica.optimizer.state.search
+    ahead = now.preview(np.array([c.z for c in members]), losses, np.zeros(6, bool))
+    z = np.array([replica.newest(slot, 2).z for slot in range(SIZE, SIZE + 400)])
+    error = ahead.std / np.sqrt(len(z))
+    assert (np.abs(z.mean(axis=0) - ahead.mean) < 4 * error).all()
+    assert (np.abs(z.mean(axis=0) - now.mean) > 4 * error).any()
+    np.testing.assert_allclose(z.std(axis=0), ahead.std, rtol=0.2)
+
+
+def test_some_are_proposals_that_know_the_results_so_far() -> None:
+    replica = replica_in_the_midst(6, proposal_fraction=0.5, fraction_rate=0.0, guard_images=False)
+    candidates = [replica.newest(slot, 2) for slot in range(SIZE, SIZE + 80)]
+    assert 25 <= sum(candidate.proposed for candidate in candidates) <= 55
+    state = replica.optimizer.state
+    assert state.proposer is not None
+    proposer = state.proposer.preview(*columns(state.samples), state.search.std)
+    assert isinstance(proposer, EnsembleProposer)
+    _, losses = replica.optimizer.state.population.members()
+    for model in (proposer.inverse, proposer.forward):
+        assert sorted(model.state_dict()["losses"][-6:]) == sorted(losses)
+
+
+def test_asking_for_them_changes_nothing() -> None:
+    asked, idle = replica_in_the_midst(6), replica_in_the_midst(6)
+    assert len({asked.newest(slot, 2).x.tobytes() for slot in range(SIZE, SIZE + 30)}) == 30
+    for replica in (asked, idle):
+        for slot in (6, 7):
+            x = replica.candidate(slot).x
+            replica.tell(x, *look(x), generation=3, slot=slot)
+    assert asked.generation == idle.generation == 4
+    for slot in range(SIZE):
+        np.testing.assert_array_equal(asked.candidate(slot).x, idle.candidate(slot).x)
+
+
+def test_they_count_as_late_ones_at_once_or_later() -> None:
+    replica = replica_in_the_midst(6)
+    first, second, third = (replica.newest(slot, 2).x for slot in (8, 9, 10))
+    roles = [replica.tell(x, *look(x), generation=3, slot=s) for s, x in ((8, first), (9, second))]
+    assert roles == [Role.LATE] * 2 and replica.generation == 4
+    assert replica.tell(third, *look(third), generation=3, slot=10) is Role.LATE
+
+
+def test_with_few_results_or_within_the_generation_it_is_the_candidate_of_that_name() -> None:
+    replica = replica_in_the_midst(3)
+    for slot in (0, 7, 8, 100):
+        assert replica.newest(slot, 5) is replica.candidate(slot)
+    assert preview_candidate(FIDE(DIM, TARGET), np.random.default_rng(0)) is None
+
+
+def test_what_the_generation_still_needs_is_a_member_of_it() -> None:
+    """Some have failed, and nobody else is rendering enough to complete it."""
+    replica = replica_in_the_midst(6)
+    assert replica.newest(9, 1) is replica.candidate(9)
+    assert replica.newest(9, 2) is not replica.candidate(9)
+
+
+def test_told_all_of_a_generation_the_copy_is_what_the_search_becomes() -> None:
+    rng = np.random.default_rng(0)
+    search = CMAES(np.full(DIM, 0.5), 1 / 6, SIZE)
+    for _ in range(3):
+        z = search.sample(SIZE, rng)
+        losses, injected = np.square(z).sum(axis=1), np.zeros(SIZE, bool)
+        ahead = search.preview(z, losses, injected)
+        search.tell(z, losses, injected)
+        for name, value in search.state_dict().items():
+            np.testing.assert_array_equal(ahead.state_dict()[name], value)
+
+
+def test_a_copy_of_the_proposer_learns_alone() -> None:
+    proposer = replica_in_the_midst(0).optimizer.state.proposer
+    assert isinstance(proposer, EnsembleProposer)
+    before = copy.deepcopy(proposer.state_dict())
+    _, tokens = look(np.full(DIM, 0.5))
+    other = proposer.copy()
+    other.update(np.full((1, DIM), 0.5), tokens[None], np.ones(1), np.ones(DIM))
+    for name in ("inverse", "forward"):
+        assert len(other.state_dict()[name]["losses"]) == len(before[name]["losses"]) + 1
+    np.testing.assert_equal(proposer.state_dict(), before)

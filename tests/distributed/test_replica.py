@@ -1,0 +1,227 @@
+"""Optimizers in several processes, which are told one log and agree on everything."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import encoders
+from fide_plugins.distributed.replica import Replica, Role
+from fide_plugins.fide import FIDE
+from fide_plugins.proposers.image_gate import ImageGate
+from fide_plugins.types import Float32, Float64
+
+Render: TypeAlias = Callable[[Float64], Float32]
+
+DIM = 6
+
+
+class Bench:
+    """A renderer, and replicas of one optimizer of its target."""
+
+    def __init__(self, render: Render, target: Float32) -> None:
+        self._render, self._target = render, target
+        self._encode = encoders.make("dense")
+
+    def optimizer(self, **settings: Any) -> FIDE:
+        # so little patience that a run of a few hundred renders has searches, tests and restarts
+        return FIDE(DIM, self._target, **{"seed": 0, "popsize": 8, "patience": 2, **settings})
+
+    def look(self, x: Float64) -> tuple[float, torch.Tensor]:
+        image = self._render(x[None])
+        loss = float(np.square(image[0].astype(np.float64) - self._target).mean())
+        return loss, self._encode(image)[0]
+
+    def told(self, replica: Replica, slot: int) -> Role:
+        x = replica.candidate(slot).x
+        return replica.tell(x, *self.look(x), generation=replica.generation, slot=slot)
+
+
+@pytest.fixture
+def bench(render: Render, target: Float32) -> Bench:
+    return Bench(render, target)
+
+
+def stages(replica: Replica) -> tuple[str, int]:
+    return replica.optimizer.state.stage.value, replica.optimizer.state.searches
+
+
+def run(bench: Bench, replica: Replica, entries: int, first: int = 0) -> list[tuple[int, Float64]]:
+    """Tell slots in order; return generations and candidates."""
+    asked: list[tuple[int, Float64]] = []
+    generation, slot = replica.generation, first
+    while len(asked) < entries:
+        if replica.generation != generation:
+            generation, slot = replica.generation, first
+        asked.append((generation, replica.candidate(slot).x.copy()))
+        assert bench.told(replica, slot) is Role.MEMBER
+        slot += 1
+    return asked
+
+
+def test_a_replica_alone_is_the_optimizer(bench: Bench) -> None:
+    """That of one who asks whole generations: it hands out all proposals of one at once."""
+    replica, plain = Replica(bench.optimizer()), bench.optimizer()
+    seen = set()
+    while plain.evaluations < 400:
+        seen.add(plain.state.stage.value)
+        assert stages(replica) == (plain.state.stage.value, plain.state.searches)
+        X = plain.ask()
+        assert replica.size == len(X)
+        for slot, x in enumerate(X):
+            np.testing.assert_array_equal(replica.candidate(slot).x, x)
+        losses, tokens = zip(*map(bench.look, X), strict=True)
+        for slot in range(len(X)):
+            assert bench.told(replica, slot) is Role.MEMBER
+        plain.tell(X, losses=losses, features=torch.stack(tokens))
+    assert {"search", "exchange", "restart"} <= seen
+    assert replica.optimizer.best is not None and plain.best is not None
+    assert replica.optimizer.best.loss == plain.best.loss
+
+
+def test_who_asks_what_changes_nothing(bench: Bench) -> None:
+    idle, busy = Replica(bench.optimizer()), Replica(bench.optimizer())
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        slots = range(idle.size)
+        for slot in rng.integers(10**6, size=1):  # one of them draws much more
+            busy.candidate(int(slot))
+        for slot in slots:
+            x = idle.candidate(slot).x
+            np.testing.assert_array_equal(busy.candidate(slot).x, x)
+            result = bench.look(x)
+            for replica in (idle, busy):
+                replica.tell(x, *result, generation=replica.generation, slot=slot)
+        assert stages(idle) == stages(busy)
+    assert idle.generation == busy.generation == 30
+
+
+def test_slots_without_end_are_of_the_same_distribution(target: Float32) -> None:
+    replica = Replica(FIDE(3, target, popsize=5, sigma0=0.05, seed=0))
+    X = np.array([replica.candidate(slot).x for slot in range(2000)])
+    assert len(np.unique(X, axis=0)) == 2000
+    np.testing.assert_allclose(X.mean(axis=0), 0.5, atol=0.005)
+    np.testing.assert_allclose(X.std(axis=0), 0.05, rtol=0.06)
+
+
+def test_slots_beyond_the_generation_have_proposals_too(bench: Bench) -> None:
+    replica = Replica(bench.optimizer(fraction_rate=0.0, proposal_fraction=0.5, patience=50))
+    run(bench, replica, 40)
+    proposed = [replica.candidate(slot).proposed for slot in range(80)]
+    assert 30 <= sum(proposed) <= 50
+
+
+def test_members_may_come_in_any_slots(bench: Bench) -> None:
+    replica = Replica(bench.optimizer())
+    for slot in (3, 11, 900, 5, 0, 8, 7):
+        assert bench.told(replica, slot) is Role.MEMBER
+    assert replica.generation == 0
+    assert bench.told(replica, 1) is Role.MEMBER
+    assert replica.generation == 1
+
+
+def test_late_and_altered_count_as_such_and_injected_do_not(bench: Bench) -> None:
+    replica = Replica(bench.optimizer(patience=50))
+    old = replica.candidate(2).x.copy()
+    for slot in range(100, 108):
+        bench.told(replica, slot)
+    assert replica.generation == 1
+    elsewhere = np.full(DIM, 0.25)
+    told: list[tuple[Float64, dict[str, Any], Role, int]] = [
+        (old, {"generation": 0, "slot": 2}, Role.LATE, 1),
+        (elsewhere, {"generation": 1, "slot": 0}, Role.ALTERED, 2),
+        (elsewhere, {"generation": 7, "slot": 0}, Role.ALTERED, 3),  # of a clock ahead of ours
+        (elsewhere, {}, Role.INJECTED, 3),
+    ]
+    for x, name, role, counted in told:
+        assert replica.tell(x, *bench.look(x), **name) is role
+        assert replica.optimizer.state.population.evaluated == counted
+    members, _ = replica.optimizer.state.population.members()
+    assert [c.late for c in members] == [True, True, True]  # their steps will be cut
+
+
+def test_a_slot_counts_once_as_itself(bench: Bench) -> None:
+    replica = Replica(bench.optimizer())
+    assert bench.told(replica, 3) is Role.MEMBER
+    assert bench.told(replica, 3) is Role.ALTERED  # rendered twice: the second is one more
+    assert bench.told(replica, 20) is Role.MEMBER
+    assert bench.told(replica, 20) is Role.ALTERED
+
+
+def test_what_was_asked_in_an_earlier_search_is_an_injected_candidate(bench: Bench) -> None:
+    replica = Replica(bench.optimizer())
+    first, before = stages(replica), replica.candidate(0).x
+    while stages(replica) == first:
+        for slot in range(replica.size):
+            bench.told(replica, slot)
+    assert replica.tell(before, *bench.look(before), generation=0, slot=0) is Role.INJECTED
+
+
+def test_candidates_are_known_by_what_becomes_of_them(bench: Bench) -> None:
+    def snap(x: Float64) -> Float64:
+        return np.round(x, 1)
+
+    replica = Replica(bench.optimizer(), snap)
+    x = replica.candidate(0).x
+    role = replica.tell(snap(x), *bench.look(snap(x)), generation=0, slot=0)
+    assert role is Role.MEMBER
+    [candidate], _ = replica.optimizer.state.population.members()
+    np.testing.assert_array_equal(candidate.x, x)
+
+
+def test_it_goes_on_after_a_copy_through_bytes(bench: Bench) -> None:
+    replica = Replica(bench.optimizer())
+    run(bench, replica, 150)
+    for slot in (0, 30, 4):
+        bench.told(replica, slot)
+    state = pickle.loads(pickle.dumps(replica.state_dict()))
+    restored = Replica.from_state(bench.optimizer(), state)
+    rest = run(bench, replica, 60, first=50)
+    again = run(bench, restored, 60, first=50)
+    assert [g for g, _ in rest] == [g for g, _ in again]
+    np.testing.assert_array_equal([x for _, x in rest], [x for _, x in again])
+
+
+def test_what_is_refused_changes_nothing(bench: Bench) -> None:
+    replica, other = Replica(bench.optimizer()), Replica(bench.optimizer())
+    x = replica.candidate(0).x
+    loss, tokens = bench.look(x)
+    with pytest.raises(ValueError, match="features"):
+        replica.tell(x, loss, tokens[:3], generation=0, slot=0)
+    assert replica.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
+    assert other.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
+    assert replica.optimizer.state.population.pending == other.optimizer.state.population.pending
+    assert replica.optimizer.search_over is None
+
+
+class Blind(ImageGate):
+    """A gate on a machine whose rounding says that images do not guide."""
+
+    guided = property(lambda self: False)
+
+
+def test_others_say_whether_images_guide_the_next_search(bench: Bench) -> None:
+    """It is told with when a search is over, so that rounding cannot part replicas."""
+    one, parted, following = (Replica(bench.optimizer()) for _ in range(3))
+    for other in (parted, following):
+        other.optimizer.state.gate.__class__ = Blind
+    while one.optimizer.state.searches < 3:
+        np.testing.assert_array_equal(one.candidate(0).x, following.candidate(0).x)
+        generation = one.generation
+        log = []
+        for slot in range(one.size):
+            x = one.candidate(slot).x.copy()
+            log.append((x, *bench.look(x)))
+            one.tell(*log[-1], generation=generation, slot=slot)
+        over, alone = one.began == one.generation, one.alone
+        for slot, entry in enumerate(log):
+            following.tell(*entry, generation=generation, slot=slot, over=over, alone=alone)
+            if stages(parted) == stages(one):
+                parted.tell(*entry, generation=generation, slot=slot, over=over)
+        assert stages(following) == stages(one) and following.alone == one.alone
+    assert not one.alone and stages(parted) != stages(one)

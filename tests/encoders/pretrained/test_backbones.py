@@ -1,0 +1,111 @@
+"""The networks, layer by layer, against functions of PyTorch written down from the published files.
+
+A layer is written as its kind: c4/2 a convolution of stride 4 and padding 2, r a ReLU, p2 and p3 a
+pooling of that side (stride 2; u: rounding the size up), f a fire layer.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from fide_plugins.encoders.pretrained import backbones, weights
+from fide_plugins.encoders.pretrained.backbones import Architecture
+from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
+
+C = "c1/1 r "
+RECIPES: dict[str, tuple[Architecture, str, str]] = {
+    "alexnet": (
+        backbones.ALEXNET,
+        "alexnet-owt-7be5be79.pth",
+        "c4/2 r p3 c1/2 r p3 " + 3 * C,
+    ),
+    "vgg16": (
+        backbones.VGG16,
+        "vgg16-397923af.pth",
+        2 * (2 * C + "p2 ") + 3 * (3 * C + "p2 "),
+    ),
+    "vgg19": (
+        backbones.VGG19,
+        "vgg19-dcbb9e9d.pth",
+        2 * (2 * C + "p2 ") + 3 * (4 * C + "p2 "),
+    ),
+    "squeezenet": (
+        backbones.SQUEEZENET,
+        "squeezenet1_1-b8a52dc0.pth",
+        "c2/0 r p3u f f p3u f f p3u f f f f",
+    ),
+}
+
+
+def run(recipe: str, state: dict[str, Tensor], x: Tensor) -> list[Tensor]:
+    """What each layer gives, in double precision."""
+    x, outputs = x.double(), []
+    for number, layer in enumerate(recipe.split()):
+
+        def convolved(x: Tensor, name: str, stride: int = 1, padding: int = 0) -> Tensor:
+            weight, bias = (state[f"features.{name}.{k}"].double() for k in ("weight", "bias"))
+            return F.conv2d(x, weight, bias, stride, padding)
+
+        if layer[0] == "c":
+            stride, padding = map(int, layer[1:].split("/"))
+            x = convolved(x, str(number), stride, padding)
+        elif layer == "r":
+            x = x.clamp(min=0)
+        elif layer[0] == "p":
+            x = F.max_pool2d(x, int(layer[1]), 2, ceil_mode=layer.endswith("u"))
+        else:
+            x = convolved(x, f"{number}.squeeze").clamp(min=0)
+            sides = [(f"{number}.expand1x1", 0), (f"{number}.expand3x3", 1)]
+            wide = [convolved(x, name, padding=padding) for name, padding in sides]
+            x = torch.cat(wide, dim=1).clamp(min=0)
+        outputs.append(x)
+    return outputs
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_layer(name: str, cached_weights: Path) -> None:
+    architecture, file, recipe = RECIPES[name]
+    network = backbones.load(architecture)
+    images = torch.randn(2, 3, 36, 44, generator=torch.Generator().manual_seed(0))
+    state = weights.read(cached_weights / file)
+    outputs = run(recipe, state, images)
+    layers = range(len(outputs) - name.startswith("vgg"))  # the last pooling is nobody's
+    taps = network.taps(images, layers)
+    for tap, expected in zip(taps, outputs, strict=False):
+        scale = expected.abs().max().item()
+        torch.testing.assert_close(tap.double(), expected, atol=1e-5 * scale, rtol=0)
+    some = [layers[1], layers[-1]]
+    for tap, again in zip((taps[i] for i in some), network.taps(images, some), strict=True):
+        assert torch.equal(tap, again)
+
+
+def test_no_file(no_weights: Path) -> None:
+    with pytest.raises(WeightsNotFoundError, match=r"AlexNet at .*alexnet-owt-7be5be79\.pth; do"):
+        backbones.load(backbones.ALEXNET, how="; do this")
+    with pytest.raises(WeightsNotFoundError, match=r"VGG-19 at mine\.pth"):
+        backbones.load(backbones.VGG19, "mine.pth")
+
+
+def test_another_network(cached_weights: Path) -> None:
+    file = cached_weights / "vgg16-397923af.pth"
+    message = r"vgg16-397923af\.pth has no 'features\.16\.weight', of shape \(256, 256, 3, 3\)"
+    with pytest.raises(WeightsMismatchError, match=message):
+        backbones.load(backbones.VGG19, file)
+
+
+def test_an_unexpected_layer(cached_weights: Path, tmp_path: Path) -> None:
+    state = torch.load(cached_weights / "alexnet-owt-7be5be79.pth", weights_only=True)
+    torch.save(state | {"features.1.running_mean": torch.ones(64)}, tmp_path / "a.pth")
+    with pytest.raises(WeightsMismatchError, match=r"a\.pth has 'features\.1\.running_mean', of"):
+        backbones.load(backbones.ALEXNET, tmp_path / "a.pth")
+
+
+def test_no_random_numbers_are_used(cached_weights: Path) -> None:
+    before = torch.get_rng_state()
+    backbones.load(backbones.SQUEEZENET)
+    assert torch.equal(torch.get_rng_state(), before)

@@ -1,0 +1,395 @@
+"""DINO encoders, of folders that transformers wrote, against transformers' own networks."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import encoders
+from fide_plugins.encoders.pretrained import dinov3
+from fide_plugins.encoders.pretrained.dinov3 import DinoEncoder
+from fide_plugins.errors import (
+    ImageError,
+    OptionError,
+    WeightsMismatchError,
+    WeightsNotFoundError,
+)
+from fide_plugins.fide import FIDE
+from fide_plugins.types import Float32
+
+transformers = pytest.importorskip("transformers")
+hub = pytest.importorskip("huggingface_hub")
+safetensors = pytest.importorskip("safetensors.torch")
+
+RNG = np.random.default_rng(13)
+KINDS = {"dinov3": (16, 5), "dinov2": (14, 1), "dinov2 with registers": (14, 4)}
+KEY = "layer.0.mlp.up_proj.weight"  # in the file of a DINOv3
+
+
+def copy(folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(folder, tmp_path / "copy"))
+
+
+# -- tokens ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("grid", [(3, 4), (1, 1)])
+def test_tokens_are_the_network_s_own(
+    kind: str, grid: tuple[int, int], dino_folders: dict[str, Path]
+) -> None:
+    """Patches only, of images normalized as ImageNet."""
+    patch, others = KINDS[kind]
+    images = RNG.random((3, patch * grid[0], patch * grid[1], 3), dtype=np.float32)
+    normalized = (images - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    network = transformers.AutoModel.from_pretrained(dino_folders[kind]).eval()
+    with torch.no_grad():
+        x = torch.tensor(normalized, dtype=torch.float32).permute(0, 3, 1, 2)
+        states = network(x).last_hidden_state
+    assert states.shape == (3, others + grid[0] * grid[1], 32)
+    encoder = DinoEncoder(variant=str(dino_folders[kind]))
+    tokens = encoder(images)
+    torch.testing.assert_close(tokens, states[:, others:], atol=1e-5, rtol=1e-5)
+    assert encoder.shape(*images.shape[1:3]) == tokens.shape[1:]
+
+
+@pytest.mark.parametrize(("side", "patches"), [(8, 1), (23, 1), (24, 2), (100, 6), (39, 2)])
+def test_other_sizes_go_to_the_nearest_multiple(
+    side: int,
+    patches: int,
+    dino_folders: dict[str, Path],
+    checkerboard: Callable[[int, int], Float32],
+    antialiased: Callable[[Float32, int, int], Float32],
+) -> None:
+    """39 and 23 pixels become 32 and 16, the others more, and columns of 20 always 16."""
+    encoder = DinoEncoder(variant=str(dino_folders["dinov3"]))
+    assert encoder.shape(side, 20) == (patches, 32)
+    board = checkerboard(side, 20)
+    resized = antialiased(board, 16 * patches, 16)
+    torch.testing.assert_close(encoder(board), encoder(resized), atol=1e-4, rtol=1e-4)
+
+
+def test_too_small(dino_folders: dict[str, Path]) -> None:
+    encoder = DinoEncoder(variant=str(dino_folders["dinov3"]))
+    with pytest.raises(ImageError, match=r"dinov3 encoder needs .* 8 x 8 pixels.*got 7 x 40"):
+        encoder(np.zeros((1, 7, 40, 3)))
+
+
+def test_colors_are_those_that_the_folder_names(
+    dino_folders: dict[str, Path], tmp_path: Path
+) -> None:
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    colors = {"image_mean": [0.4, 0.5, 0.6], "image_std": [0.2, 0.1, 0.3]}
+    (folder / "preprocessor_config.json").write_text(json.dumps(colors))
+    images = RNG.random((2, 32, 32, 3), dtype=np.float32)
+    imagenet = [np.array(c, np.float32) for c in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))]
+    seen = np.clip(images * 0.1 + 0.45, 0, 1)
+    same = (seen - colors["image_mean"]) / colors["image_std"] * imagenet[1] + imagenet[0]
+    assert same.min() >= 0 and same.max() <= 1
+    expected = DinoEncoder(variant=str(dino_folders["dinov3"]))(same.astype(np.float32))
+    torch.testing.assert_close(DinoEncoder(variant=str(folder))(seen), expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("bfloat16", 0.1), ("float16", 0.02)])
+def test_half_precision(precision: str, tolerance: float, dino_folders: dict[str, Path]) -> None:
+    variant = str(dino_folders["dinov3"])
+    images = RNG.random((2, 32, 32, 3), dtype=np.float32)
+    single, half = DinoEncoder(variant=variant), DinoEncoder(variant=variant, precision=precision)
+    tokens = half(images)
+    assert tokens.dtype == torch.float32 and half.version != single.version
+    assert 0 < (tokens - single(images)).abs().max() < tolerance * single(images).abs().max()
+    with pytest.raises(OptionError, match="one of float32, bfloat16, float16, not 'int8'"):
+        DinoEncoder(variant=variant, precision="int8")
+
+
+@pytest.mark.parametrize(("has", "chosen"), [(True, torch.bfloat16), (False, torch.float16)])
+def test_half_precision_of_a_gpu(
+    has: bool, chosen: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the GPU itself computes, not what can be emulated there; it, not the present one."""
+    asked: list[torch.device] = []
+
+    def chosen_gpu(device: torch.device) -> nullcontext[None]:
+        asked.append(device)
+        return nullcontext()
+
+    monkeypatch.setattr(torch.cuda, "device", chosen_gpu)
+    supported: Callable[..., bool] = lambda including_emulation=True: including_emulation or has  # noqa: E731
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", supported)
+    assert dinov3._dtype(None, torch.device("cuda", 1)) is chosen
+    assert asked == [torch.device("cuda", 1)]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_cuda_computes_in_half_precision(dino_folders: dict[str, Path]) -> None:
+    variant = str(dino_folders["dinov3"])
+    images = RNG.random((70, 32, 32, 3), dtype=np.float32)
+    tokens = DinoEncoder(variant=variant, device="cuda")(images)
+    assert tokens.device.type == "cuda" and tokens.dtype == torch.float32
+    expected = DinoEncoder(variant=variant)(images)
+    assert 0 < (tokens.cpu() - expected).abs().max() < 0.1 * expected.abs().max()
+
+
+def test_the_version_says_which_weights(dino_folders: dict[str, Path], tmp_path: Path) -> None:
+    versions = {DinoEncoder(variant=str(folder)).version for folder in dino_folders.values()}
+    assert len(versions) == 3
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    assert DinoEncoder(variant=str(folder)).version in versions
+    state = safetensors.load_file(folder / "model.safetensors")
+    state["norm.bias"][0] += 1e-6
+    safetensors.save_file(state, folder / "model.safetensors", metadata={"format": "pt"})
+    assert DinoEncoder(variant=str(folder)).version not in versions
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "value"),
+    [
+        ("config.json", "num_attention_heads", 4),
+        ("config.json", "rope_theta", 50.0),
+        ("config.json", "layer_norm_eps", 1e-3),
+        ("config.json", "hidden_act", "relu"),
+        ("preprocessor_config.json", "image_mean", [0.43, 0.411, 0.296]),
+        ("preprocessor_config.json", "image_std", [0.213, 0.156, 0.143]),
+    ],
+)
+def test_the_version_says_what_else_the_tokens_depend_on(
+    file: str, key: str, value: object, dino_folders: dict[str, Path], tmp_path: Path
+) -> None:
+    images = RNG.random((1, 32, 32, 3), dtype=np.float32)
+    before = DinoEncoder(variant=str(dino_folders["dinov3"]))
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    said = json.loads((folder / file).read_text())
+    (folder / file).write_text(json.dumps(said | {key: value}))
+    after = DinoEncoder(variant=str(folder))
+    assert not torch.equal(before(images), after(images)) and before.version != after.version
+    (folder / file).write_text(json.dumps(said | {"torch_dtype": "float16", "note": "moved"}))
+    assert DinoEncoder(variant=str(folder)).version == before.version
+
+
+def test_colors_that_nobody_names(dino_folders: dict[str, Path], tmp_path: Path) -> None:
+    """ImageNet's are taken, silently where the name tells that they are right."""
+    images = RNG.random((1, 32, 32, 3), dtype=np.float32)
+    expected = DinoEncoder(variant=str(dino_folders["dinov3"]))(images)
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    (folder / "preprocessor_config.json").unlink()
+    for name, warned in [("vitl16-sat493m", True), ("mine", True), ("vits16-LVD1689M", False)]:
+        folder = folder.rename(tmp_path / name)
+        warning = pytest.warns(RuntimeWarning, match=rf"{name}.*ImageNet.*\[0\.485.*satellite.*get")
+        with warning if warned else nullcontext():
+            encoder = DinoEncoder(variant=str(folder))
+        assert torch.equal(encoder(images), expected)
+
+
+# -- where it comes from ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def hub_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache of the hub, and no way to the hub itself."""
+    monkeypatch.setattr(hub.constants, "HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.setattr(hub.constants, "HF_HUB_OFFLINE", True)
+    return tmp_path / "hub"
+
+
+def test_nothing_is_there(hub_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    message = (
+        rf"no folder 'facebook/dinov3-vits16.*', and no network of that name in {hub_cache}; "
+        r".*download=True.*'dense' needs no weights"
+    )
+    for make in (lambda: encoders.make("dinov3"), lambda: FIDE(3, np.zeros((32, 32, 3)),
+                                                              encoder="dinov3")):  # fmt: skip
+        with pytest.raises(WeightsNotFoundError, match=message):
+            make()
+    assert not hub_cache.exists()
+    for name in ("not a name", ""):  # and not the folder in which this runs
+        with pytest.raises(WeightsNotFoundError, match=f"no folder '{name}'"):
+            encoders.make(f"dinov3:{name}")
+
+
+def test_only_a_download_may_ask_the_hub(
+    hub_cache: Path, dino_folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def snapshot_download(name: str, *, allow_patterns: list[str]) -> str:
+        assert not {"*.bin", "*.pt", "*"} & set(allow_patterns)
+        asked.append(name)
+        if name == "facebook/nothing":
+            raise ConnectionError("no route")
+        return str(dino_folders["dinov3"])
+
+    monkeypatch.setattr(hub, "snapshot_download", snapshot_download)
+    with pytest.raises(WeightsNotFoundError):
+        encoders.make("dinov3")
+    assert not asked
+    assert encoders.make("dinov3", download=True).shape(32, 32) == (4, 32)
+    assert encoders.make("dinov3:facebook/dinov2-small", download=True).name == "dinov3"
+    with pytest.raises(WeightsNotFoundError, match=r"hub did not give .* \(no route\)"):
+        encoders.make("dinov3:facebook/nothing", download=True)
+    assert asked == [dinov3.DEFAULT, "facebook/dinov2-small", "facebook/nothing"]
+
+
+def test_the_cache_of_the_hub(
+    hub_cache: Path, dino_folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Laid out as the hub's own client lays it out: a branch names a commit, which has files."""
+    repository = hub_cache / "models--facebook--dinov3-vits16-pretrain-lvd1689m"
+    commit = "0123456789abcdef0123456789abcdef01234567"
+    (repository / "refs").mkdir(parents=True)
+    (repository / "refs" / "main").write_text(commit)
+    snapshot = repository / "snapshots" / commit
+    shutil.copytree(dino_folders["dinov3"], snapshot)
+    expected = encoders.make(f"dinov3:{dino_folders['dinov3']}")
+    for download in (False, True):  # what is there is not fetched again
+        assert encoders.make("dinov3", download=download).version == expected.version
+    (snapshot / "model.safetensors").unlink()
+    with pytest.raises(WeightsNotFoundError, match="no network of that name"):
+        encoders.make("dinov3")
+    monkeypatch.setattr(hub, "snapshot_download", lambda *_, **__: str(dino_folders["dinov3"]))
+    assert encoders.make("dinov3", download=True).version == expected.version
+
+
+def test_a_part_of_a_network_is_completed(
+    hub_cache: Path, dino_folders: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Weights in several files, of which one is not there yet."""
+    repository = hub_cache / "models--facebook--dinov3-large-lvd"
+    (repository / "refs").mkdir(parents=True)
+    (repository / "refs" / "main").write_text("0123")
+    snapshot = repository / "snapshots" / "0123"
+    network = transformers.AutoModel.from_pretrained(dino_folders["dinov3"])
+    network.save_pretrained(snapshot, max_shard_size="40KB")
+    shutil.copy(dino_folders["dinov3"] / "preprocessor_config.json", snapshot)
+    shards = sorted(snapshot.glob("*.safetensors"))
+    assert len(shards) > 1
+    name, last = "dinov3:facebook/dinov3-large-lvd", shards[-1].read_bytes()
+    complete = encoders.make(name)
+    asked: list[str] = []
+
+    def snapshot_download(repository: str, *, allow_patterns: list[str]) -> str:
+        asked.append(repository)
+        shards[-1].write_bytes(last)
+        return str(snapshot)
+
+    monkeypatch.setattr(hub, "snapshot_download", snapshot_download)
+    shards[-1].unlink()
+    with pytest.raises(WeightsNotFoundError, match=rf"a part of it, without {shards[-1].name}; "):
+        encoders.make(name)
+    with pytest.raises(WeightsNotFoundError, match=rf"no {shards[-1].name} in {snapshot}"):
+        encoders.make(f"dinov3:{snapshot}")
+    assert not asked
+    for _ in range(2):
+        assert encoders.make(name, download=True).version == complete.version
+    assert asked == ["facebook/dinov3-large-lvd"]
+    shards[-1].write_bytes(last[:-1])
+    with pytest.raises(
+        WeightsMismatchError, match=rf"{shards[-1]} cannot be read: it is truncated"
+    ):
+        encoders.make(name)
+    (snapshot / "model.safetensors.index.json").write_text('{"weight_map": 3}')
+    with pytest.raises(WeightsMismatchError, match=r"index\.json: weight_map must name a file"):
+        encoders.make(name, download=True)
+
+
+# -- what is refused -------------------------------------------------------------------------------
+
+
+def without(key: str) -> Callable[[dict[str, Any]], None]:
+    return lambda state: state.pop(key)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            without(KEY),
+            r"model\.safetensors has no '.*0\.mlp\.up_proj\.weight', of shape \(64, 32\)",
+        ),
+        (
+            lambda state: state.update({KEY: torch.zeros(64, 31)}),
+            r"up_proj\.weight' has the shape \(64, 31\), and must have \(64, 32\)",
+        ),
+        (
+            lambda state: state.update({"head.weight": torch.zeros(9, 32)}),
+            r"model\.safetensors has 'head\.weight', of shape \(9, 32\), which this network",
+        ),
+        (
+            lambda state: state[KEY].fill_(torch.inf),
+            r"up_proj\.weight', of shape \(64, 32\), has values that are not finite",
+        ),
+    ],
+    ids=["missing", "shape", "unexpected", "infinite"],
+)
+def test_weights_that_do_not_fit(
+    change: Callable[[dict[str, Any]], None],
+    message: str,
+    dino_folders: dict[str, Path],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    state = safetensors.load_file(folder / "model.safetensors")
+    change(state)
+    safetensors.save_file(state, folder / "model.safetensors", metadata={"format": "pt"})
+    with pytest.raises(WeightsMismatchError, match=message):
+        encoders.make(f"dinov3:{folder}")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.9])
+def test_cut_short(share: float, dino_folders: dict[str, Path], tmp_path: Path) -> None:
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    data = (folder / "model.safetensors").read_bytes()
+    (folder / "model.safetensors").write_bytes(data[: int(share * len(data))])
+    with pytest.raises(
+        WeightsMismatchError, match=r"model\.safetensors cannot be read: it is truncated"
+    ):
+        encoders.make(f"dinov3:{folder}")
+
+
+def test_other_networks_and_files(dino_folders: dict[str, Path], tmp_path: Path) -> None:
+    folder = copy(dino_folders["dinov3"], tmp_path)
+    config = folder / "config.json"
+    said = json.loads(config.read_text())
+    for text, message in [
+        (json.dumps(said | {"model_type": "bert"}), r"model_type dinov3_vit or .*, not 'bert'"),
+        ("[]", r"config\.json must hold an object, got list"),
+        ("{", r"config\.json is not JSON"),
+        (json.dumps(said | {"hidden_size": 40}), r"has the shape \(.*32.*\), and must have"),
+    ]:
+        config.write_text(text)
+        with pytest.raises(WeightsMismatchError, match=message):
+            encoders.make(f"dinov3:{folder}")
+    config.write_text(json.dumps(said))
+    (folder / "preprocessor_config.json").write_text('{"image_std": [0, 1]}')
+    with pytest.raises(WeightsMismatchError, match=r"image_mean and image_std must be three"):
+        encoders.make(f"dinov3:{folder}")
+    shutil.copy(dino_folders["dinov3"] / "preprocessor_config.json", folder)
+    state = safetensors.load_file(folder / "model.safetensors")
+    (folder / "model.safetensors").unlink()
+    torch.save(state, folder / "pytorch_model.bin")  # may be pickled, so it is not read
+    with pytest.raises(WeightsNotFoundError, match=r"no model\.safetensors in"):
+        encoders.make(f"dinov3:{folder}")
+    config.unlink()
+    with pytest.raises(WeightsNotFoundError, match=r"no config\.json in"):
+        encoders.make(f"dinov3:{folder}")
+
+
+def test_transformers_is_left_as_it_was(dino_folders: dict[str, Path]) -> None:
+    log = transformers.utils.logging
+    log.enable_progress_bar()
+    log.set_verbosity_info()
+    try:
+        encoders.make(f"dinov3:{dino_folders['dinov3']}")
+        assert log.is_progress_bar_enabled() and log.get_verbosity() == log.INFO
+    finally:
+        log.set_verbosity_warning()
+        log.disable_progress_bar()

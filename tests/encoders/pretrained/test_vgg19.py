@@ -1,0 +1,106 @@
+"""VGG-19's activations as tokens, by random weights in the layout of torchvision's file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import encoders
+from fide_plugins.encoders.pretrained import backbones
+from fide_plugins.encoders.pretrained.vgg19 import VGG19Encoder
+from fide_plugins.errors import ImageError, OptionError, WeightsNotFoundError
+from fide_plugins.fide import FIDE
+from fide_plugins.types import Float32
+
+RNG = np.random.default_rng(14)
+LAYERS = {  # name: number in torchvision's `features`, pixels of a patch, channels
+    "relu1_1": (1, 1, 64),
+    "relu1_2": (3, 1, 64),
+    "relu2_2": (8, 2, 128),
+    "relu3_4": (17, 4, 256),
+    "relu4_1": (20, 8, 512),
+    "relu5_1": (29, 16, 512),
+    "relu5_4": (35, 16, 512),
+}
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_tokens_are_places_of_the_layer(layer: str, cached_weights: Path) -> None:
+    number, patch, channels = LAYERS[layer]
+    images = RNG.random((2, 32, 48, 3), dtype=np.float32)
+    normalized = (images - [0.485, 0.456, 0.406]) / [0.229, 0.224, 0.225]
+    x = torch.tensor(normalized, dtype=torch.float32).permute(0, 3, 1, 2)
+    (activations,) = backbones.load(backbones.VGG19).taps(x, [number])
+    encoder = encoders.make(f"vgg19:{layer}")
+    tokens = encoder(images)
+    assert encoder.shape(32, 48) == tokens.shape[1:] == (32 * 48 // patch**2, channels)
+    row, column = 32 // patch - 1, 48 // patch // 2
+    for i in range(2):
+        torch.testing.assert_close(
+            tokens[i, row * (48 // patch) + column],
+            activations[i, :, row, column],
+            atol=1e-4,
+            rtol=1e-4,
+        )
+    assert tokens.min() == 0 < tokens.max()
+
+
+def test_the_default_has_the_grid_of_the_other_encoders(
+    cached_weights: Path,
+    checkerboard: Callable[[int, int], Float32],
+    antialiased: Callable[[Float32, int, int], Float32],
+) -> None:
+    encoder = encoders.make("vgg19")
+    assert encoder.shape(224, 224) == (196, 512)
+    assert encoder.shape(112, 100) == (7 * 6, 512)
+    for height, width in [(39, 23), (40, 24)]:  # downsized, and enlarged
+        board = checkerboard(height, width)
+        fitting = antialiased(board, *(round(side / 16 + 1e-6) * 16 for side in (height, width)))
+        torch.testing.assert_close(encoder(board), encoder(fitting), atol=1e-4, rtol=1e-3)
+    with pytest.raises(ImageError, match=r"vgg19 encoder needs .* 8 x 8 .*got 7 x 9"):
+        encoder(np.zeros((1, 7, 9, 3)))
+
+
+def test_versions(cached_weights: Path, tmp_path: Path) -> None:
+    default, layer = encoders.make("vgg19"), encoders.make("vgg19:relu4_1")
+    assert default.version.startswith("vgg19-2-relu5_4-") and layer.version != default.version
+    state = torch.load(cached_weights / "vgg19-dcbb9e9d.pth", weights_only=True)
+    state["features.0.bias"][0] += 1e-3
+    torch.save(state, tmp_path / "mine.pth")
+    mine = VGG19Encoder(weights=tmp_path / "mine.pth")
+    assert mine.version[:-8] == default.version[:-8] and mine.version != default.version
+
+
+def test_weights_of_one_s_own_reach_the_optimizer(
+    cached_weights: Path, no_weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a name, which is registered."""
+    monkeypatch.setattr(encoders._REGISTRY, "_factories", dict(encoders._REGISTRY._factories))
+    path = cached_weights / "vgg19-dcbb9e9d.pth"
+    encoders.register("my-vgg", partial(VGG19Encoder, weights=path))
+    opt = FIDE(3, np.zeros((32, 32, 3)), encoder="my-vgg")
+    assert opt.features_shape == (4, 512)
+    assert (
+        encoders.make("my-vgg:relu4_1").version
+        == VGG19Encoder(variant="relu4_1", weights=path).version
+    )
+    with pytest.raises(WeightsNotFoundError):
+        encoders.make("vgg19")
+
+
+@pytest.mark.parametrize("layer", ["relu1_3", "relu6_1", "relu5_0", "conv1_1", "", "relu5_4x"])
+def test_no_such_layer(layer: str) -> None:
+    with pytest.raises(OptionError, match=r"one of relu1_1, .*relu5_4, not '"):
+        encoders.make(f"vgg19:{layer}")
+
+
+def test_without_weights(no_weights: Path) -> None:
+    message = r"VGG-19 at .*vgg19-dcbb9e9d\.pth; .*download=True.*https://.*'dense' needs none"
+    with pytest.raises(WeightsNotFoundError, match=message):
+        encoders.make("vgg19")
+    assert not no_weights.exists()

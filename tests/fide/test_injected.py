@@ -1,0 +1,220 @@
+"""Candidates that this generation did not ask for: late, injected, or of an earlier search."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.fide import FIDE
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.search.step_size import TwoPoint
+from fide_plugins.types import Float32, Float64
+
+from .helpers import TINY, Render, pending_now, run, sphere
+
+
+def test_many_workers_late_results_and_lost_candidates(render: Render, target: Float32) -> None:
+    """Twenty workers, results in any order, one in ten never comes back."""
+    opt = FIDE(6, target, popsize=8, seed=0)
+    rng = np.random.default_rng(0)
+    waiting = list(opt.ask(20))
+    told = 0
+    for _ in range(1200):
+        x = waiting.pop(int(rng.integers(len(waiting))))
+        if rng.random() < 0.9:
+            opt.tell(x[None], render(x[None]))
+            told += 1
+        waiting.append(opt.ask(1)[0])
+    assert opt.evaluations == told
+    assert opt.best is not None and opt.best.loss < 2e-3  # 0.03 at the center
+    assert np.isfinite(opt.state.search.mean).all()
+
+
+def test_a_late_candidate_is_injected(target: Float32) -> None:
+    """It was drawn elsewhere, so its step is cut, whatever its rank."""
+    opt = FIDE(2, target, seed=0, popsize=4, proposer="none", restarts="none")
+    late = opt.ask(1)
+    z_late = pending_now(opt)[0].z.copy()
+    other = opt.ask(4)
+    opt.tell(other, None, np.square(other - late).sum(axis=1))
+    opt.state.search.sigma /= 100  # as after many generations
+    plain = CMAES.from_state(opt.state.search.state_dict(), 2, 4)
+    X = opt.ask(3)
+    z = np.array([z_late, *(c.z for c in pending_now(opt)[1:])])
+    opt.tell(np.concatenate([X, late]), None, [2.0, 3.0, 4.0, 1.0])
+    plain.tell(z, np.array([1.0, 2.0, 3.0, 4.0]), np.arange(4) == 0)
+    np.testing.assert_array_equal(opt.state.search.mean, plain.mean)
+
+
+def test_asking_ahead_does_not_stop_the_search(render: Render, target: Float32) -> None:
+    """A user who always has two generations out still makes progress."""
+    opt = FIDE(6, target, popsize=8, seed=0)
+    out = opt.ask()
+    for _ in range(80):
+        ahead = opt.ask()
+        opt.tell(out, render(out))
+        out = ahead
+    assert opt.best is not None and opt.best.loss < 2e-3
+
+
+def test_points_that_were_never_asked_can_become_the_best(
+    render: Render, target: Float32, answer: Float64
+) -> None:
+    opt = FIDE(6, target, seed=0)
+    opt.tell(answer[None], render(answer[None]))
+    assert opt.best is not None and opt.best.loss == 0.0
+    np.testing.assert_array_equal(opt.best.x, answer)
+    assert opt.evaluations == 1
+    run(opt, render, 3)
+    np.testing.assert_array_equal(opt.best.x, answer)
+
+
+def test_an_injected_candidate_takes_the_place_of_a_worse_one(
+    target: Float32,
+) -> None:
+    """The documented rule, against a CMA-ES that is told so by hand; others change nothing."""
+    settings: dict[str, Any] = {"seed": 0, "popsize": 6, "proposer": "none", "restarts": "none"}
+    opt, plain, bad = (FIDE(4, target, **settings) for _ in range(3))
+    injected = np.array([[0.0, 0.0, 0.0, 0.0], [0.52, 0.5, 0.5, 0.5]])  # the first is cut
+    X = opt.ask()
+    losses = np.array([5.0, 3.0, np.inf, 6.0, 2.0, 4.0])
+    opt.tell(injected, None, [1.0, 1.5])
+    opt.tell(X, None, losses)
+    z, ranked = X.copy(), losses.copy()
+    z[2], ranked[2] = injected[0], 1.0
+    plain.ask()
+    plain.state.search.tell(z, ranked, np.arange(6) == 2)
+    np.testing.assert_array_equal(opt.state.search.mean, plain.state.search.mean)
+    np.testing.assert_array_equal(opt.state.search.C, plain.state.search.C)
+    X = opt.ask()
+    z = np.array([c.z for c in pending_now(opt)])
+    opt.tell(X, None, losses)  # an injected candidate counts once
+    plain.state.search.tell(z, losses, np.zeros(6, bool))
+    np.testing.assert_array_equal(opt.state.search.mean, plain.state.search.mean)
+    bad.tell(np.full((1, 4), 0.9), None, [7.0])
+    losses[2] = 6.5
+    bad.tell(bad.ask(), None, losses)
+    without = FIDE(4, target, **settings)
+    without.tell(without.ask(), None, losses)
+    np.testing.assert_array_equal(bad.state.search.mean, without.state.search.mean)
+    np.testing.assert_array_equal(bad.state.search.C, without.state.search.C)
+
+
+def test_the_proposer_learns_from_a_warm_start(
+    render: Render, target: Float32, answer: Float64
+) -> None:
+    """What is told before the first generation is known to it after: proposals come at once."""
+    opt = FIDE(6, target, popsize=8, seed=0, proposal_fraction=0.5)
+    known = answer + 0.05 * np.random.default_rng(0).standard_normal((40, 6))
+    known = np.clip(known, 0, 1)
+    opt.tell(known, render(known))
+    run(opt, render, 1)
+    X = opt.ask()
+    losses = np.square(render(X).astype(np.float64) - target).mean(axis=(1, 2, 3))
+    proposed = np.array([c.proposed for c in pending_now(opt)])
+    assert proposed.sum() >= 3
+    assert np.median(losses[proposed]) < 0.3 * np.median(losses[~proposed])
+
+
+def test_a_candidate_of_an_earlier_search_is_injected(render: Render, target: Float32) -> None:
+    """It is no member of the new search's generation, and can still become the best."""
+    opt = FIDE(6, target, seed=0, popsize=4, patience=3)
+    old = opt.ask(1)
+    while opt.state.searches == 1:
+        X = opt.ask(4)
+        opt.tell(X, render(X), np.ones(4))
+    mean = opt.state.search.mean.copy()
+    X = opt.ask()
+    opt.tell(X[:-1], None, 2.0 + np.arange(len(X) - 1))
+    opt.tell(old, None, [0.5])
+    np.testing.assert_array_equal(opt.state.search.mean, mean)
+    opt.tell(X[-1:], None, [1.0])
+    assert (opt.state.search.mean != mean).all()
+    assert opt.best is not None
+    np.testing.assert_array_equal(opt.best.x, old[0])
+
+
+def test_a_guess_that_is_the_best_is_recommended(
+    render: Render, target: Float32, answer: Float64
+) -> None:
+    opt = FIDE(6, target, seed=0, popsize=8)
+    run(opt, render, 3)
+    opt.tell(answer[None], render(answer[None]))
+    np.testing.assert_array_equal(opt.recommend(), answer)
+    run(opt, render, 3)
+    np.testing.assert_array_equal(opt.recommend(), answer)
+
+
+def test_injected_candidates_are_not_remembered_for_ever(target: Float32) -> None:
+    opt = FIDE(2, target, seed=0)
+    image = np.zeros((500, *target.shape), np.float32)
+    for i in range(5):
+        opt.tell(np.random.default_rng(i).random((500, 2)), image)
+    assert opt.evaluations == 2500
+    assert len(opt.state.samples) <= 1000
+
+
+@pytest.mark.parametrize(
+    ("told", "pair"),
+    [
+        ([0, 1, 2, 3, 4, 5, 6, 7], (0, 1)),
+        ([8, 5, 1, 7, 2, 6, 0, 3], (0, 1)),  # one was lost that is not of the pair
+        ([9, 4, 8, 6, 2, 5, 7, 10], (8, 9)),  # the first pair was lost
+        ([9, 4, 0, 6, 2, 5, 7, 8], (8, 9)),  # half of it was
+    ],
+)
+def test_the_pair_that_measures_the_step_size_is_found_in_any_order(
+    told: list[int], pair: tuple[int, int]
+) -> None:
+    """Of 60 parameters and 8 candidates; the pair is neither where results are lost nor first."""
+    options: dict[str, Any] = {"proposer": "none", "restarts": "none", "guard_search": False}
+    opt = FIDE(60, TINY, seed=0, popsize=8, sigma0=0.05, **options)
+    for _ in range(3):
+        X = opt.ask()
+        opt.tell(X, None, sphere(X))
+    search = opt.state.search
+    X = opt.ask(16)  # two draws from the same distribution, each with its pair
+    np.testing.assert_allclose(X[list(pair)].mean(axis=0), search.mean, atol=1e-12)
+    losses = sphere(X)
+    reference, sigma = TwoPoint(60), search.sigma
+    reference.load_state_dict(search.state_dict()["two_point"])
+    where = np.searchsorted(sorted(told), pair)
+    factor = reference.factor(X[0], losses[sorted(told)], (int(where[0]), int(where[1])))
+    for x, loss in zip(X[told], losses[told], strict=True):
+        opt.tell(x[None], None, [loss])
+    assert opt.state.population.generations == 4
+    assert factor != 1
+    assert search.sigma == pytest.approx(sigma * factor, rel=1e-12)
+
+
+def test_a_pair_of_an_earlier_generation_does_not_stand_for_that_of_the_present_one() -> None:
+    """Told late; the step size is as if others had been told in its place."""
+    options: dict[str, Any] = {"proposer": "none", "restarts": "none", "guard_search": False}
+    sigmas = []
+    for late in (slice(8, 10), slice(10, 12)):  # a pair, and two others
+        opt = FIDE(60, TINY, seed=0, popsize=8, sigma0=0.05, **options)
+        X = opt.ask()
+        opt.tell(X, None, sphere(X))
+        X = opt.ask(16)
+        opt.tell(X[:8], None, sphere(X[:8]))
+        new = opt.ask(6)
+        opt.tell(new, None, np.arange(6.0))
+        opt.tell(X[late], None, [10.0, 11.0])
+        assert opt.state.population.generations == 3
+        sigmas.append(opt.state.search.sigma)
+    assert sigmas[0] == pytest.approx(sigmas[1], rel=1e-12)
+
+
+def test_points_may_come_back_in_single_precision(render: Render, target: Float32) -> None:
+    """They are those that were asked, bit for bit, in searches, tests and restarts."""
+    double, single = FIDE(6, target, seed=0, popsize=8), FIDE(6, target, seed=0, popsize=8)
+    for _ in range(60):
+        X, Y = double.ask(), single.ask()
+        np.testing.assert_array_equal(X, Y)
+        images = render(X)
+        double.tell(X, images)
+        single.tell(Y.astype(np.float32), images)
+        assert single.state.population.pending == 0 and single.state.injected is None
+    assert single.state.searches > 1

@@ -1,0 +1,79 @@
+"""Callbacks are called in order, and TensorBoard reads what is written for it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import fit
+from fide_plugins.errors import DependencyError
+from fide_plugins.fitting.callbacks import Event, Run
+from fide_plugins.fitting.callbacks.tensorboard import TensorBoard
+from fide_plugins.fitting.result import Result
+
+from .scene import SPACE, disk, target
+
+
+class Diary:
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.events: list[Event] = []
+
+    def on_start(self, run: Run) -> None:
+        assert run.workers == 1 and run.budget == 30 and run.evaluations == 0
+        self.calls.append("start")
+
+    def on_evaluation(self, event: Event) -> None:
+        self.calls.append("evaluation")
+        self.events.append(event)
+
+    def on_improvement(self, event: Event) -> None:
+        assert event is self.events[-1] and event.loss == event.best_loss
+        self.calls.append("improvement")
+
+    def on_end(self, result: Result) -> None:
+        self.calls.append("end")
+        self.result = result
+
+
+def test_an_event_says_what_was_evaluated() -> None:
+    diary = Diary()
+    result = fit(disk(), target(), SPACE, budget=30, workers=0, seed=1, callbacks=[diary])
+    assert diary.calls[0] == "start" and diary.calls[-1] == "end" and diary.result is result
+    assert diary.calls.count("evaluation") == 30
+    losses = [event.loss for event in diary.events]
+    lows = np.minimum.accumulate(losses)
+    assert diary.calls.count("improvement") == len(np.unique(lows))
+    assert [event.best_loss for event in diary.events] == lows.tolist()
+    assert [event.evaluation for event in diary.events] == list(range(30))
+    for event in diary.events[::7]:
+        assert event.params == SPACE.decode(event.x)
+        gray = np.repeat(disk()(event.params)[..., None], 3, axis=-1)
+        assert event.image == pytest.approx(gray, abs=1e-6)
+
+
+def test_tensorboard_is_asked_for_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with pytest.raises(DependencyError, match=r"pip install 'fide-plugins\[tensorboard\]'"):
+        TensorBoard("nowhere")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_tensorboard_reads_curves_images_and_parameters(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard", reason="needs the extra tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    arguments: dict[str, Any] = {"budget": 20, "workers": 0, "seed": 1}
+    result = fit(disk(), target(), SPACE, callbacks=TensorBoard(tmp_path), **arguments)
+    events = EventAccumulator(str(tmp_path)).Reload()
+    best = events.Scalars("loss/best")
+    assert [point.step for point in best] == list(range(1, 21))
+    assert [point.value for point in best] == pytest.approx(result.curve[:, 1].tolist())
+    assert {"target", "best"} <= set(events.Tags()["images"])
+    assert (events.Images("target")[0].width, events.Images("target")[0].height) == (16, 16)
+    last = {name: events.Scalars(f"parameters/{name}")[-1].value for name in SPACE.names}
+    assert last == pytest.approx(result.params)

@@ -1,0 +1,28 @@
+"""What docs/fit.md shows works as it is written there."""
+
+from __future__ import annotations
+
+import doctest
+from pathlib import Path
+
+import pytest
+
+from fide_plugins.errors import OptionError
+from fide_plugins.fitting import durations
+from fide_plugins.fitting.durations import seconds_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "fit.md"
+
+
+def test_the_example_of_the_page() -> None:
+    failures, examples = doctest.testfile(str(PAGE), module_relative=False)
+    assert failures == 0 and examples >= 7
+
+
+def test_durations() -> None:
+    assert doctest.testmod(durations) == (0, 1)
+    expected = {"90s": 90, "1d": 86400, "1.5h": 5400, " 2M30S ": 150, "45": 45, 0.5: 0.5}
+    assert {text: seconds_of("time", text) for text in expected} == expected
+    for wrong in ("", "h", "10 minutes", "5m1h", "-3", 0, -1, True, None, float("nan"), "inf"):
+        with pytest.raises(OptionError, match="time must be a positive number of seconds"):
+            seconds_of("time", wrong)

@@ -1,0 +1,156 @@
+"""Renders that fail, die or hang cost one candidate each; most failing ends the fit."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import fit
+from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.fitting.failures import (
+    CallbackError,
+    FitError,
+    GivenUpError,
+    RenderFailedWarning,
+)
+
+from .scene import SPACE, disk, target
+
+WIDE: dict[str, Any] = {"seed": 0, "sigma0": 0.4}  # so that some candidates are unlucky
+
+
+@pytest.mark.parametrize(
+    ("misfortune", "message"),
+    [
+        ("raises", "ValueError: too far to the right"),
+        ("wrong size", "must have the target's size, 16 x 16"),
+        ("nan", "must be finite"),
+    ],
+)
+def test_a_failed_render_is_withdrawn_and_the_first_one_shown(
+    misfortune: str, message: str
+) -> None:
+    with pytest.warns(RenderFailedWarning, match=message) as caught:
+        result = fit(disk(misfortune), target(), SPACE, budget=80, workers=0, **WIDE)
+    assert len(caught) == 1 and "render({'x': 0." in str(caught[0].message)
+    assert result.failures > 1 and result.evaluations == 80
+    assert result.first_failure is not None and result.first_failure.params["x"] > 0.8
+    if misfortune == "raises":
+        assert "raise ValueError" in result.first_failure.details
+        assert "rendering.py" not in result.first_failure.details
+    assert result.optimizer.state.population.pending == 0
+
+
+@pytest.mark.parametrize(
+    ("misfortune", "message"),
+    [("dies", "its worker process died, killed by SIGKILL"), ("hangs", "longer than timeout=0.5")],
+)
+def test_a_killed_worker_and_a_hanging_render_cost_one_candidate(
+    misfortune: str, message: str, tmp_path: Path
+) -> None:
+    render = disk(misfortune, log=tmp_path / "log")
+    with pytest.warns(RenderFailedWarning, match=message):
+        result = fit(render, target(), SPACE, budget=20, workers=2, timeout=0.5, seed=0)
+    assert result.evaluations == 20 and result.failures == 1
+    assert (tmp_path / "log").stat().st_size == 21
+    assert result.optimizer.state.population.pending == 0
+
+
+def test_a_render_that_ends_the_program_is_a_failed_one() -> None:
+    def render(params: dict[str, float]) -> Any:
+        return sys.exit(0) if params["x"] > 0.8 else disk()(params)
+
+    with pytest.warns(RenderFailedWarning, match="SystemExit: 0"):
+        result = fit(render, target(), SPACE, budget=80, workers=0, **WIDE)
+    assert result.evaluations == 80 and result.failures > 0
+
+
+def test_bytes_of_a_thread_are_no_pickle(tmp_path: Path) -> None:
+    """They may come from a server."""
+    harm = tmp_path / "harm"
+    answer = b"cos\nmkdir\n(V" + os.fsencode(harm) + b"\ntR."
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
+        fit(lambda _: answer, target(), SPACE, executor="threads", workers=1, seed=0)
+    assert not harm.exists()
+    pickle.loads(answer)
+    assert harm.exists()
+
+
+def test_it_gives_up_with_a_run_directory_too(tmp_path: Path) -> None:
+    def render(params: dict[str, float]) -> Any:
+        raise OSError("no scene.pov")
+
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
+        fit(render, target(), SPACE, workers=0, seed=0, out=tmp_path / "out")
+    assert json.loads((tmp_path / "out/run.json").read_text())["status"] == "failed"
+
+
+def test_a_wrong_argument_claims_no_directory(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="leave out executor"):
+        fit(disk(), target(), SPACE, workers=0, executor="threads", out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_it_gives_up_when_the_first_ones_all_fail() -> None:
+    def render(params: dict[str, float]) -> Any:
+        raise OSError("no scene.pov")
+
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError) as caught:
+        fit(render, target(), SPACE, workers=0, seed=0)
+    assert isinstance(caught.value, RenderError) and isinstance(caught.value, FitError)
+    text = str(caught.value)
+    assert "the first 8 renders all failed; 8 failed so far" in text and "no scene.pov" in text
+    assert caught.value.result.best is None and caught.value.result.failures == 8
+
+
+def test_it_gives_up_when_most_fail_and_keeps_what_it_has() -> None:
+    count = iter(range(10**6))
+
+    def render(params: dict[str, float]) -> Any:
+        if next(count) >= 30:
+            raise MemoryError("full")
+        return disk()(params)
+
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError) as caught:
+        fit(render, target(), SPACE, workers=0, seed=0)
+    assert "26 of the last 50 renders failed, more than half" in str(caught.value)
+    result = caught.value.result
+    assert (result.evaluations, result.failures) == (30, 26) and result.best is not None
+
+
+def test_threads_that_hang_are_missed_and_when_all_do_it_gives_up() -> None:
+    over = time.monotonic() + 1.5
+
+    def render(params: dict[str, float]) -> Any:
+        if params["x"] > 0.4:
+            time.sleep(max(0.0, over - time.monotonic()))
+        return disk()(params)
+
+    with ThreadPoolExecutor(2) as executor:
+        arguments: dict[str, Any] = {"workers": 2, "executor": executor, "timeout": 0.1}
+        with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="2 workers hang"):
+            fit(render, target(), SPACE, **arguments, **WIDE)
+
+
+def test_an_exception_of_a_callback_loses_nothing() -> None:
+    def callback(event: Any) -> None:
+        if event.evaluation == 9:
+            raise KeyError("mine")
+
+    with pytest.raises(
+        CallbackError, match=r"failed in on_evaluation: KeyError\('mine'\)"
+    ) as error:
+        fit(disk(), target(), SPACE, workers=0, seed=0, callbacks=callback)
+    assert isinstance(error.value.__cause__, KeyError)
+    result = error.value.result
+    assert result.evaluations == 10 and result.best is not None
+    assert np.isfinite(result.best.loss)

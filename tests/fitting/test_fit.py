@@ -1,0 +1,168 @@
+"""`fit` is ask and tell by hand, stops by its rules, and says what it has found."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, fit
+from fide_plugins.errors import FideError, OptionError
+from fide_plugins.fitting.callbacks import Event, StopFitting
+from fide_plugins.fitting.one_call import prepare
+from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.types import Float64
+
+from .scene import ANSWER, SPACE, disk, target
+
+
+def by_hand(budget: int, seed: int) -> FIDE:
+    opt, render = FIDE(SPACE, target(), seed=seed), disk()
+    for _ in range(budget):
+        X = opt.ask(1)
+        opt.tell(X, [render(SPACE.decode(X[0]))])
+    return opt
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_one_worker_is_ask_and_tell_by_hand(workers: int) -> None:
+    seen: list[Event] = []
+    result = fit(disk(), target(), SPACE, 70, workers=workers, seed=3, callbacks=seen.append)
+    opt = by_hand(70, 3)
+    assert opt.best is not None and result.best is not None
+    assert np.array_equal(result.best.x, opt.best.x) and result.best.loss == opt.best.loss
+    assert result.params == result.best.params == opt.best.params
+    assert result.evaluations == len(seen) == 70
+    losses = [event.loss for event in seen]
+    assert np.array_equal(result.curve[:, 0], np.arange(1, 71))
+    assert np.array_equal(result.curve[:, 1], np.minimum.accumulate(losses))
+    assert [one.loss for one in result.solutions] == [one.loss for one in opt.solutions()]
+    assert result.status == opt.status and result.stopped == "budget"
+
+
+def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
+    image, X, losses = target(), np.full((1, 4), 0.5), np.array([0.5])
+    stopping = Stopping.of(500, None, None, False)
+    least = np.inf
+    for _ in range(5):
+        fitting = prepare(lambda x: image, image, 4, stopping=stopping, workers=0, seed=0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fitting.optimizer, "ask", lambda n: X)
+            patch.setattr(fitting.optimizer, "tell", lambda X, images: losses)
+            start = time.process_time()
+            fitting.execute()
+            least = min(least, time.process_time() - start)
+    assert least / 500 < 1e-4
+
+
+def test_several_workers_find_the_disk_too() -> None:
+    result = fit(disk(), target(), SPACE, budget=250, executor="threads", workers=4, seed=0)
+    assert result.evaluations == 250 and result.failures == 0
+    assert result.params == pytest.approx(ANSWER, abs=0.1)
+
+
+def test_a_user_s_executor_is_used_and_left_open() -> None:
+    with ThreadPoolExecutor(2, thread_name_prefix="mine") as executor:
+        names: list[str] = []
+
+        def render(x: Float64) -> Any:
+            import threading
+
+            names.append(threading.current_thread().name)
+            assert x.shape == (4,)
+            return disk()(SPACE.decode(x))
+
+        result = fit(render, target(), 4, budget=30, executor=executor, workers=2, seed=0)
+        assert result.evaluations == 30 and isinstance(result.params, np.ndarray)
+        assert all(name.startswith("mine") for name in names)
+        assert executor.submit(int, "7").result() == 7
+
+
+def test_what_cannot_be_sent_to_processes_runs_in_threads() -> None:
+    import threading
+
+    lock, inner = threading.Lock(), disk()
+
+    def render(params: dict[str, float]) -> Any:
+        with lock:
+            return inner(params)
+
+    with pytest.warns(RuntimeWarning, match="cannot pickle '_thread.lock' object.*threads"):
+        result = fit(render, target(), SPACE, budget=10, workers=2, seed=0)
+    assert result.evaluations == 10
+    with pytest.raises(OptionError, match="cannot be sent to other processes"):
+        fit(render, target(), SPACE, budget=10, executor="processes")
+
+
+# -- stopping --------------------------------------------------------------------------------------
+
+
+def test_it_stops_at_a_loss_and_by_time_and_when_told() -> None:
+    arguments: dict[str, Any] = {"workers": 0, "seed": 0}
+    reached = fit(disk(), target(), SPACE, stop_at=0.01, **arguments)
+    assert reached.stopped == "stop_at" and reached.evaluations < 2000
+    assert reached.curve[-1, 1] <= 0.01 < reached.curve[-2, 1]
+    soon = fit(disk(), target(), SPACE, None, time=0.2, **arguments)
+    assert soon.stopped == "time" and soon.seconds >= 0.2
+    told = fit(disk(), target(), SPACE, callbacks=lambda e: e.evaluation == 4, **arguments)
+    assert told.stopped == "callback" and told.evaluations == 5
+
+    class Stopper:
+        def on_improvement(self, event: Event) -> None:
+            assert event.loss == event.best_loss
+            raise StopFitting
+
+    told = fit(disk(), target(), SPACE, callbacks=[Stopper()], **arguments)
+    assert told.stopped == "callback" and told.evaluations == 1
+
+
+def test_a_hopeless_fit_stops_when_it_stalls() -> None:
+    def constant(params: dict[str, float]) -> Any:
+        return np.full((16, 16), 0.3)
+
+    result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
+    assert result.stopped == "until_stalled"
+    assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
+    solved = fit(disk(), target(), SPACE, None, until_stalled=True, workers=0, seed=0)
+    assert solved.stopped == "until_stalled"
+
+
+def test_a_result_is_short_to_read() -> None:
+    text = repr(fit(disk(), target(), SPACE, budget=20, workers=0, seed=0))
+    assert len(text.splitlines()) <= 6 and "array" not in text
+    assert "20 evaluations" in text and "radius" in text
+
+
+# -- bad input -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"budget": 0}, "budget must be a whole number >= 1, not 0"),
+        ({"budget": None}, "budget=None needs another rule"),
+        ({"time": "soon"}, "time must be a positive number of seconds, or a text"),
+        ({"time": -1}, "time must be a positive number"),
+        ({"stop_at": "low"}, "stop_at must be a finite number"),
+        ({"workers": -1}, "workers must be a whole number >= 0"),
+        ({"workers": 0, "timeout": 3}, "timeout needs a worker that can be killed"),
+        ({"workers": 0, "executor": "threads"}, "leave out executor"),
+        ({"executor": "ship"}, "executor must be 'processes', 'threads'"),
+        ({"resume": True}, "resume=True needs the run directory"),
+        ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
+        ({"progress": 3, "workers": 0}, "progress must be True, False, None or a function"),
+        ({"popsiz": 3}, "FIDE has no option 'popsiz'"),
+    ],
+)
+def test_bad_arguments_are_named_before_anything_is_rendered(
+    arguments: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(FideError, match=message) as caught:
+        fit(disk(log=tmp_path / "log"), target(), SPACE, **arguments)
+    assert isinstance(caught.value, ValueError) and not (tmp_path / "log").exists()
+    with pytest.raises(OptionError, match="render must be a function"):
+        fit("scene.py", target(), SPACE)  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""`fide learn` as a user meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fide_plugins.cli import main
+from fide_plugins.learning import Model
+
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+
+space = Space(left=Float(0, 1), right=Float(0, 1))
+
+
+def render(params):
+    return np.repeat(np.linspace(params["left"], params["right"], 16)[None], 16, axis=0)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("gradient.py").write_text(SCENE)
+    words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 2)
+    assert fide(*words, "--renders", 100) == 0
+    captured = capsys.readouterr()
+    assert "pass 2/2  held-out renders:" in captured.err
+    assert "nats better than the uniform prior" in captured.out
+    assert Model.load("m.fide").report.renders == 98
+    assert fide(*words, "--renders", 200) == 2
+    assert "is there already; add --resume" in capsys.readouterr().err
+    assert fide(*words, "--renders", 200, "--resume") == 0
+    assert Model.load("m.fide").report.renders == 196
+
+    run = ("run", "gradient.py:render", "--size", 16, "--budget", 60, "--json", "--out", "r")
+    capsys.readouterr()
+    assert fide(*run, "--learned", "m.fide") == 0
+    assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01
+
+
+def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("learn", "voronoi", "--task-set", "cells=2", "--size", 16, "--passes", 1)
+    assert fide(*words, "--renders", 100, "--out", "v.fide") == 0
+    model = Model.load("v.fide")
+    assert model.head == "set" and model.blocks == ((0, 1, 2, 3, 4), (5, 6, 7, 8, 9))
+    assert fide("run", "voronoi", "--task-set", "cells=3", "--learned", "v.fide") == 2
+    assert "has 10 parameters, and the optimizer 15" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "name either a SOURCE or a --command"),
+        (("nothing",), "no task is named 'nothing'"),
+        (("voronoi", "--space", "s.toml"), "s.toml"),
+        (("--command", "true {out}"), "needs --space"),
+        (("voronoi", "--time", "soon"), "time must be a positive number"),
+        (("voronoi", "--store-limit", "0.0001"), "raise store_limit"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fide("learn", *words, "--out", "m.fide") == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1

@@ -1,0 +1,94 @@
+"""A user's own loss: tried when it is passed, and registered by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, losses
+from fide_plugins.errors import CheckpointError, LossError
+from fide_plugins.types import Float32, Float64
+
+Loss = Callable[[Any], Any]
+
+
+def l1(target: Float32) -> Loss:
+    return lambda images: np.abs(images - target).mean(axis=(1, 2, 3), dtype=np.float64)
+
+
+def test_a_sound_loss_is_used_as_it_is(render: Any, target: Float32) -> None:
+    opt = FIDE(6, target, loss=l1(target), popsize=8, seed=0)
+    X = opt.ask()
+    opt.tell(X, render(X))
+    assert opt.best is not None
+    assert opt.best.loss == l1(target)(render(X)).min()
+
+
+@pytest.mark.parametrize(
+    ("loss", "message"),
+    [
+        (lambda images: images.mean(), "must be 2 numbers, one per image"),
+        (lambda images: np.zeros((len(images), 3)), "must be 2 numbers, one per image"),
+        (lambda images: ["low"] * len(images), "must be real numbers"),
+        (lambda images: [images.mean()] * len(images), "same value in every batch"),
+        (lambda images: images.mean(axis=(1, 2, 3)) / len(images), "same value in every batch"),
+        (lambda images: images.mean(axis=(1, 2, 3)) * np.nan, "finite for the target itself"),
+        (lambda images: images["front"], r"tried on two images.*\(2, 16, 16, 3\).*IndexError"),
+    ],
+)
+def test_a_wrong_loss_is_refused_before_the_first_render(
+    loss: Loss, message: str, target: Float32
+) -> None:
+    with pytest.raises(LossError, match=f"(?s){message}"):
+        FIDE(6, target, loss=loss)
+
+
+def test_a_loss_that_is_not_finite_elsewhere_is_allowed(target: Float32) -> None:
+    def only_near(images: Float32) -> Float64:
+        values: Float64 = l1(target)(images)
+        return np.where(values < 0.3, values, np.inf)
+
+    assert FIDE(6, target, loss=only_near).evaluator.loss.name == "only_near"
+
+
+def test_a_loss_of_views_is_tried_on_all_of_them(target: Float32) -> None:
+    with pytest.raises(LossError, match=r"tried on two images.*AttributeError"):
+        FIDE(6, [target, target], loss=lambda images: images.mean(axis=(1, 2, 3)))
+    FIDE(6, [target, target], loss=lambda views: views[0].mean(axis=(1, 2, 3)))
+
+
+@pytest.fixture
+def registered() -> Iterator[str]:
+    losses.register("l1-of-tests", l1)
+    yield "l1-of-tests"
+    del losses._REGISTRY._factories["l1-of-tests"]
+
+
+def test_a_registered_loss_is_saved_by_name(
+    registered: str, render: Any, target: Float32, tmp_path: Path
+) -> None:
+    assert registered in losses.names()
+    opt = FIDE(6, target, loss=registered, popsize=8, seed=0)
+    X = opt.ask()
+    opt.tell(X, render(X))
+    opt.save(tmp_path / "c")
+    copy = FIDE.load(tmp_path / "c")
+    np.testing.assert_array_equal(copy.evaluator.loss(render(X)), l1(target)(render(X)))
+    masked = FIDE(6, [target, target], mask=[None, np.eye(16, dtype=np.float32)], loss=registered)
+    assert masked.evaluator.loss.spec == registered
+
+
+def test_a_checkpoint_of_an_unregistered_loss_says_so(
+    registered: str, target: Float32, tmp_path: Path
+) -> None:
+    FIDE(6, target, loss=registered, popsize=8, seed=0).save(tmp_path / "c")
+    factory = losses._REGISTRY._factories.pop(registered)
+    try:
+        with pytest.raises(CheckpointError, match="register what it names first"):
+            FIDE.load(tmp_path / "c")
+    finally:
+        losses._REGISTRY._factories[registered] = factory

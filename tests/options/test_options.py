@@ -1,0 +1,201 @@
+"""What can be set, and how a mistake is told."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.fide import FIDE
+from fide_plugins.options import (
+    PRESETS,
+    NetworkOptions,
+    Options,
+    ProposalOptions,
+    flat,
+    make_options,
+)
+from fide_plugins.search.termination import default_patience
+
+
+def test_the_paper_s_values() -> None:
+    """Supplement S1 of the paper."""
+    paper = PRESETS["paper"]
+    assert paper.encoder == "patch"
+    assert paper.popsize == 500
+    assert paper.proposer == "diffusion"
+    assert (paper.proposal.proposal_fraction, paper.proposal.fraction_rate) == (0.5, 0.0)
+    network = paper.network
+    assert (network.epochs, network.learning_rate) == (20, 1e-3)
+    assert network.schedule == (0.3, 0.2, 0.1)
+    assert not paper.guard_search
+    selecting = {name for name, preset in PRESETS.items() if preset.proposal.select_tokens}
+    assert selecting == {"fast", "balanced", "accurate"}
+    assert paper.restarts == "none"
+
+
+def test_names() -> None:
+    assert set(PRESETS) == {"fast", "balanced", "accurate", "paper"}
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_every_preset_passes_its_own_checks(preset: str) -> None:
+    given = flat(PRESETS[preset])
+    assert make_options("fast", {**given, "popsize": None}) is not None
+    assert make_options(preset, given) == PRESETS[preset]
+
+
+def test_none_leaves_what_the_preset_has_where_it_is_no_value() -> None:
+    nothing: dict[str, Any] = dict.fromkeys(flat(PRESETS["paper"]))
+    assert make_options("paper", nothing) == PRESETS["paper"]
+
+
+def test_none_is_a_value_of_an_option_that_may_be_none() -> None:
+    """The patience of "accurate" is 25."""
+    assert make_options("accurate", {}).patience == 25
+    assert make_options("accurate", {"patience": None}).patience is None
+    target = np.zeros((4, 4, 3), np.float32)
+    for dim in (3, 200):
+        given, default = (
+            FIDE(dim, target, preset=preset, popsize=8, patience=None, seed=0)
+            for preset in ("accurate", "balanced")
+        )
+        patience = given.state.descent.termination.patience
+        assert patience == default.state.descent.termination.patience == default_patience(dim, 8)
+    assert FIDE(3, target, preset="accurate").state.descent.termination.patience == 25
+
+
+def test_changes_replace_the_preset_s() -> None:
+    options = make_options("paper", {"popsize": 20, "epochs": 3, "schedule": [0.5, 0.25]})
+    assert (options.popsize, options.network.epochs) == (20, 3)
+    assert options.network.schedule == (0.5, 0.25)
+    assert options.encoder == "patch"
+    assert PRESETS["paper"].popsize == 500
+
+
+def test_options_cannot_be_changed() -> None:
+    with pytest.raises(FrozenInstanceError):
+        PRESETS["fast"].patience = 9  # type: ignore[misc]
+    with pytest.raises(FrozenInstanceError):
+        PRESETS["fast"].proposal.proposal_fraction = 0.9  # type: ignore[misc]
+
+
+def test_every_option_is_documented() -> None:
+    for group in (Options, ProposalOptions, NetworkOptions):
+        for field in fields(group):
+            if field.name not in ("proposal", "network"):
+                assert field.name in (group.__doc__ or ""), field.name
+
+
+@pytest.mark.parametrize(
+    ("former", "name", "value"),
+    [
+        ("share", "proposal_fraction", 0.4),
+        ("smallest_share", "smallest_fraction", 0.1),
+        ("largest_share", "largest_fraction", 0.7),
+        ("share_rate", "fraction_rate", 0.2),
+        ("views", "channel_subsets", (3, 16)),
+        ("memory", "buffer_generations", 5),
+        ("elite", "rank_weight_scale", 0.4),
+        ("noise", "sample_noise", 0.3),
+        ("evidence", "r2_threshold", 0.1),
+        ("overlap", "background_training", False),
+    ],
+)
+def test_names_of_version_0_1_are_understood(former: str, name: str, value: Any) -> None:
+    options = make_options("balanced", {former: value})
+    assert options == make_options("balanced", {name: value}) != PRESETS["balanced"]
+    assert flat(options)[name] == value and former not in flat(options)
+
+
+def test_the_options_of_users_come_first_where_one_is_unknown() -> None:
+    with pytest.raises(OptionError, match="no option 'sahre'") as caught:
+        make_options("balanced", {"sahre": 0.3})
+    few, others = str(caught.value).split("for ablations also:")
+    for field in fields(Options):
+        if field.name not in ("proposal", "network"):
+            assert field.name in few and field.name not in others.split(", ")
+    for group in (ProposalOptions, NetworkOptions):
+        for field in fields(group):
+            assert field.name in others and field.name not in few
+    assert "those that matter most: loss, encoder, preset, popsize" in few
+    with pytest.raises(OptionError, match=r"'pop_size' \(did you mean 'popsize'\?\)"):
+        make_options("balanced", {"pop_size": 8})
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(UnknownNameError, match="'balancd'.*did you mean 'balanced'"):
+        make_options("balancd", {})
+    with pytest.raises(UnknownNameError):
+        make_options(["fast"], {})  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="no option 'populationsize'.*popsize"):
+        make_options("fast", {"populationsize": 3})
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("popsize", [3, 0, -1, 4.5, "many", True, float("nan")]),
+        ("buffer_generations", [0, 1.5]),
+        ("sources", [0]),
+        ("epochs", [0, -3]),
+        ("batch_size", [0]),
+        ("patience", [0]),
+        ("proposal_fraction", [-0.1, 1.1, float("nan"), "half", True]),
+        ("smallest_fraction", [-0.1, 1.1]),
+        ("r2_threshold", [-0.1, 1.1]),
+        ("largest_fraction", [-0.1, 1.1]),
+        ("fraction_rate", [-1, 2]),
+        ("improvement", [-0.1, 1.1, float("nan")]),
+        ("rank_weight_scale", [0, -1, float("inf")]),
+        ("shortest_step", [0, -1]),
+        ("longest_step", [0, float("inf")]),
+        ("ridge", [0, -1, float("nan")]),
+        ("learning_rate", [0, -1e-3]),
+        ("sample_noise", [-0.1, float("nan"), float("inf")]),
+        ("proposer", ["linaer", 3, "", ["linear"]]),
+        ("restarts", ["always", True]),
+        ("guard_search", [1, "yes"]),
+        ("schedule", [[], [0.1, 0.2], "steep", [float("nan")], 0.3, [0.3, -0.1]]),
+        ("encoder", [3, ["dense"]]),
+        ("channel_subsets", [0, [0, 3], 2.5, "colors"]),
+    ],
+)
+def test_a_wrong_value_is_named_with_its_rule(name: str, values: list[Any]) -> None:
+    for value in values:
+        with pytest.raises(OptionError, match=name) as caught:
+            make_options("balanced", {name: value})
+        assert isinstance(caught.value, ValueError)
+        shown = str(value[0]) if isinstance(value, list) and value else str(value)
+        assert shown in str(caught.value), value
+
+
+def test_fractions_that_contradict_each_other() -> None:
+    with pytest.raises(OptionError, match="smallest_fraction.*largest_fraction"):
+        make_options("balanced", {"smallest_fraction": 0.7, "largest_fraction": 0.2})
+    with pytest.raises(OptionError, match=r"shortest_step, 2.0.*longest_step, 1.2"):
+        make_options("balanced", {"shortest_step": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("epochs", 50), ("precision", "bfloat16"), ("steps", 7), ("parameter_tokens", 3),
+     ("schedule", (0.2, 0.1)), ("batch_size", 10), ("learning_rate", 0.1)],
+)  # fmt: skip
+def test_what_is_of_the_network_goes_with_a_network(name: str, value: Any) -> None:
+    for preset in ("fast", "balanced", "accurate"):
+        with pytest.raises(OptionError, match=f"{name}=.*of the network.*'linear' has none"):
+            make_options(preset, {name: value})
+        options = make_options(preset, {name: value, "proposer": "diffusion"})
+        assert getattr(options.network, name) == value
+    assert getattr(make_options("paper", {name: value}).network, name) == value
+
+
+def test_steps_and_a_schedule_contradict_each_other() -> None:
+    with pytest.raises(OptionError, match="give steps or schedule, not both"):
+        make_options("paper", {"steps": 7, "schedule": (0.9, 0.1)})
+    with pytest.raises(OptionError, match="at most 1,000, not 1,001"):
+        make_options("paper", {"schedule": [1 / n for n in range(1, 1002)]})

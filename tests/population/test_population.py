@@ -1,0 +1,341 @@
+"""The bookkeeping of generations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins import population as population_module
+from fide_plugins.population import Makers, Population, mirrored_pair
+from fide_plugins.types import Float64
+
+PROPOSED = 2  # of each generation, the last ones
+
+
+def drawn(popsize: int, seed: int = 0, population: Population | None = None) -> Population:
+    population = population or Population()
+    x = np.random.default_rng(seed).random((popsize, 2))
+    n = popsize - PROPOSED
+    population.draw(x[:n], x[:n] + 2.0, x[n:])
+    population.propose_by(lambda samples: made_of(samples, samples + 2.0), singly=False)
+    return population
+
+
+def index_of(population: Population, x: Float64, loss: float) -> int | None:
+    """Enter a result; the index of its candidate, None if it is injected."""
+    candidate = population.record(x, loss)
+    return None if candidate is None else candidate.index
+
+
+def made_of(x: Float64, z: Float64) -> tuple[Float64, Float64, Makers]:
+    return x, z, np.full(len(x), 7)
+
+
+def hand_out(population: Population, n: int) -> list[Float64]:
+    return [population.hand_out().x for _ in range(n)]
+
+
+def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
+    closed = []
+    for order in ([0, 1, 2, 3, 4], [3, 0, 4, 2, 1]):
+        population = drawn(5)
+        xs = hand_out(population, 5)
+        for i in order:
+            assert not population.complete
+            assert index_of(population, xs[i], float(10 + i)) == i
+        assert population.complete
+        closed.append(population.close_generation())
+        assert not population.complete
+    for members, losses in closed:
+        assert [c.index for c in members] == [0, 1, 2, 3, 4]
+        np.testing.assert_array_equal(losses, [10, 11, 12, 13, 14])
+        assert [c.proposed for c in members] == [False, False, False, True, True]
+        assert [c.maker for c in members] == [0, 0, 0, 7, 7]
+        assert not any(c.late for c in members)
+        for c in members:
+            np.testing.assert_array_equal(c.z, c.x + 2.0)
+
+
+def test_remaining_and_pending_count() -> None:
+    population = drawn(5)
+    assert (population.remaining, population.pending) == (5, 0)
+    xs = hand_out(population, 3)
+    assert (population.remaining, population.pending) == (2, 3)
+    population.record(xs[1], 0.0)
+    assert (population.remaining, population.pending) == (2, 2)
+
+
+def test_proposals_are_made_when_the_first_of_them_is_asked_for_and_only_then() -> None:
+    population, made = Population(), []
+    x = np.linspace(0, 1, 5)[:, None]
+
+    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+        made.append(population.remaining)
+        return made_of(samples, samples)
+
+    population.propose_by(propose, singly=False)
+    population.draw(x[:3], x[:3], x[3:])
+    assert population.size == population.remaining == population.drawn == 5
+    assert population.ready == 3
+    hand_out(population, 3)
+    assert (population.remaining, population.ready, made) == (2, 2, [])
+    assert hand_out(population, 2) == [x[3], x[4]] and made == [2]
+    assert [index_of(population, row, 0.0) for row in x] == [0, 1, 2, 3, 4]
+    population.draw(x[:3], x[:3], x[3:])
+    population.close_generation()
+    assert (population.remaining, made) == (0, [2])  # thrown away, and so never made
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_single_proposals_are_made_one_by_one(saved: bool) -> None:
+    """The third of a generation still waits when the second is asked for, and when it is saved."""
+    population, made = Population(), []
+    x = np.linspace(0, 1, 5)[:, None]
+
+    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+        made.append(samples.tolist())
+        return made_of(samples, samples)
+
+    population.propose_by(propose, singly=True)
+    population.draw(x[:2], x[:2], x[2:])
+    assert (population.ready, population.unmade) == (5, 3)  # none waits for training
+    population.settle()
+    assert made == []
+    hand_out(population, 3)
+    assert (made, population.unmade) == ([[x[2].tolist()]], 2)
+    if saved:
+        population = Population.from_state(population.state_dict(), 1)
+        population.propose_by(propose, singly=True)
+    assert (population.remaining, population.unmade, len(made)) == (2, 2, 1)
+    assert hand_out(population, 2) == [x[3], x[4]]
+    assert made == [[row.tolist()] for row in x[2:]]
+    assert [index_of(population, row, 0.0) for row in x] == [0, 1, 2, 3, 4]
+
+
+def test_single_proposals_that_are_asked_for_at_once_are_made_before_any_is_handed_out() -> None:
+    population = Population()
+    x = np.linspace(0, 1, 6)[:, None]
+    population.propose_by(lambda samples: made_of(samples, samples), singly=True)
+    population.draw(x[:2], x[:2], x[2:])
+    population.make_proposals(4)
+    assert (population.remaining, population.unmade, population.pending) == (6, 2, 0)
+    population.make_proposals()
+    assert (population.remaining, population.unmade) == (6, 0)
+
+
+def test_proposals_that_fail_are_tried_again() -> None:
+    population, answers = Population(), iter([ArithmeticError, None])
+
+    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+        error = next(answers)
+        if error is not None:
+            raise error
+        return made_of(np.ones((1, 2)), np.ones((1, 2)))
+
+    population.propose_by(propose, singly=False)
+    population.draw(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
+    hand_out(population, 1)
+    with pytest.raises(ArithmeticError):
+        population.hand_out()
+    assert (population.remaining, population.pending) == (1, 1)
+    np.testing.assert_array_equal(population.hand_out().x, [1.0, 1.0])
+
+
+def test_what_was_never_asked_or_told_twice_is_injected() -> None:
+    population = drawn(4)
+    xs = hand_out(population, 2)
+    assert index_of(population, np.array([0.5, 0.5]), 1.0) is None
+    assert index_of(population, xs[0], 1.0) == 0
+    assert index_of(population, xs[0], 1.0) is None
+    not_handed_out = np.random.default_rng(0).random((4, 2))[3]
+    assert index_of(population, not_handed_out, 1.0) is None
+
+
+def test_equal_candidates_are_told_apart_by_count() -> None:
+    population = Population()
+    same = np.array([0.25, 0.75])
+    population.draw(np.array([same, same]), np.zeros((2, 2)))
+    hand_out(population, 2)
+    assert [index_of(population, same, 1.0) for _ in range(3)] == [0, 1, None]
+
+
+def test_a_late_candidate_counts_in_the_generation_in_which_it_arrives() -> None:
+    """Six workers, generations of four: two come back after the first is complete."""
+    population = drawn(4)
+    xs = hand_out(population, 4)
+    drawn(4, seed=1, population=population)
+    xs += hand_out(population, 2)
+    for i in (0, 2, 4, 5):
+        assert index_of(population, xs[i], 0.0) == i
+    members, _ = population.close_generation()
+    assert [c.index for c in members] == [0, 2, 4, 5] and not any(c.late for c in members)
+    assert population.remaining == 0  # two of the second draw are thrown away
+    drawn(4, seed=2, population=population)
+    fresh = hand_out(population, 2)
+    assert index_of(population, xs[3], 7.0) == 3
+    assert index_of(population, fresh[1], 8.0) == 9
+    assert index_of(population, xs[1], 9.0) == 1
+    assert index_of(population, fresh[0], 6.0) == 8
+    members, losses = population.close_generation()
+    assert [(c.index, c.late) for c in members] == [(1, True), (3, True), (8, False), (9, False)]
+    np.testing.assert_array_equal(losses, [9.0, 7.0, 6.0, 8.0])
+
+
+def test_after_a_restart_what_is_still_pending_becomes_injected() -> None:
+    population = drawn(4)
+    old = hand_out(population, 4)
+    population.forget_pending()
+    drawn(4, seed=1, population=population)
+    new = hand_out(population, 1)
+    assert index_of(population, old[0], 1.0) is None
+    assert index_of(population, new[0], 1.0) == 4
+    assert population.pending == 0  # those that never come back are not remembered for ever
+
+
+@pytest.mark.parametrize("told", [0, 2])
+def test_state_goes_on(told: int) -> None:
+    """With a queue, candidates outside, late ones, and results."""
+    original = drawn(4)
+    xs = hand_out(original, 4)
+    drawn(4, seed=1, population=original)
+    xs += hand_out(original, 3)
+    for i in range(4):
+        original.record(xs[i], float(i))
+    original.close_generation()
+    drawn(4, seed=2, population=original)
+    xs += hand_out(original, 2)
+    for i in range(told):
+        original.record(xs[4 + i], -float(i))
+    copy = Population.from_state(original.state_dict(), 2)
+    outcomes = []
+    for population in (original, copy):
+        assert (population.remaining, population.pending, population.drawn) == (2, 5 - told, 12)
+        rest = [x.tolist() for x in hand_out(population, 2)]
+        indices = [index_of(population, x, 0.5) for x in xs[4 + told :]]
+        members, losses = population.close_generation()
+        listed = [(c.index, c.x.tolist(), c.z.tolist(), c.proposed, c.late) for c in members]
+        outcomes.append((rest, indices, listed, losses.tolist()))
+    assert outcomes[0] == outcomes[1]
+
+
+def test_an_empty_population_has_a_state() -> None:
+    copy = Population.from_state(Population().state_dict(), 2)
+    assert (copy.size, copy.remaining, copy.pending, copy.drawn) == (0, 0, 0, 0)
+    assert not copy.complete
+
+
+def test_generations_may_differ_in_size() -> None:
+    population = drawn(3)
+    for size in (5, 2, 7):
+        for x in hand_out(population, population.remaining):
+            assert not population.complete
+            population.record(x, 0.0)
+        assert population.complete
+        population.close_generation()
+        drawn(size, seed=size, population=population)
+        assert population.remaining == size
+
+
+def test_what_never_comes_back_is_given_up_the_oldest_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(population_module, "_MOST_PENDING", 10)
+    population = Population()
+    x = np.linspace(0, 1, 25)[:, None]
+    for rows in np.split(x, 5):
+        population.draw(rows, rows)
+        for _ in rows:
+            population.hand_out()
+    assert population.pending == len(population.state_dict()["pending"]["index"]) == 10
+    assert index_of(population, x[14], 0.0) is None
+    assert index_of(population, x[15], 0.0) == 15
+    assert population.pending == Population.from_state(population.state_dict(), 1).pending == 9
+
+
+def test_what_comes_back_rounded_is_the_candidate_that_was_asked() -> None:
+    population = drawn(4)
+    [x] = hand_out(population, 1)
+    candidate = population.record(x.astype(np.float32).astype(np.float64), 1.0)
+    assert candidate is not None
+    np.testing.assert_array_equal(candidate.x, x)
+
+
+def test_zero_may_come_back_with_a_sign() -> None:
+    population = Population()
+    x = np.array([[0.0, 0.5]])
+    population.draw(x, x)
+    population.hand_out()
+    assert index_of(population, np.array([-0.0, 0.5]), 1.0) == 0
+
+
+@pytest.mark.parametrize("asked", ["drawn for it", "asked at once"])
+def test_no_candidate_of_the_present_generation_is_given_up(asked: str) -> None:
+    """However many they are; a user may ask for more than a generation, too."""
+    n = 25_000
+    population, size = Population(), n if asked == "drawn for it" else 10
+    x = np.linspace(0, 1, n)[:, None]
+    rows = np.split(x, n // size)
+    if asked == "asked at once":
+        population.expect(n)
+    for some in rows:
+        population.draw(some, some)
+        population.hand_out_all()
+    assert population.pending == n
+    assert [index_of(population, row, 0.0) for row in x] == list(range(n))
+    assert population.evaluated == n and population.complete
+
+
+def drawn_with_pair(population: Population, n: int) -> list[Float64]:
+    """A generation of n candidates of two parameters, of which the first two are a pair."""
+    x = np.random.default_rng(population.drawn).random((n, 2))
+    population.draw(x, x, pair=True)
+    return [candidate.x for candidate in population.hand_out_all()]
+
+
+@pytest.mark.parametrize(
+    ("told", "pair"),
+    [
+        ([5, 4, 3, 2, 1, 0], (0, 1)),
+        ([1, 7, 4, 0, 3, 2], (0, 1)),
+        ([0, 2, 3, 4, 5, 6], None),
+        ([1, 2, 3, 4, 5, 7], None),
+        ([0, 5, 7, 4, 6, 3], (4, 5)),  # one of the first pair was lost, none of the second
+        ([1, 6, 2, 3, 4, 5], None),  # neighbors now, and yet of different pairs
+    ],
+)
+def test_the_mirrored_pair_is_found_whatever_is_lost(
+    told: list[int], pair: tuple[int, int] | None
+) -> None:
+    """Of two draws of six from the same distribution, of which any six complete the generation."""
+    population = Population()
+    xs = drawn_with_pair(population, 6) + drawn_with_pair(population, 6)
+    for i in told:
+        population.record(xs[i], 0.0)
+    members, _ = population.close_generation()
+    assert mirrored_pair(members) == pair
+
+
+def test_the_pair_of_an_earlier_generation_is_not_that_of_the_present_one() -> None:
+    """It lies along a step of the mean that is not the last one any more."""
+    population = Population()
+    old = drawn_with_pair(population, 6) + drawn_with_pair(population, 6)
+    for x in old[:6]:
+        population.record(x, 0.0)
+    population.close_generation()
+    new = drawn_with_pair(population, 6)
+    for x in (*new[:4], *old[6:8]):
+        population.record(x, 0.0)
+    members, _ = population.close_generation()
+    assert [candidate.late for candidate in members] == [True, True] + [False] * 4
+    assert mirrored_pair(members) == (2, 3)
+
+
+def test_the_state_remembers_the_pair() -> None:
+    population = Population()
+    xs = drawn_with_pair(population, 4)
+    for x in xs[:3]:
+        population.record(x, 0.0)
+    copy = Population.from_state(population.state_dict(), 2)
+    assert mirrored_pair(copy.members()[0]) == (0, 1)
+    population.draw(np.zeros((1, 2)), np.zeros((1, 2)), pair=True)  # half a pair is none
+    assert not population.hand_out().mirrored

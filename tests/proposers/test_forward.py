@@ -1,0 +1,350 @@
+"""The forward model, against the same regressions done in the space of features."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_plugins.proposers import forward
+from fide_plugins.proposers.forward import ForwardProposer, balanced
+from fide_plugins.proposers.jacobian import fit_jacobian
+from fide_plugins.types import Float64
+
+D, T, C = 4, 5, 3
+STD = np.array([0.05, 0.1, 0.2, 0.1])
+MIXING = np.random.default_rng(1).standard_normal((D, T * C))
+ANSWER = np.array([0.3, 0.6, 0.45, 0.7])
+
+
+@pytest.fixture
+def nothing_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps alone, without the part of a sample that tells proposals apart."""
+    monkeypatch.setattr(forward, "_LEAST_KEPT", 0.0)
+
+
+def make(dim: int = D, **changes: Any) -> ForwardProposer:
+    options: dict[str, Any] = {"damping": (1e-9, 1e-9), "ridge": (1e-9, 1e-9), "kept": 0.0}
+    return ForwardProposer(dim, **(options | changes))
+
+
+def images_of(x: Float64, bend: float = 0.0) -> Tensor:
+    """Tokens (n, T, C), linear in x and bent."""
+    flat = (x - 0.5) @ MIXING[: x.shape[1]]
+    return torch.as_tensor((flat + bend * flat**2).reshape(len(x), T, C))
+
+
+def scene(n: int, seed: int = 0, bend: float = 0.0) -> tuple[Float64, Tensor, Float64]:
+    """Candidates, their tokens, and losses, for the target of ANSWER."""
+    x = np.random.default_rng(seed).normal(0.5, STD, (n, D))
+    tokens = images_of(x, bend)
+    wrong = tokens - images_of(ANSWER[None], bend)
+    return x, tokens, wrong.square().mean(dim=(1, 2)).numpy()
+
+
+def step(
+    proposer: ForwardProposer, target: Tensor, m: int = 1, std: Float64 = STD, seed: int = 0
+) -> Float64:
+    mean = np.full(proposer.dim, 0.5)
+    rng = np.random.default_rng(seed)
+    z = rng.normal(mean, std, (m, proposer.dim))
+    return proposer.propose(z, target, mean, std, rng)
+
+
+@pytest.mark.parametrize("n", [D + 1, 12, 36])
+def test_of_a_linear_renderer_one_step_lands_on_the_answer(n: int) -> None:
+    proposer = make(longest=10.0)
+    proposer.update(*scene(n), STD)
+    np.testing.assert_allclose(step(proposer, images_of(ANSWER[None])[0])[0], ANSWER, atol=1e-5)
+
+
+def direct_jacobian(u: Float64, e: Float64, ridge: tuple[float, float]) -> Float64:
+    """Both regressions as the module says them, (d, f)."""
+
+    def solve(a: Float64, b: Float64, w: Float64, penalty: float) -> Float64:
+        normal = (a.T * w) @ a
+        p = penalty * np.trace(normal) / len(normal)
+        J: Float64 = np.linalg.solve(normal + p * np.eye(len(normal)), (a.T * w) @ b)
+        return J
+
+    squared = (u**2).sum(axis=1)
+    wide = solve(u, e, 1 / (squared + np.median(squared)), ridge[0])
+    near = np.argsort(squared)[1 : 2 * u.shape[1] + 1]  # the first is the best itself
+    distances = np.sqrt(squared[near])[:, None]
+    rest = (e - u @ wide)[near] / distances
+    return wide + solve(u[near] / distances, rest, np.ones(len(near)), ridge[1])
+
+
+@pytest.mark.usefixtures("nothing_kept")
+@pytest.mark.parametrize("n", [3, 7, 40])
+@pytest.mark.parametrize("ridge", [(1e-2, 1e-2), (1.0, 0.1)])
+def test_scalar_products_give_what_features_give(n: int, ridge: tuple[float, float]) -> None:
+    x, tokens, losses = scene(n, bend=0.7)
+    b = int(np.argmin(losses))
+    u, flat = (x - x[b]) / STD, tokens.reshape(n, -1).numpy()
+    around = flat - flat.mean(axis=0)  # any origin does
+    jacobian = fit_jacobian(u, around @ around.T, b, ridge)
+    J = direct_jacobian(u, flat - flat[b], ridge)
+    np.testing.assert_allclose(jacobian.Q @ (flat - flat[b]), J, atol=1e-10)
+    values = np.linalg.eigvalsh(J @ J.T)
+    np.testing.assert_allclose(jacobian.values, np.maximum(values, 0), atol=1e-9 * values[-1])
+    missing = (images_of(ANSWER[None], 0.7)[0].reshape(-1)).numpy() - flat[b]
+    unit = balanced(jacobian, jacobian.vectors.T @ J @ missing)
+    proposer = make(capacity=50, ridge=ridge, damping=(0.3, 0.3), longest=1e9)
+    proposer.update(x, tokens, losses, STD)
+    expected = x[b] + STD * np.linalg.solve(J @ J.T + 0.3 * unit * np.eye(D), J @ missing)
+    made = step(proposer, images_of(ANSWER[None], 0.7)[0])
+    np.testing.assert_allclose(made[0], expected, atol=1e-8)
+
+
+def test_without_penalty_the_jacobian_is_that_of_least_squares() -> None:
+    x, tokens, losses = scene(30)
+    b = int(np.argmin(losses))
+    u, e = (x - x[b]) / STD, (tokens - tokens[b]).reshape(30, -1).numpy()
+    jacobian = fit_jacobian(u, e @ e.T, b, (0.0, 0.0))
+    np.testing.assert_allclose(jacobian.Q @ e, np.linalg.lstsq(u, e, rcond=None)[0], atol=1e-9)
+
+
+def test_the_nearest_candidates_tell_the_slope_at_the_best() -> None:
+    """Of a bent renderer: without them the slope is an average over all candidates."""
+    proposer = make(ridge=(1e-4, 1e-4), longest=10.0)
+    proposer.update(*scene(36, bend=1.0), STD)
+    target = images_of(ANSWER[None], 1.0)[0]
+    errors = []
+    for _ in range(8):
+        x = step(proposer, target)
+        errors.append(np.abs(x - ANSWER).max())
+        loss = (images_of(x, 1.0) - target).square().mean(dim=(1, 2)).numpy()
+        proposer.update(x, images_of(x, 1.0), loss, STD)
+    assert errors[-1] < 3e-5 * errors[0]
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_the_order_of_parameters_does_not_matter() -> None:
+    x, tokens, losses = scene(20, bend=0.5)
+    order = np.array([2, 0, 3, 1])
+    plain, other = make(damping=(1e-3, 1e-3)), make(damping=(1e-3, 1e-3))
+    plain.update(x, tokens, losses, STD)
+    other.update(x[:, order], tokens, losses, STD[order])
+    target = images_of(ANSWER[None], 0.5)[0]
+    made = step(plain, target)[:, order]
+    np.testing.assert_allclose(step(other, target, std=STD[order]), made, atol=1e-9)
+
+
+@pytest.mark.usefixtures("nothing_kept")
+@pytest.mark.parametrize("scale", [1e-6, 10.0, np.array([1.0, 1e-3, 100.0, 2.0])])
+def test_the_scale_of_parameters_does_not_matter(scale: Any) -> None:
+    """They count in units of the standard deviation."""
+    x, tokens, losses = scene(20, bend=0.5)
+    plain, other = make(damping=(1e-3, 1e-3)), make(damping=(1e-3, 1e-3))
+    plain.update(x, tokens, losses, STD)
+    other.update(x * scale, tokens, losses, STD * scale)
+    target = images_of(ANSWER[None], 0.5)[0]
+    made = step(plain, target)
+    np.testing.assert_allclose(step(other, target, std=STD * scale) / scale, made, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [3, 7, 40])
+def test_the_curvature_is_what_the_model_misses_of_its_neighbors(n: int) -> None:
+    """Residuals over one minus leverages, which is what leaving one out gives."""
+    x, tokens, losses = scene(n, bend=0.7)
+    b = int(np.argmin(losses))
+    u, e = (x - x[b]) / STD, (tokens - tokens[b]).reshape(n, -1).numpy()
+    J = direct_jacobian(u, e, (1e-2, 1e-2))
+    squared = (u**2).sum(axis=1)
+    near = np.argsort(squared)[1 : 2 * D + 1]
+    a = u[near] / np.sqrt(squared[near])[:, None]
+    p = 1e-2 * np.trace(a.T @ a) / D
+    leverages = np.diag(a @ np.linalg.solve(a.T @ a + p * np.eye(D), a.T))
+    missed = (e - u @ J)[near] / (1 - leverages)[:, None]
+    c = np.square(missed).sum() / np.square(squared[near]).sum()
+    assert fit_jacobian(u, e @ e.T, b, (1e-2, 1e-2)).curvature == pytest.approx(c, rel=1e-6)
+
+
+@pytest.mark.parametrize("bend", [0.1, 1.0, 10.0])
+def test_the_damping_balances_what_is_gained_and_what_the_model_misses(bend: float) -> None:
+    """No other step of the family lowers |e* - delta J|^2 + c |delta|^4 by much more."""
+    x, tokens, losses = scene(40, bend=bend)
+    proposer = make(capacity=40, ridge=(1e-2, 1e-2))
+    proposer.update(x, tokens, losses, STD)
+    jacobian = proposer._jacobian(STD)
+    slope = proposer._slope(jacobian, images_of(ANSWER[None], bend)[0])
+
+    def objective(damping: float) -> float:
+        delta = slope / (jacobian.values + damping)
+        quadratic = delta @ (jacobian.values * delta) - 2 * delta @ slope
+        return float(quadratic + jacobian.curvature * (delta @ delta) ** 2)
+
+    chosen = objective(balanced(jacobian, slope))
+    best = min(objective(damping) for damping in np.logspace(-8, 4, 400) * jacobian.values.mean())
+    assert best - 1e-3 * abs(best) <= chosen <= 0.95 * best < 0  # on a grid
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_damping_is_log_uniform_and_steps_are_cut() -> None:
+    x, tokens, losses = scene(40, bend=1.0)
+    target = images_of(ANSWER[None], 1.0)[0]
+    proposer = make(damping=(1e-2, 10.0), ridge=(1e-2, 1e-2), longest=100.0)
+    proposer.update(x, tokens, losses, STD)
+    jacobian = proposer._jacobian(STD)
+    best, slope = x[np.argmin(losses)], proposer._slope(jacobian, target)
+    steps = ((step(proposer, target, 2000) - best) / STD) @ jacobian.vectors
+    dampings = slope[0] / steps[:, 0] - jacobian.values[0]
+    logs = np.sort(np.log10(dampings / balanced(jacobian, slope)))
+    np.testing.assert_allclose(logs, np.linspace(-2, 1, 2000), atol=0.15)
+    short = make(longest=1e-3)
+    short.update(x, tokens, losses, STD)
+    lengths = np.linalg.norm((step(short, target, 3) - best) / STD, axis=1)
+    np.testing.assert_allclose(lengths, 1e-3 * np.sqrt(D))
+
+
+def test_a_model_that_explains_nothing_gives_samples_back() -> None:
+    """Of images that never change."""
+    x, tokens, losses = scene(20)
+    proposer = ForwardProposer(D)
+    proposer.update(x, tokens[:1].expand(20, T, C), losses, STD)
+    rng = np.random.default_rng(1)
+    z = rng.normal(0.5, STD, (50, D))
+    made = proposer.propose(z, images_of(ANSWER[None])[0], np.full(D, 0.5), STD, rng)
+    np.testing.assert_allclose(made, z, atol=1e-9)
+
+
+def test_a_model_that_is_right_keeps_nothing_of_samples() -> None:
+    x, tokens, losses = scene(40)
+    proposer = ForwardProposer(D, ridge=(1e-6, 1e-6), longest=10.0)
+    proposer.update(x, tokens, losses, STD)
+    made = step(proposer, images_of(ANSWER[None])[0], 50)
+    np.testing.assert_allclose(made, np.tile(ANSWER, (50, 1)), atol=1e-3)
+
+
+def test_what_was_never_tried_stays() -> None:
+    """With fewer candidates than parameters, steps lie in the span of their differences."""
+    x, tokens, losses = scene(3)
+    proposer = make(ridge=(1e-3, 1e-3), damping=(1e-4, 1e-4))
+    proposer.update(x, tokens, losses, STD)
+    moved = (step(proposer, images_of(ANSWER[None])[0])[0] - x[np.argmin(losses)]) / STD
+    tried = (x - x[np.argmin(losses)])[np.argsort(losses)[1:]] / STD
+    rest = moved - np.linalg.lstsq(tried.T, moved, rcond=None)[0] @ tried
+    assert np.linalg.norm(rest) < 1e-3 * np.linalg.norm(moved)
+
+
+@pytest.mark.parametrize("std", [STD, np.full(D, 1e-14), np.array([1e-200, 0.1, 0.1, 0.1])])
+@pytest.mark.parametrize("kind", ["one point", "one image", "noise", "near"])
+def test_whatever_was_told_proposals_are_finite(kind: str, std: Float64) -> None:
+    x, tokens, losses = scene(12)
+    rng = np.random.default_rng(0)
+    if kind == "one point":
+        x = np.tile(x[:1], (12, 1))
+    elif kind == "one image":
+        tokens = tokens[:1].expand(12, T, C)
+    elif kind == "noise":
+        tokens = torch.as_tensor(rng.random((12, T, C)))
+    else:
+        x = x[:1] + 1e-15 * rng.random((12, D))
+    proposer = ForwardProposer(D)
+    proposer.update(x, tokens, losses, std)
+    made = step(proposer, images_of(ANSWER[None])[0], 20, std)
+    assert np.isfinite(made).all()
+    assert (np.abs(made - x[np.argmin(losses)]) <= 10 * np.sqrt(D) * std.max() + 1e-12).all()
+
+
+def test_the_better_half_and_the_latest_half_are_remembered() -> None:
+    x, tokens, losses = scene(40)
+    proposer = make(capacity=10)
+    for part in np.array_split(np.arange(40), 20):
+        proposer.update(x[part], tokens[torch.from_numpy(part)], losses[part], STD)
+    kept = [int(np.flatnonzero((x == row).all(axis=1))[0]) for row in proposer._x]
+    best = np.argsort(losses[:35])[:5]
+    assert kept == [*sorted(best), 35, 36, 37, 38, 39]
+    np.testing.assert_array_equal(proposer._losses, losses[kept])
+    features = proposer._buffer.features
+    np.testing.assert_allclose(proposer._buffer.gram, features @ features.T, atol=1e-12)
+    both = make(capacity=10)
+    both.update(x, tokens, losses, STD)
+    assert sorted(map(tuple, both._x)) == sorted(map(tuple, proposer._x))
+
+
+def test_a_parameter_that_the_image_ignores_has_the_spread_of_the_box() -> None:
+    x = np.random.default_rng(0).random((60, D))
+    blind = MIXING.copy()
+    blind[2] = 0.0
+    tokens = torch.as_tensor((x @ blind).reshape(60, T, C))
+    losses = tokens.square().mean(dim=(1, 2)).numpy()
+    proposer = make()
+    assert proposer.sensitivity(tokens[0]) is None
+    proposer.update(x, tokens, losses, STD)
+    found = proposer.sensitivity(tokens[int(np.argmin(losses))] + 1e-3)
+    assert found is not None
+    assert found.std[2] == pytest.approx(12**-0.5, rel=1e-3)
+    assert (np.delete(found.std, 2) < 5e-3).all()
+    np.testing.assert_allclose(np.abs(found.directions[0]), [0, 0, 1, 0], atol=1e-3)
+    np.testing.assert_allclose(
+        (found.directions.T * found.direction_std**2) @ found.directions, found.covariance
+    )
+
+
+def test_the_covariance_is_that_of_least_squares() -> None:
+    """Of pictures with noise, the errors of the answer have the stated covariance."""
+    rng = np.random.default_rng(0)
+    x = np.vstack([ANSWER, rng.random((60, D))])
+    tokens = images_of(x)
+    proposer = make()
+    proposer.update(x, tokens, np.arange(61.0), STD)
+    errors, stated = [], []
+    for _ in range(400):
+        noisy = tokens[0] + 1e-3 * torch.as_tensor(rng.standard_normal((T, C)))
+        found = proposer.sensitivity(noisy)
+        assert found is not None
+        stated.append(found.covariance)
+        errors.append(step(proposer, noisy)[0] - ANSWER)
+    exact = 1e-6 * np.linalg.inv(MIXING @ MIXING.T)
+    np.testing.assert_allclose(np.mean(stated, axis=0), exact, rtol=0.1, atol=1e-9)
+    np.testing.assert_allclose(np.cov(np.array(errors).T), exact, rtol=0.3, atol=2e-7)
+
+
+def test_a_copy_goes_on_alone() -> None:
+    x, tokens, losses = scene(20, bend=0.5)
+    proposer = make()
+    proposer.update(x[:10], tokens[:10], losses[:10], STD)
+    target = images_of(ANSWER[None], 0.5)[0]
+    before = step(proposer, target)
+    other = proposer.copy()
+    other.update(x[10:], tokens[10:], losses[10:], STD)
+    assert (step(other, target) != before).any()
+    np.testing.assert_array_equal(step(proposer, target), before)
+    proposer.update(x[10:], tokens[10:], losses[10:], STD)
+    np.testing.assert_array_equal(step(proposer, target), step(other, target))
+
+
+def test_state_goes_on_bit_for_bit() -> None:
+    x, tokens, losses = scene(60, bend=0.5)
+    first, second = make(capacity=20), make(capacity=20)
+    first.update(x[:30], tokens[:30], losses[:30], STD)
+    target = images_of(ANSWER[None], 0.5)[0]
+    step(first, target)
+    second.load_state_dict(first.state_dict())
+    for proposer in (first, second):
+        proposer.update(x[30:], tokens[30:], losses[30:], STD)
+    np.testing.assert_array_equal(step(first, target, 5), step(second, target, 5))
+
+
+def test_another_search_begins_with_nothing() -> None:
+    proposer = make(minimum=5)
+    assert not proposer.ready
+    proposer.update(*scene(5), STD)
+    assert proposer.ready
+    proposer.forget()
+    assert not proposer.ready
+
+
+def test_no_two_proposals_are_one_point() -> None:
+    """Not even from an image that is the target's, to which no step leads."""
+    x, tokens, losses = scene(20)
+    x[3], tokens[3], losses[3] = ANSWER, images_of(ANSWER[None])[0], 0.0
+    proposer = make(kept=1.0, damping=(1e-2, 1e1), ridge=(1e-2, 1e-2))
+    proposer.update(x, tokens, losses, STD)
+    made = step(proposer, images_of(ANSWER[None])[0], 100)
+    assert len(np.unique([*made, *x], axis=0)) == 120

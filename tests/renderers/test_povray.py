@@ -1,0 +1,125 @@
+"""The example in POV-Ray, with the real program: from the shell, with `fit` and with Optuna."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import Space, fit, images
+from fide_plugins.cli import main
+from fide_plugins.renderers import CommandRenderer
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "povray"
+TRUTH: dict[str, Any] = {
+    "azimuth": 25.0, "elevation": 18.0, "sun": -50.0, "sun_height": 42.0,
+    "ball": {"x": 0.4, "z": -0.6}, "radius": 0.7, "red": 0.85, "green": 0.3, "roughness": 0.02,
+    "columns": 6, "floor": "checker",
+}  # fmt: skip
+"""Parameters of target.png."""
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed"),
+    pytest.mark.skipif(not EXAMPLE.is_dir(), reason="the examples are not here"),
+]
+
+
+@pytest.fixture(autouse=True)
+def _in_the_folder_of_the_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(EXAMPLE, tmp_path / "povray")
+    monkeypatch.chdir(tmp_path / "povray")
+
+
+def documented() -> list[str]:
+    """Arguments of the command in docs/own_renderer.md, at 32 x 32 pixels."""
+    text = (ROOT / "docs" / "own_renderer.md").read_text("utf-8")
+    found = re.search(r"^    fide (fit target\.png .*?)\n\n", text, re.MULTILINE | re.DOTALL)
+    assert found is not None
+    return shlex.split(found[1])
+
+
+def small() -> CommandRenderer:
+    words = documented()
+    template = words[words.index("--command") + 1].replace("+W96 +H96", "+W32 +H32")
+    return CommandRenderer(template, Space.read("space.toml"))
+
+
+def test_the_target_is_that_of_its_parameters() -> None:
+    words = documented()
+    render = CommandRenderer(words[words.index("--command") + 1], Space.read("space.toml"))
+    picture = render(TRUTH)
+    assert isinstance(picture, np.ndarray)  # another version of POV-Ray may round otherwise
+    assert np.abs(picture - images.load("target.png")).mean() < 2 / 255
+
+
+def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None:
+    words = documented()
+    words[words.index("--budget") + 1] = "24"
+    assert main([*words, "--out", "out", "--json"]) == 0
+    captured = capsys.readouterr()
+    result = json.loads(captured.out.splitlines()[-1])
+    assert (result["task"], result["evaluations"], result["failures"]) == ("povray", 24, 0)
+    space = Space.read("space.toml")
+    assert result["params"] == space.decode(result["x_best"])
+    render = CommandRenderer(words[words.index("--command") + 1], space)
+    again = np.asarray(render(result["params"]))  # the file decides what an image was rendered of
+    assert np.square(again - images.load("target.png")).mean() == pytest.approx(result["mse"])
+
+
+def test_fit_finds_the_same_from_python() -> None:
+    render = small()
+    target = render(TRUTH)
+    result = fit(render, target, render.space, budget=40, executor="threads", workers=8, seed=0)
+    assert result.evaluations == 40 and result.failures == 0 and result.best is not None
+    again = np.asarray(render(result.params))
+    assert np.square(again - target).mean() == pytest.approx(result.best.loss, rel=1e-6)
+    assert result.best.loss < np.median(result.optimizer.evaluator.loss(_random(render)))
+
+
+def test_optuna_s_sampler_fits_it_too() -> None:
+    optuna = pytest.importorskip("optuna")
+    from fide_adapters.optuna import FIDESampler, image_objective
+
+    render = small()
+    target = np.asarray(render(TRUTH))
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    sampler = FIDESampler(target=target, seed=0)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(image_objective(lambda trial: render(suggested(trial))), n_trials=12)
+    best = study.best_trial
+    assert np.square(render(params_of(best.params)) - target).mean() == pytest.approx(best.value)
+    assert {t.params["floor"] for t in study.trials} <= {"checker", "bricks", "planks"}
+
+
+def suggested(trial: Any) -> dict[str, Any]:
+    """The parameters of space.toml, by Optuna's own ranges."""
+    real = trial.suggest_float
+    return {
+        "azimuth": real("azimuth", -60, 60), "elevation": real("elevation", 5, 50),
+        "sun": real("sun", -180, 180), "sun_height": real("sun_height", 20, 80),
+        "ball": {"x": real("ball_x", -1.5, 1.5), "z": real("ball_z", -2, 1)},
+        "radius": real("radius", 0.3, 1), "red": real("red", 0, 1), "green": real("green", 0, 1),
+        "roughness": real("roughness", 0.002, 0.2, log=True),
+        "columns": trial.suggest_int("columns", 3, 8),
+        "floor": trial.suggest_categorical("floor", ["checker", "bricks", "planks"]),
+    }  # fmt: skip
+
+
+def params_of(flat: dict[str, Any]) -> dict[str, Any]:
+    params = dict(flat)
+    return params | {"ball": {"x": params.pop("ball_x"), "z": params.pop("ball_z")}}
+
+
+def _random(render: CommandRenderer) -> list[Any]:
+    """Images of 16 random candidates."""
+    many = render.space.decode_many(np.random.default_rng(1).random((16, render.space.dim)))
+    with ThreadPoolExecutor(8) as pool:
+        return list(pool.map(render, many))

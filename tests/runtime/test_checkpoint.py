@@ -1,0 +1,275 @@
+"""Checkpoints: every bit back, every damage noticed, nothing executed."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis.extra import numpy as hnp
+
+from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.runtime import checkpoint
+
+KIND = "test"
+
+
+def roundtrip(path: Path, state: dict[str, Any]) -> dict[str, Any]:
+    checkpoint.write(path, KIND, state)
+    return checkpoint.read(path, KIND)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal to the last bit, types included."""
+    if isinstance(a, np.ndarray):
+        return (
+            isinstance(b, np.ndarray)
+            and a.dtype.str == b.dtype.str
+            and a.shape == b.shape
+            and a.tobytes() == b.tobytes()
+        )
+    if isinstance(a, float):
+        return type(b) is float and struct.pack("<d", a) == struct.pack("<d", b)
+    if isinstance(a, dict):
+        return isinstance(b, dict) and list(a) == list(b) and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list):
+        return isinstance(b, list) and len(a) == len(b) and all(map(same, a, b))
+    return type(a) is type(b) and bool(a == b)
+
+
+arrays = hnp.arrays(
+    dtype=st.one_of(
+        hnp.floating_dtypes(endianness="="),
+        hnp.floating_dtypes(endianness=">"),
+        hnp.integer_dtypes(),
+        hnp.unsigned_integer_dtypes(),
+        hnp.boolean_dtypes(),
+        hnp.complex_number_dtypes(),
+        hnp.unicode_string_dtypes(max_len=5),
+    ),
+    shape=hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+)
+leaves = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(allow_nan=True), st.text(), arrays
+)
+trees = st.recursive(
+    leaves,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(st.dictionaries(st.text(), trees, max_size=4))
+def test_any_state_comes_back_bit_for_bit(tmp_path: Path, state: dict[str, Any]) -> None:
+    assert same(state, roundtrip(tmp_path / "c", state))
+
+
+def test_numbers_keep_every_bit(tmp_path: Path) -> None:
+    payload = struct.unpack("<d", struct.pack("<Q", 0x7FF8_0000_DEAD_BEEF))[0]
+    state = {
+        "big": 2**4000 + 1,
+        "huge": -(10**5000),  # more digits than int() of a decimal string accepts
+        "edges": [2**63, 2**63 - 1, -(2**63), -(2**63) - 1, 0, True, False],
+        "floats": [payload, -0.0, float("inf"), float("-inf"), 5e-324, 0.1],
+        "nan": np.frombuffer(struct.pack("<2Q", 0xFFF0_0000_0000_0001, 0x7FF8_0000_0000_0007)),
+        "lone surrogate": "\ud800",
+        "zero-d": np.array(3.5, np.float32),
+        "empty": [np.empty((0, 5)), np.empty((3, 0), np.int16), [], {}],
+        "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        "strided": np.arange(20)[::3],
+    }
+    assert same({**state, "strided": np.arange(20)[::3].copy()}, roundtrip(tmp_path / "c", state))
+
+
+def test_arrays_that_come_back_are_one_s_own(tmp_path: Path) -> None:
+    back = roundtrip(tmp_path / "c", {"a": np.zeros(3), "b": np.zeros(3)})
+    back["a"] += 1.0
+    assert back["a"].flags.owndata and back["a"].flags.aligned
+    assert back["b"].sum() == 0.0
+
+
+def test_tensors_and_numpy_scalars(tmp_path: Path) -> None:
+    weight = torch.nn.Linear(3, 2).weight
+    back = roundtrip(
+        tmp_path / "c",
+        {"w": weight, "n": np.int64(7), "x": np.float64(0.1), "b": np.bool_(True), "t": (1, 2)},
+    )
+    assert same(back["w"], weight.detach().numpy())
+    assert same([back["n"], back["x"], back["b"], back["t"]], [7, 0.1, True, [1, 2]])
+
+
+@pytest.mark.parametrize("bits", [np.random.PCG64, np.random.MT19937, np.random.Philox])
+def test_a_generator_continues_where_it_was(
+    tmp_path: Path, bits: type[np.random.BitGenerator]
+) -> None:
+    rng = np.random.Generator(bits(5))
+    rng.random(7)
+    state = roundtrip(tmp_path / "c", {"rng": rng.bit_generator.state})
+    other = np.random.Generator(bits(0))
+    other.bit_generator.state = state["rng"]
+    np.testing.assert_array_equal(rng.normal(size=9), other.normal(size=9))
+
+
+def example(path: Path) -> bytes:
+    state = {"x": np.arange(30.0), "name": "λ", "f": 0.1, "i": 2**70, "l": [None, np.eye(3)]}
+    checkpoint.write(path, KIND, state)
+    return path.read_bytes()
+
+
+def test_every_truncation_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    data = example(path)
+    for length in range(len(data)):
+        path.write_bytes(data[:length])
+        with pytest.raises(CheckpointError, match="cut short"):
+            checkpoint.read(path, KIND)
+    path.write_bytes(data + b"x")
+    with pytest.raises(CheckpointError, match="follow its end"):
+        checkpoint.read(path, KIND)
+
+
+def test_every_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    data = example(path)
+    for position in range(len(data)):
+        damaged = bytearray(data)
+        damaged[position] ^= 1 << (position % 8)
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError):
+            checkpoint.read(path, KIND)
+    path.write_bytes(data[:60] + b"?" + data[61:])
+    with pytest.raises(CheckpointError, match="checksum"):
+        checkpoint.read(path, KIND)
+
+
+def test_other_kind_version_and_format_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "c"
+    example(path)
+    with pytest.raises(CheckpointError, match="holds a 'test', not a 'other'"):
+        checkpoint.read(path, "other")
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "VERSION", checkpoint.VERSION + 1)
+        with pytest.raises(CheckpointError, match="version 2 and this is 3"):
+            checkpoint.read(path, KIND)
+    for foreign in (pickle.dumps([1, 2, 3]), b"PK\x03\x04" + bytes(99), b"{}"):
+        path.write_bytes(foreign)
+        with pytest.raises(CheckpointError, match="not a FIDE checkpoint"):
+            checkpoint.read(path, KIND)
+    assert issubclass(CheckpointError, ValueError) and issubclass(CheckpointError, FideError)
+
+
+def forged(path: Path, tree: Any, blob: bytes = b"", length: int | None = None) -> None:
+    """Write a file with a right checksum and any contents."""
+    import hashlib
+
+    text = tree if isinstance(tree, bytes) else json.dumps(tree).encode()
+    body = struct.pack("<Q", len(text) if length is None else length) + text
+    body += bytes(-len(body) % 64) + blob
+    digest = hashlib.blake2b(body, digest_size=32).digest()
+    header = struct.pack("<8sIQ32s", b"\x89FIDE\r\n\x1a", checkpoint.VERSION, len(body), digest)
+    path.write_bytes(header + body)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        5,
+        ["x", 1],
+        ["d", [1]],
+        ["l", 3],
+        ["f", "00"],
+        ["f", 1],
+        ["i", "zz"],
+        ["a", 7],
+        ["a", -1],
+        ["a", True],
+        [],
+        1.5,
+        {"a": 1},
+    ],
+)
+def test_impossible_trees_are_refused(tmp_path: Path, state: Any) -> None:
+    forged(tmp_path / "c", {"kind": KIND, "arrays": [], "state": ["d", {"s": state}]})
+    if state == 5:
+        forged(tmp_path / "c", {"kind": KIND, "arrays": [], "state": 5})
+    with pytest.raises(CheckpointError):
+        checkpoint.read(tmp_path / "c", KIND)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        ["|O8", [1]],
+        ["<f8", [10**15]],
+        ["<f8", [2**40, 2**40]],
+        ["<f8", [-1]],
+        ["<f8", ["1"]],
+        ["<f8", [0, 10**30]],
+        ["<f8", [1] * 99],
+        ["<f7", [1]],
+        ["<M8[s]", [1]],
+        [["<f8"], [1]],
+        [None, None],
+        ["<f8"],
+        3,
+    ],
+)
+def test_arrays_that_cannot_be_are_refused_without_allocating(tmp_path: Path, entry: Any) -> None:
+    forged(tmp_path / "c", {"kind": KIND, "arrays": [entry], "state": ["d", {}]}, bytes(64))
+    with pytest.raises(CheckpointError):
+        checkpoint.read(tmp_path / "c", KIND)
+
+
+def test_deep_nesting_and_broken_json_are_refused(tmp_path: Path) -> None:
+    for text in (b"[" * 200_000, b"{", b"\xff", b"{}", b"null", b"7" * 5000):
+        forged(tmp_path / "c", text)
+        with pytest.raises(CheckpointError):
+            checkpoint.read(tmp_path / "c", KIND)
+    forged(tmp_path / "c", {"kind": KIND}, length=2**63)
+    with pytest.raises(CheckpointError, match="longer than the file"):
+        checkpoint.read(tmp_path / "c", KIND)
+
+
+@pytest.mark.parametrize(
+    ("value", "place"),
+    [
+        ({"a": [0, {1, 2}]}, r"state\['a'\]\[1\]"),
+        ({"a": {3: 4}}, r"state\['a'\]: a key"),
+        ({"a": np.array([None])}, r"state\['a'\]"),
+        ({"a": object()}, r"state\['a'\]"),
+        ({"a": 1j}, r"state\['a'\]"),
+        ({"a": torch.zeros(2, dtype=torch.bfloat16)}, r"state\['a'\]"),
+        ({"a": np.ma.masked_array([1.0], [True])}, r"state\['a'\]"),
+        ({"a": np.array(["2020-01-01"], "M8[D]")}, r"state\['a'\]"),
+    ],
+)
+def test_what_cannot_be_stored_is_named_and_the_old_file_stays(
+    tmp_path: Path, value: dict[str, Any], place: str
+) -> None:
+    path = tmp_path / "c"
+    before = example(path)
+    with pytest.raises(TypeError, match=place):
+        checkpoint.write(path, KIND, value)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["c"]
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        checkpoint.read(tmp_path / "none", KIND)
+    with pytest.raises(FileNotFoundError, match="cannot write .*none"):
+        checkpoint.write(tmp_path / "none" / "c", KIND, {})
+    with pytest.raises(IsADirectoryError, match="it is a folder"):
+        checkpoint.write(tmp_path, KIND, {})

@@ -1,0 +1,94 @@
+import subprocess
+import sys
+
+import pytest
+
+from fide_plugins import encoders, errors, losses
+from fide_plugins.errors import DeviceError, FideError, OptionError, UnknownNameError
+from fide_plugins.runtime.registry import Registry
+
+
+def test_names_are_sorted_and_made() -> None:
+    registry = Registry[int]("number")
+    registry.register("two", lambda: 2)
+    registry.register("one", "operator:index")
+    assert registry.names() == ["one", "two"]
+    assert registry.make("two") == 2
+    assert registry.make("one", 1) == 1
+    registry.register("two", lambda: 22)
+    assert registry.make("two") == 22
+
+
+@pytest.mark.parametrize("name", ["thre", "", None, 3, []])
+def test_an_unknown_name_lists_the_known(name: object) -> None:
+    registry = Registry[int]("number")
+    registry.register("three", lambda: 3)
+    registry.register("one", lambda: 1)
+    with pytest.raises(UnknownNameError, match=r"unknown number .*known are one, three") as error:
+        registry.make(name)  # type: ignore[arg-type]
+    assert isinstance(error.value, ValueError)
+    assert ("did you mean 'three'" in str(error.value)) == (name == "thre")
+
+
+@pytest.mark.parametrize(
+    ("name", "factory"), [("", int), ("a\n", int), (1, int), ("a", "no colon"), ("a", 3)]
+)
+def test_odd_registrations_are_refused(name: object, factory: object) -> None:
+    with pytest.raises(OptionError, match="got"):
+        Registry[int]("number").register(name, factory)  # type: ignore[arg-type]
+
+
+def test_names_of_the_library() -> None:
+    assert encoders.names() == ["dense", "dinov3", "patch", "vgg19"]
+    assert losses.names() == ["loi", "lpips", "mse", "perceptual"]
+    with pytest.raises(UnknownNameError, match="encoder 'dino': known are dense, .* 'dinov3'"):
+        encoders.make("dino")
+    with pytest.raises(UnknownNameError, match="loss 'ssim': known are loi, lpips, mse, perc"):
+        losses.make("ssim:mean", [[0.0]])
+
+
+def test_a_name_with_a_variant() -> None:
+    registry = Registry[str]("cloth")
+    registry.register("plain", lambda: "plain")
+    registry.register("dyed", lambda *, variant="white", fold=False: f"{variant} {fold}")
+    assert registry.make("dyed") == "white False"
+    assert registry.make("dyed:red:ish", fold=True) == "red:ish True"
+    assert registry.knows("dyed:red") and registry.knows("plain") and not registry.knows("red")
+    with pytest.raises(OptionError, match="the cloth 'plain' has no variants, got plain:red"):
+        registry.make("plain:red")
+    with pytest.raises(UnknownNameError, match="unknown cloth 'dye': .* did you mean 'dyed'"):
+        registry.make("dye:red")
+    with pytest.raises(OptionError, match="without a colon, got 'dyed:red'"):
+        registry.register("dyed:red", lambda: "red")
+
+
+def test_listing_imports_nothing_heavy() -> None:
+    program = (
+        "import sys; from fide_plugins import encoders, errors, images, losses; "
+        "encoders.names(), losses.names(); "
+        "losses.make('mse', [[0.0]]); "
+        "print([m for m in ('torch', 'scipy', 'PIL', 'kornia', 'cv2') if m in sys.modules])"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert run.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("device", ["tpu9", "cuda:99", "", 1.5, "meta:x"])
+def test_an_absent_device(device: str) -> None:
+    with pytest.raises(DeviceError, match="no device .*'auto' or 'cpu' works"):
+        encoders.make("dense", device=device)
+
+
+def test_auto_is_a_device() -> None:
+    assert encoders.make("dense", device="auto").device.type in ("cpu", "cuda")
+
+
+def test_every_error_is_ours_and_builtin() -> None:
+    for name in errors.__all__:
+        error = getattr(errors, name)
+        assert issubclass(error, FideError)
+        builtin = (ValueError, OSError, RuntimeError, ImportError)
+        assert error is FideError or issubclass(error, builtin)
+        assert str(error("why")) == "why"

@@ -1,0 +1,396 @@
+"""How many threads compute: in FIDE, in what the user runs beside it, in forked processes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+import torch
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from fide_plugins import encoders, optimizers
+from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.fide import FIDE
+from fide_plugins.losses.base import CallableLoss
+from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.runtime.threads import one_thread, user_threads
+from fide_plugins.types import Float32, Float64
+
+Forked: TypeAlias = Callable[[Callable[[], object]], str]
+DIM, SIZE = 60, 16
+EVALUATIONS = 300
+
+
+def blas_threads() -> set[int]:
+    """Of NumPy's and SciPy's BLAS; OpenCV's has nothing to do."""
+    found = [p for p in threadpool_info() if p["user_api"] == "blas"]
+    return {p["num_threads"] for p in found if "opencv" not in p["filepath"]}
+
+
+def threads() -> tuple[int, set[int]]:
+    """PyTorch's, and those of BLAS."""
+    return torch.get_num_threads(), blas_threads()
+
+
+@pytest.fixture(params=[1, 2])
+def n(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Threads that the user sets."""
+    before = torch.get_num_threads()
+    with threadpool_limits(request.param):
+        torch.set_num_threads(request.param)
+        yield request.param
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def two() -> Iterator[None]:
+    before = torch.get_num_threads()
+    with threadpool_limits(2):
+        torch.set_num_threads(2)
+        yield
+    torch.set_num_threads(before)
+
+
+def test_the_setting_of_the_user_comes_back(n: int) -> None:
+    outside = threads()
+    assert outside == (n, {n})
+    for _ in range(2):
+        with one_thread, one_thread:
+            assert threads() == (1, {1})
+            with user_threads, user_threads:
+                assert threads() == outside
+                with one_thread:
+                    assert threads() == (1, {1})
+                assert threads() == outside
+            assert threads() == (1, {1})
+        assert threads() == outside
+    with user_threads:
+        assert threads() == outside
+
+
+@pytest.mark.usefixtures("two")
+def test_it_comes_back_after_an_error() -> None:
+    with pytest.raises(KeyError), one_thread:
+        try:
+            with user_threads:
+                raise KeyError
+        finally:
+            assert threads() == (1, {1})
+    assert threads() == (2, {2})
+
+
+@pytest.mark.usefixtures("two")
+def test_what_the_user_sets_inside_holds_where_the_user_is() -> None:
+    """Of PyTorch, in a function that FIDE calls, such as a loss."""
+    with one_thread:
+        with user_threads:
+            torch.set_num_threads(3)
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 3
+
+
+@pytest.mark.usefixtures("two")
+def test_pytorch_in_other_threads_keeps_its_setting() -> None:
+    """Also in a thread that computes for the first time while another one is inside."""
+    with one_thread, ThreadPoolExecutor(1) as new:
+        assert new.submit(torch.get_num_threads).result() == 2
+        assert torch.get_num_threads() == 1
+
+
+@pytest.mark.usefixtures("two")
+def test_the_last_thread_that_leaves_restores_blas() -> None:
+    """They overlap in both orders; in the second, the one that limited it leaves first."""
+    for leaves_last in ("this", "other"):
+        entered, leave = threading.Event(), threading.Event()
+        with ThreadPoolExecutor(1) as pool:
+
+            def other(entered: Any = entered, leave: Any = leave) -> None:
+                with one_thread:
+                    entered.set()
+                    leave.wait(60)
+
+            with one_thread:
+                done = pool.submit(other)
+                assert entered.wait(60)
+                if leaves_last == "this":
+                    leave.set()
+                    done.result(60)
+                    assert blas_threads() == {1}
+            if leaves_last == "other":
+                assert blas_threads() == {1}
+                leave.set()
+                done.result(60)
+        assert threads() == (2, {2})
+
+
+@pytest.mark.usefixtures("two")
+def test_eight_threads_enter_and_leave_at_random() -> None:
+    def work(worker: int) -> set[tuple[int, ...]]:
+        seen = set()
+        for _ in range(25):
+            with one_thread:
+                seen.add((torch.get_num_threads(), *blas_threads()))
+        seen.add((torch.get_num_threads(),))
+        return seen
+
+    with ThreadPoolExecutor(8) as pool:
+        for seen in pool.map(work, range(8)):
+            assert seen == {(1, 1), (2,)}
+    assert threads() == (2, {2})
+
+
+# -- what FIDE does in how many --------------------------------------------------------------------
+
+
+def render(X: Float64) -> Float32:
+    weights = np.sin(np.arange(DIM * SIZE * SIZE * 3, dtype=np.float64)).reshape(DIM, -1)
+    images: Float32 = (1 / (1 + np.exp((0.5 - X) @ weights))).astype(np.float32)
+    return images.reshape(len(X), SIZE, SIZE, 3)
+
+
+TARGET = render(np.full((1, DIM), 0.7))[0]
+
+
+@pytest.mark.usefixtures("two")
+@pytest.mark.parametrize("name", ["fide", "cma"])
+def test_a_loss_of_the_users_computes_in_as_many_as_set(name: str) -> None:
+    seen = []
+
+    def loss(images: Float32) -> Float64:
+        seen.append(threads())
+        means: Float64 = images.mean(axis=(1, 2, 3), dtype=np.float64)
+        return means
+
+    opt = optimizers.make(name, DIM, TARGET, loss=loss, seed=0)
+    seen.clear()
+    for _ in range(2):
+        X = opt.ask()
+        assert threads() == (2, {2})
+        opt.tell(X, render(X))
+        assert threads() == (2, {2})
+    assert seen == [(2, {2})] * 2
+
+
+class SeesThreads(PatchEncoder):
+    """An encoder of somebody's; mean colors."""
+
+    name, version = "sees-threads", "1"
+
+    def shape(self, height: int, width: int) -> tuple[int, int]:
+        return 1, 3
+
+    def _encode(self, images: torch.Tensor) -> torch.Tensor:
+        assert threads() == (2, {2})
+        return images.mean(dim=(1, 2))[:, None]
+
+
+@pytest.mark.usefixtures("two")
+def test_an_encoder_that_is_registered_computes_in_as_many_as_set(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(encoders._REGISTRY, "_factories", dict(encoders._REGISTRY._factories))
+    encoders.register("sees-threads", SeesThreads)
+    opt = FIDE(DIM, TARGET, encoder="sees-threads", seed=0)
+    X = opt.ask()
+    opt.tell(X, render(X))
+    assert opt.evaluations == len(X)
+
+
+@pytest.mark.usefixtures("two")
+@pytest.mark.parametrize("overlap", [False, True])
+def test_the_network_computes_in_as_many_as_set(
+    overlap: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fide_plugins.denoiser.training import fit
+
+    seen = []
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return fit(*arguments, **options)
+
+    monkeypatch.setattr("fide_plugins.proposers.diffusion.fit", counted)
+    opt = FIDE(DIM, TARGET, preset="paper", popsize=4, epochs=1, overlap=overlap, seed=0)
+    for _ in range(2):
+        X = opt.ask()
+        opt.tell(X, render(X))
+    opt.ask()
+    assert seen == [2, 2]
+    assert threads() == (2, {2})
+
+
+def candidates(name: str, threads: int, options: dict[str, Any]) -> Float64:
+    """All that are asked in a run."""
+    before = torch.get_num_threads()
+    with threadpool_limits(threads):
+        torch.set_num_threads(threads)
+        try:
+            opt, asked = optimizers.make(name, DIM, TARGET, seed=0, **options), []
+            while opt.evaluations < EVALUATIONS:
+                asked.append(opt.ask())
+                opt.tell(asked[-1], render_alone(asked[-1]))
+        finally:
+            torch.set_num_threads(before)
+    return np.concatenate(asked)
+
+
+def render_alone(X: Float64) -> Float32:
+    with one_thread:  # products in several threads may differ in the last digit
+        return render(X)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("fide", {"preset": "fast"}),
+        ("fide", {"preset": "balanced", "popsize": 100}),  # regressions of more than 200
+        ("fide", {"preset": "accurate", "encoder": "patch"}),
+        ("cma", {}),
+        ("eki", {}),
+        ("zerograds", {}),
+    ],
+)
+def test_a_run_is_the_same_whatever_number_is_set(name: str, options: dict[str, Any]) -> None:
+    one, several = (candidates(name, threads, options) for threads in (1, 2))
+    np.testing.assert_array_equal(one, several)
+
+
+# -- libraries that are not there yet, and forks ---------------------------------------------------
+
+LATE = """
+import sys
+import numpy
+from fide_plugins.runtime.threads import one_thread
+with one_thread:
+    pass
+assert "torch" not in sys.modules, "it imports torch"
+import torch, scipy.linalg
+from threadpoolctl import threadpool_info
+with one_thread:
+    assert torch.get_num_threads() == 1, torch.get_num_threads()
+    numbers = {p["filepath"]: p["num_threads"] for p in threadpool_info()}
+    assert set(numbers.values()) == {1}, numbers
+assert torch.get_num_threads() == 2, torch.get_num_threads()
+"""
+
+
+def test_a_library_that_is_imported_later_is_found() -> None:
+    # MKL's, too: Dask sets it to 1 in the process of the tests
+    numbers = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")
+    ran = subprocess.run(
+        [sys.executable, "-c", LATE],
+        env={**os.environ, **numbers},
+        timeout=120,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+
+
+def in_parallel() -> None:
+    """Begin PyTorch's threads, which a fork does not bring along."""
+    large = torch.ones(1000, 1000)
+    assert torch.allclose(large.exp().log(), large)
+
+
+@pytest.mark.usefixtures("two")
+def test_a_child_of_the_users_keeps_its_setting(forked: Forked) -> None:
+    with one_thread:
+        pass
+    assert forked(threads) == repr((2, {2}))
+    with one_thread:
+        assert forked(threads) == repr((1, {1}))
+        with user_threads:
+            assert forked(threads) == repr((2, {2}))
+
+
+@pytest.mark.usefixtures("two")
+def test_a_child_does_not_count_threads_that_it_has_not(forked: Forked) -> None:
+    """Another thread is inside when the process forks; the child has BLAS as the user set it."""
+    entered, leave = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with one_thread:
+            entered.set()
+            leave.wait(60)
+
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(other)
+        assert entered.wait(60)
+        try:
+            assert forked(blas_threads) == repr({2})
+        finally:
+            leave.set()
+        done.result(60)
+    assert blas_threads() == {2}
+
+
+@pytest.mark.usefixtures("two")
+def test_a_child_leaves_blocks_that_its_parent_entered(forked: Forked) -> None:
+    def both() -> object:
+        with one_thread:
+            with user_threads:
+                answer = forked(threads)
+            assert threads() == (1, {1})
+            return answer
+
+    assert both() == repr((2, {2}))
+    with one_thread:
+        assert forked(_leave_and_look) == repr((2, {2}))
+    assert threads() == (2, {2})
+
+
+def _leave_and_look() -> object:
+    one_thread.__exit__()
+    return threads()
+
+
+@pytest.mark.usefixtures("two")
+def test_a_network_does_not_wait_for_threads_of_the_parent(forked: Forked) -> None:
+    in_parallel()
+    x, tokens = np.random.default_rng(0).random((60, 6)), torch.rand(60, 49, 768)
+
+    def work() -> object:
+        proposer = DiffusionProposer(6, epochs=1)
+        proposer.update(x, tokens, None, np.full(6, 0.1))
+        return len(proposer.propose(x, tokens[0], x[0], np.full(6, 0.1)))
+
+    assert forked(work) == "60"
+
+
+@pytest.mark.usefixtures("two")
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_an_optimizer_does_not_wait_for_threads_of_the_parent(preset: str, forked: Forked) -> None:
+    in_parallel()
+    epochs: dict[str, Any] = {"epochs": 1} if preset == "paper" else {}
+    opt = FIDE(DIM, TARGET, preset=preset, popsize=8, seed=0, **epochs)
+
+    def work() -> object:
+        for _ in range(3):
+            X = opt.ask()
+            opt.tell(X, render(X))
+        return opt.evaluations
+
+    work()
+    assert forked(work) == "48"
+
+
+def test_a_loss_of_the_users_is_no_loss_of_ours() -> None:
+    """What is given by name is computed in one thread, a function in as many as set."""
+    seen = []
+
+    def loss(images: Float32) -> Float64:
+        seen.append(torch.get_num_threads())
+        return np.zeros(len(images))
+
+    with one_thread:
+        CallableLoss(loss, TARGET).compute(TARGET[None])
+    assert seen == [torch.get_num_threads()]

@@ -1,0 +1,128 @@
+"""Axes that are one parameter move together, and periodic ones have no walls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import Choice, Float, Int, Space
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.moves.anew import BeginAnew
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.moves.base import Known
+from fide_plugins.search.moves.crossover import Crossover
+from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.refine import Refine
+from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
+from fide_plugins.search.moves.removal import Removal
+from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.types import Float64
+
+SPACE = Space(
+    x=Float(0, 1),
+    angle=Float(0, 360, periodic=True),
+    floor=Choice("plain", "across", "along", "both"),
+    n=Int(1, 9),
+    lamp=Choice("on", "off", "dim"),
+)
+DIM, FLOOR, LAMP = SPACE.dim, [2, 3, 4, 5], [7, 8, 9]
+HERE = SPACE.encode({"x": 0.2, "angle": 2.0, "floor": "across", "n": 3, "lamp": "dim"})
+THERE = SPACE.encode({"x": 0.9, "angle": 355.0, "floor": "both", "n": 7, "lamp": "on"})
+
+
+def rendered(x: Float64, loss: float = 1.0) -> TrainingSample:
+    """One token a parameter shows."""
+    values = SPACE.layout.numbers(x[None])[0]
+    tokens = torch.as_tensor(np.repeat(values[:, None], 3, axis=1))
+    return TrainingSample(0, x.copy(), tokens, loss)
+
+
+@pytest.fixture
+def known() -> Known:
+    axes = Axes(DIM, SPACE.layout)
+    known = Known(
+        np.full(DIM, 0.5), np.full(DIM, 1 / 6), rendered(THERE).tokens, 3,
+        Exchangeability(DIM, 3, [], axes), Removal(), Sensitivity(DIM, 3, axes), axes, SPACE.snap,
+    )  # fmt: skip
+    known.incumbent = rendered(HERE)
+    known.optima.note(known.incumbent, known.exchangeability.distance)
+    known.optima.note(rendered(THERE, 2.0), known.exchangeability.distance)
+    return known
+
+
+def test_a_sensitivity_sample_moves_one_parameter(known: Known, rng: np.random.Generator) -> None:
+    X = known.sensitivity.draw(HERE, rng)
+    moved = [set(np.flatnonzero(row != HERE)) for row in X]
+    assert moved == [{0}, {1}, set(FLOOR), {6}, set(LAMP)]
+    for _ in range(8):
+        X = SPACE.snap(known.sensitivity.draw(HERE, rng))
+        known.sensitivity.learn(known.here, [rendered(x) for x in X])
+    parts = [sorted(part.tolist()) for part in known.sensitivity.groups]
+    assert sorted(parts) == [[0], [1], FLOOR, [6], LAMP], "each shows in a place of its own"
+    saved = known.sensitivity.state_dict()
+    other = Sensitivity(DIM, 3, Axes(DIM, SPACE.layout))
+    other.load_state_dict(saved)
+    assert [part.tolist() for part in other.groups] == [
+        part.tolist() for part in known.sensitivity.groups
+    ]
+
+
+def test_choices_are_relocated_and_crossed_over_whole(
+    known: Known, rng: np.random.Generator
+) -> None:
+    known.sensitivity.learn(known.here, [rendered(x) for x in known.sensitivity.draw(HERE, rng)])
+    for move in (RelocateSegment(), RelocateGroup()):
+        for row in move.draw(known, 200, rng):
+            for block in (FLOOR, LAMP):
+                assert (row[block] != HERE[block]).all() or (row[block] == HERE[block]).all()
+    for row in Crossover().draw(known, 200, rng):
+        for block in (FLOOR, LAMP):
+            assert any((row[block] == one[block]).all() for one in (HERE, THERE))
+
+
+def test_a_search_is_wide_in_all_axes_of_a_choice_that_was_moved(known: Known) -> None:
+    x = HERE.copy()
+    x[FLOOR] = THERE[FLOOR]  # differs in two of four axes
+    std = known.start_at(x).std
+    assert len(set(std[FLOOR])) == 1 and std[FLOOR[0]] > std[0] == std[LAMP[0]]
+
+
+def test_periodic_parameters_are_near_across_the_end(known: Known) -> None:
+    across = HERE.copy()
+    across[1] = THERE[1]
+    assert known.exchangeability.distance(HERE, across) == pytest.approx(7 / 360)
+    near = rendered(across, 0.5)
+    assert known.optima.note(near, known.exchangeability.distance)
+    assert len(known.optima) == 2, "the same optimum"
+
+
+def test_moves_go_around(known: Known, rng: np.random.Generator) -> None:
+    known.sigma0[:] = 0.3
+    x = Refine().draw(known, 400, rng)
+    assert ((x >= 0) & (x <= 1)).all()
+    assert (x[:, 1] > 0.9).any() and not (x[:, 1] == 0).any(), "none is held at the wall"
+    low = np.full(DIM, 0.05)
+    several = BeginAnew().draw(replace(known, x0=low, sigma0=np.full(DIM, 0.1)), 4000, rng)
+    assert (several[:, 1] > 0.76).any() and several[:, 0].max() <= 0.35
+    wide = BeginAnew().draw(known, 8000, rng)
+    counts = np.histogram(wide[:, 1], bins=8, range=(0, 1))[0]
+    np.testing.assert_allclose(counts, 1000, atol=5 * np.sqrt(1000))
+
+
+def test_no_layout_cuts_a_choice() -> None:
+    axes = Axes(DIM, SPACE.layout)
+    assert axes.whole(np.array([FLOOR])) and not axes.whole(np.array([[2, 3], [4, 5]]))
+    tests = Exchangeability(DIM, 3, None, axes)
+    for layout in tests._layouts():
+        assert axes.whole(layout)
+
+
+def test_without_choices_and_periodic_parameters_nothing_changes(rng: np.random.Generator) -> None:
+    axes, x, y = Axes(6), rng.normal(size=(5, 6)), rng.normal(size=6)
+    np.testing.assert_array_equal(axes.difference(x, y), np.abs(x - y))
+    np.testing.assert_array_equal(axes.inside(x), np.clip(x, 0, 1))
+    chosen = np.array([1, 4])
+    assert axes.together(chosen) is chosen and len(axes.units) == 6

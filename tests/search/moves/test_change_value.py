@@ -1,0 +1,162 @@
+"""Every integer and choice gets its turn with another value, which the search then holds."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import FIDE, Choice, Float, Int, Space
+from fide_plugins.options import Options
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.descent import Descent, Setting
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.moves.base import Known, Stage
+from fide_plugins.search.moves.change_value import ChangeValue
+from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.policy import MovePolicy
+from fide_plugins.search.moves.removal import Removal
+from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.moves.values import Values
+from fide_plugins.types import Float64
+
+SPACE = Space(
+    x=Float(0, 1),
+    floor=Choice("plain", "across", "along"),
+    n=Int(3, 8),
+    lamp=Choice("on", "off"),
+    many=Int(1, 10_000, log=True),
+    wide=Float(0, 360, step=90),
+)
+HERE = SPACE.snap(
+    SPACE.encode({"x": 0.2, "floor": "across", "n": 4, "lamp": "on", "many": 40, "wide": 90.0})
+)
+AXES = Axes(SPACE.dim, SPACE.layout)
+
+
+@pytest.fixture
+def known() -> Known:
+    known = Known(
+        np.full(SPACE.dim, 0.5), np.full(SPACE.dim, 1 / 6), torch.zeros(1, 3), 3,
+        Exchangeability(SPACE.dim, 3, [], AXES), Removal(), Sensitivity(SPACE.dim, 3, AXES), AXES,
+        SPACE.snap, values=Values(AXES, SPACE.layout),
+    )  # fmt: skip
+    known.incumbent = TrainingSample(0, HERE.copy(), torch.ones(1, 3), 1.0)
+    return known
+
+
+def changes(X: Float64) -> list[tuple[str, Any]]:
+    """Name and value of the one parameter in which each point differs from HERE."""
+    here = SPACE.decode(HERE)
+    found = []
+    for params in SPACE.decode_many(X):
+        ((name, value),) = [(k, v) for k, v in params.items() if v != here[k]]
+        found.append((name, value))
+    return found
+
+
+def test_each_parameter_gets_its_other_values_once(known: Known) -> None:
+    found = changes(known.values.others(HERE))
+    assert len(found) == len(set(found))
+    by = {name: {v for k, v in found if k == name} for name in SPACE.names}
+    assert by["x"] == set() and by["floor"] == {"plain", "along"} and by["lamp"] == {"off"}
+    assert by["n"] == {3, 5, 6, 7, 8} and by["wide"] == {0.0, 180.0, 270.0, 360.0}
+    assert {39, 41} <= by["many"] and min(by["many"]) < 20 and max(by["many"]) > 100
+
+
+def test_a_point_at_the_end_of_its_range_has_others_on_one_side(known: Known) -> None:
+    x = SPACE.snap(SPACE.encode({**SPACE.decode(HERE), "n": 8}))
+    others = SPACE.decode_many(known.values.others(x))
+    assert {one["n"] for one in others} == {3, 4, 5, 6, 7, 8}
+
+
+def test_numbers_have_no_other_values(known: Known) -> None:
+    assert ChangeValue().possible(known)
+    known.values = Values()
+    assert not ChangeValue().possible(known)
+
+
+def test_each_value_is_searched_before_one_is_searched_again(known: Known) -> None:
+    move, rng = ChangeValue(), np.random.default_rng(0)
+    total = len(known.values.others(HERE))
+    seen = []
+    for _ in range(total):
+        X = move.draw(known, 20, rng)
+        assert 1 <= len(X) <= 20
+        x = X[rng.integers(len(X))]
+        seen += changes(x[None])
+        move.begin_at(known, x)
+    assert len(set(seen)) == total
+    assert len(move.draw(known, 1000, rng)) == total, "all again"
+
+
+def test_what_was_searched_is_saved_and_forgotten(known: Known) -> None:
+    others = known.values.others(HERE)
+    known.values.note(others[2])
+    other = Values(AXES, SPACE.layout)
+    other.load_state_dict(known.values.state_dict())
+    assert np.flatnonzero(other.searches(others)).tolist() == [2]
+    other.forget()
+    assert not other.searches(others).any()
+    with pytest.raises(ValueError, match="searched"):
+        other.load_state_dict({"searched": np.zeros((1, 2))})
+
+
+def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
+    x = known.values.others(HERE)[0]  # another floor
+    start = ChangeValue().begin_at(known, x)
+    floor = SPACE.axes["floor"]
+    assert start.held is not None and np.flatnonzero(start.held).tolist() == floor
+    setting = Setting(12, known.sigma0, Options(), SPACE.layout)
+    descent = Descent(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
+    rng = np.random.default_rng(0)
+    X, _ = descent.sample(200, rng)
+    for points in (X, descent.place_proposals(rng.random((200, SPACE.dim)))):
+        np.testing.assert_array_equal(points[:, floor], np.tile(x[floor], (200, 1)))
+        assert len({one["n"] for one in SPACE.decode_many(points)}) > 2
+    free = descent.place(SPACE.snap(rng.random((50, SPACE.dim))))
+    assert len({one["floor"] for one in SPACE.decode_many(free)}) == 3, "a user's own point"
+
+
+def test_only_spaces_with_values_have_the_move() -> None:
+    about = np.full(3, 0.5), np.full(3, 1 / 6), 8, torch.zeros(1, 3), 3, 0
+    numbers = Space(a=Float(0, 1), b=Float(0, 1), c=Float(0, 1))
+    assert "change value" not in MovePolicy(*about).state_dict()
+    policy = MovePolicy(*about, cells=numbers.layout)
+    assert len(policy.state_dict()["choice"]["gain"]) == 7
+    values = Space(a=Float(0, 1), b=Int(0, 5), c=Float(0, 1))
+    policy = MovePolicy(*about, cells=values.layout)
+    assert len(policy.state_dict()["choice"]["gain"]) == 8
+
+
+def picture(params: dict[str, Any]) -> Float64:
+    """Stripes at x, or a plain floor, below a row as bright as y; (8, 8)."""
+    image = np.full((8, 8), 0.5)
+    if params["floor"] == "stripes":
+        image[:] = 0.5 + 0.5 * np.sin(40 * (np.arange(8) / 8 + params["x"]))
+    image[0] = params["y"]
+    return image
+
+
+def test_a_run_holds_values_also_after_it_was_saved() -> None:
+    space = Space(x=Float(0, 1), y=Float(0, 1), floor=Choice("plain", "stripes"))
+    target = picture({"x": 0.83, "y": 0.3, "floor": "stripes"})
+    opt = FIDE(space, target, seed=0)
+    held = 0
+    while opt.evaluations < 2000 and held < 30:
+        moves, other = opt.state.moves, FIDE(space, target, seed=0)
+        holds = moves.stage is Stage.SEARCH and moves.move == ChangeValue.name
+        if holds:
+            other.load_state_dict(deepcopy(opt.state_dict()))
+        X = opt.ask()
+        if holds:
+            kept = space.decode(moves.start.mean)["floor"]
+            assert {one["floor"] for one in space.decode_many(X)} == {kept}
+            np.testing.assert_array_equal(other.ask(), X)
+            held += len(X)
+        opt.tell(X, [picture(one) for one in space.decode_many(X)])
+    assert held >= 30

@@ -1,0 +1,48 @@
+"""A bandit that gives up nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins.search.moves.choice import Choice
+
+PRIORS = {"a": 0.5, "b": 0.1, "c": 0.1}
+
+
+def test_at_first_moves_are_drawn_by_what_is_expected() -> None:
+    p = Choice(PRIORS, 100).probabilities(["a", "b", "c"])
+    assert p.sum() == pytest.approx(1) and p[1] == p[2]
+    assert p[0] == pytest.approx(0.1 + 0.7 * 5 / 7)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_brings_most_for_its_evaluations_is_drawn_most_and_nothing_starves(seed: int) -> None:
+    rng, choice = np.random.default_rng(seed), Choice(PRIORS, 100)
+    success = {"a": 0.1, "b": 0.6, "c": 0.6}
+    cost = {"a": 100, "b": 100, "c": 300}
+    drawn = []
+    for _ in range(600):
+        name = choice.draw(["a", "b", "c"], rng)
+        choice.note(name, 0.5 * (rng.random() < success[name]), cost[name])
+        drawn.append(name)
+    shares = {name: drawn[100:].count(name) / 500 for name in PRIORS}
+    assert shares["b"] > shares["c"] and shares["b"] > 0.45
+    assert min(shares.values()) > 0.06
+
+
+def test_only_possible_moves_are_drawn() -> None:
+    rng, choice = np.random.default_rng(0), Choice(PRIORS, 100)
+    assert {choice.draw(["b"], rng) for _ in range(20)} == {"b"}
+
+
+def test_state_goes_on_and_impossible_ones_are_refused() -> None:
+    original = Choice(PRIORS, 100)
+    original.note("b", 3.0, 50)
+    copy = Choice(PRIORS, 7)
+    copy.load_state_dict(original.state_dict())
+    names = list(PRIORS)
+    np.testing.assert_array_equal(copy.probabilities(names), original.probabilities(names))
+    for wrong in (np.zeros(3), np.ones(2), np.array([1.0, np.nan, 1.0])):
+        with pytest.raises(ValueError, match="choice"):
+            copy.load_state_dict({"gain": wrong, "cost": np.ones(3)})

@@ -1,0 +1,242 @@
+"""What each move proposes, and where its search begins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.moves.anew import BeginAnew
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.moves.base import Known, Stage
+from fide_plugins.search.moves.crossover import Crossover
+from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.refine import Refine
+from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment, segment
+from fide_plugins.search.moves.removal import Removal
+from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.moves.split import Split
+from fide_plugins.search.moves.swap import Swap
+from fide_plugins.types import Float64
+
+from .conftest import brightest, sample
+
+BLOCKS = np.arange(8).reshape(4, 2)
+SIGMA0 = np.full(8, 1 / 6)
+
+
+def loss(image: Float64, target: Float64) -> float:
+    return float(np.square(image - target).mean())
+
+
+def scene(x: Float64, x_star: Float64, *, exchangeable: bool = True) -> Known:
+    """Four bumps on a line, the brightest of which is seen, once a search ended at x."""
+    target = brightest(x_star, BLOCKS)
+    known = Known(
+        np.full(8, 0.5),
+        SIGMA0,
+        sample(target, x_star).tokens,
+        3,
+        Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
+        Removal(),
+        Sensitivity(8, 3),
+        Axes(8),
+    )
+    known.incumbent = rendered(known, x, x_star)
+    known.optima.note(known.incumbent, known.exchangeability.distance)
+    return known
+
+
+def rendered(known: Known, x: Float64, x_star: Float64) -> TrainingSample:
+    image = brightest(x, BLOCKS)
+    return sample(image, x, loss(image, brightest(x_star, BLOCKS)))
+
+
+def removed(known: Known, x_star: Float64, rng: np.random.Generator) -> Known:
+    X = known.removal.draw(known.here.x, BLOCKS, rng)
+    known.removal.learn(known.here, [rendered(known, x, x_star) for x in X], BLOCKS, 3)
+    return known
+
+
+# Things at 0.1, 0.4, 0.6, 0.9; the optimum has two dim ones at 0.1 and one for those in the middle.
+STAR = np.array([0.1, 0.8, 0.4, 0.8, 0.6, 0.8, 0.9, 0.8])
+STALLED = np.array([0.1, 0.7, 0.5, 0.8, 0.1, 0.0, 0.9, 0.8])
+
+
+def test_removal_says_what_each_block_is_worth(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    X = known.removal.draw(STALLED, BLOCKS, rng)
+    for i, x in enumerate(X):
+        others = np.delete(np.arange(8), BLOCKS[i])
+        np.testing.assert_array_equal(x[others], STALLED[others])
+        assert any((x[BLOCKS[i]] == STALLED[b]).all() for j, b in enumerate(BLOCKS) if j != i)
+    removed(known, STAR, rng)
+    assert int(np.argmin(known.removal.costs)) == 2
+    where = (np.arange(16) + 0.5) / 16
+    for i in (0, 1, 3):
+        assert abs(where[known.removal.owned[i].argmax()] - STALLED[2 * i]) < 0.5
+    residual = known.removal.residual(known.here, known.target, 3)
+    assert int(np.argmax(residual)) == 1, "the one in the middle stands for two"
+
+
+def test_renders_that_were_not_asked_for_do_no_harm_to_removal(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    strangers = [rendered(known, rng.random(8), STAR), known.here]
+    known.removal.learn(known.here, strangers, BLOCKS, 3)
+    assert known.removal.known and not known.removal.costs.any()
+    Split().draw(known, 5, rng)
+
+
+def test_split_puts_the_redundant_block_beside_the_overloaded_one(
+    rng: np.random.Generator,
+) -> None:
+    known = removed(scene(STALLED, STAR), STAR, rng)
+    x = Split().draw(known, 4000, rng)
+    assert x.shape == (4000, 8) and x.min() >= 0 and x.max() <= 1
+    moved = (x != STALLED).reshape(-1, 4, 2).any(axis=2)
+    assert (moved.sum(axis=1) == 1).all(), "one donor each"
+    counts = moved.sum(axis=0) / 4000
+    expected = np.exp(-np.arange(4.0))
+    np.testing.assert_allclose(np.sort(counts)[::-1], expected / expected.sum(), atol=0.03)
+    assert counts.argmax() == 2
+    beside = np.abs(x[moved[:, 2], 4] - 0.5) < 0.2
+    assert beside.mean() > 0.5
+    scores = [rendered(known, row, STAR).loss for row in x[:200]]
+    assert min(scores) < known.here.loss
+    start = Split().begin_at(known, x[0])
+    wide = np.isin(start.std, 1 / 12)
+    np.testing.assert_array_equal(wide, x[0] != STALLED)
+    np.testing.assert_allclose(start.std[~wide], 1 / 48)
+
+
+def test_split_needs_removal_costs_of_the_incumbent(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    assert Split().possible(known) and Split().needs(known) is Stage.REMOVAL
+    removed(known, STAR, rng)
+    assert Split().needs(known) is None
+    known.removal.forget()
+    assert Split().needs(known) is Stage.REMOVAL
+    assert not Split().possible(scene(STALLED, STAR, exchangeable=False))
+
+
+def test_two_blocks_split_each_other(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    known.exchangeability = Exchangeability(8, 3, [[0, 1], [2, 3]])
+    pair = known.exchangeability.blocks
+    assert pair is not None
+    known.removal.learn(known.here, [], pair, 3)
+    x = Split().draw(known, 50, rng)
+    np.testing.assert_array_equal(x[:, 4:], np.tile(STALLED[4:], (50, 1)))
+
+
+def test_swap_exchanges_values_and_only_where_order_shows(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    x = Swap().draw(known, 300, rng)
+    np.testing.assert_array_equal(np.sort(x, axis=1), np.tile(np.sort(STALLED), (300, 1)))
+    assert len(np.unique(x, axis=0)) == 6  # pairs of four
+    assert Swap().possible(known)
+    known.exchangeability.ordered = False
+    assert not Swap().possible(known)
+    np.testing.assert_allclose(Swap().begin_at(known, x[0]).std, 1 / 48)
+
+
+def test_groups_are_blocks_and_leftovers(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    known.exchangeability = Exchangeability(8, 3, [[0, 1], [2, 3], [4, 5]])
+    x = RelocateGroup().draw(known, 20_000, rng)
+    moved, counts = np.unique(x != STALLED, axis=0, return_counts=True)
+    expected = np.repeat(np.eye(4, dtype=bool), 2, axis=1)
+    np.testing.assert_array_equal(moved, expected[::-1])
+    assert abs(counts - 5_000).max() < 310  # five standard deviations
+    assert RelocateGroup().needs(known) is None
+
+
+def test_groups_are_found_by_sensitivity(rng: np.random.Generator) -> None:
+    known = scene(np.array([0.1, 0.7, 0.4, 0.8, 0.6, 0.6, 0.9, 0.8]), STAR, exchangeable=False)
+    assert RelocateGroup().needs(known) is Stage.SENSITIVITY
+    for _ in range(4):
+        X = known.sensitivity.draw(known.here.x, rng)
+        np.testing.assert_array_equal(known.here.x != X, np.eye(8, dtype=bool))
+        known.sensitivity.learn(known.here, [rendered(known, x, STAR) for x in X])
+    assert RelocateGroup().needs(known) is None
+    assert sorted(group.tolist() for group in known.sensitivity.groups) == BLOCKS.tolist()
+    known.sensitivity.learn(known.here, [rendered(known, rng.random(8), STAR)])
+    assert len(known.sensitivity.groups) == 4
+
+
+def test_segments_are_neighbors_of_any_length(rng: np.random.Generator) -> None:
+    drawn = [segment(7, rng) for _ in range(5000)]
+    lengths = np.array([len(one) for one in drawn])
+    assert set(lengths) == {1, 2, 3}
+    assert all((np.diff(one) == 1).all() for one in drawn)
+    touched = np.bincount(np.concatenate(drawn), minlength=7)
+    assert touched.min() > 500
+    assert segment(2, rng).tolist() in ([0], [1])
+    known = scene(STALLED, STAR, exchangeable=False)
+    x = RelocateSegment().draw(known, 50, rng)
+    assert ((x != STALLED).any(axis=1)).all()
+    assert not RelocateSegment().possible(scene(STALLED, STAR))
+
+
+def test_children_have_parameters_of_two_optima(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR, exchangeable=False)
+    assert not Crossover().possible(known)
+    other = rendered(known, (STALLED + 0.33) % 1, STAR)
+    known.optima.note(other, known.exchangeability.distance)
+    assert Crossover().possible(known)
+    x = Crossover().draw(known, 500, rng)
+    assert ((x == STALLED) | (x == other.x)).all()
+    share = (x == other.x).mean(axis=1)
+    assert share.min() > 0 and share.max() < 1, "each has some of both"
+
+
+def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    assert not Refine().possible(known)
+    known.optima.fail(known.here)
+    assert Refine().possible(known)
+    x = Refine().draw(known, 1000, rng)
+    inside = (x > 0) & (x < 1)
+    assert abs(float((x - STALLED)[:, 1].std()) - 1 / 180) < 5e-4 and inside.any()
+    start = Refine().begin_at(known, x[0])
+    np.testing.assert_array_equal(start.mean, STALLED)
+    assert start.patience > 1 and not Refine().possible(known)
+
+
+def test_new_descents_begin_in_different_places(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    x = BeginAnew().draw(known, 20_000, rng)
+    assert np.abs(x.mean(axis=0) - 0.5).max() < 0.02
+    assert np.abs(x.std(axis=0) - np.sqrt(1 / 12)).max() < 0.01
+    starts = [BeginAnew().alone(known, i, rng) for i in range(1, 20)]
+    assert len({tuple(start.mean) for start in starts}) == 19
+    assert [start.population for start in starts[::2]] == [2, 4, 8, 16, 32, 64, 64, 64, 64, 64]
+    assert all(start.population == 1 for start in starts[1::2])
+    assert all((start.std <= SIGMA0).all() for start in starts)
+
+
+def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None:
+    known = scene(STALLED, STAR)
+    known.sigma0 = np.full(8, 0.02)
+    x = BeginAnew().draw(known, 1000, rng)
+    assert x.min() >= 0.44 and x.max() <= 0.56
+
+
+@pytest.mark.parametrize("dim", [1, 2, 3])
+def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
+    tokens = torch.ones((4, 3))
+    known = Known(
+        np.full(dim, 0.5), np.full(dim, 0.1), tokens, 3,
+        Exchangeability(dim, 3, []), Removal(), Sensitivity(dim, 3), Axes(dim),
+    )  # fmt: skip
+    known.incumbent = TrainingSample(0, np.full(dim, 0.3), tokens, 1.0)
+    known.optima.note(known.incumbent, known.exchangeability.distance)
+    known.optima.note(
+        TrainingSample(1, np.full(dim, 0.7), tokens, 2.0), known.exchangeability.distance
+    )
+    for move in (RelocateSegment(), Crossover(), BeginAnew(), Refine()):
+        if move.possible(known):
+            x = move.draw(known, 9, rng)
+            assert x.shape == (9, dim) and x.min() >= 0 and x.max() <= 1
+            assert move.begin_at(known, x[0]).mean.shape == (dim,)

@@ -1,0 +1,218 @@
+"""What comes after what, on a scene that is known; and that it goes on from a saved state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.errors import OptionError
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.moves.optima import Optima
+from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.types import Float64
+
+from .conftest import brightest, sample
+
+BLOCKS = np.arange(8).reshape(4, 2)
+STAR = np.array([0.1, 0.8, 0.4, 0.8, 0.6, 0.8, 0.9, 0.8])
+MIXING = np.random.default_rng(5).standard_normal((16, 8))
+
+
+def exchangeable(x: Float64) -> TrainingSample:
+    image = brightest(x, BLOCKS)
+    return sample(image, x, float(np.square(image - brightest(STAR, BLOCKS)).mean()))
+
+
+def mixed(x: Float64) -> TrainingSample:
+    image = np.tanh(MIXING @ x)
+    return sample(image, x, float(np.square(image - np.tanh(MIXING @ STAR)).mean()))
+
+
+def policy(render: Any = exchangeable, seed: int = 0, **options: Any) -> MovePolicy:
+    x0, sigma0 = np.full(8, 0.5), np.full(8, 1 / 6)
+    return MovePolicy(x0, sigma0, 9, render(STAR).tokens, 3, seed, **options)
+
+
+def round_of(moves: MovePolicy, render: Any, rng: np.random.Generator) -> Stage:
+    """Ask, render and tell one generation that is no search's."""
+    several = [render(x) for x in moves.draw(rng)]
+    return moves.learn(several, min(several, key=lambda one: one.loss).x)
+
+
+def steps(moves: MovePolicy, render: Any, seed: int, n: int) -> list[tuple[Stage, str | None]]:
+    """Stages and moves of n decisions; each search ends a little beside its start."""
+    rng, seen = np.random.default_rng(seed), []
+    for _ in range(n):
+        if moves.stage is Stage.SEARCH:
+            x = np.clip(moves.start.mean + 0.02 * rng.standard_normal(8), 0, 1)
+            moves.after_search(render(x), 150, guided=True)
+        else:
+            round_of(moves, render, rng)
+        seen.append((moves.stage, moves.move))
+    return seen
+
+
+def test_the_first_search_begins_at_x0_and_has_nothing_to_beat() -> None:
+    moves = policy()
+    assert moves.stage is Stage.SEARCH and moves.goal == np.inf and moves.move is None
+    np.testing.assert_array_equal(moves.start.mean, np.full(8, 0.5))
+    np.testing.assert_array_equal(moves.start.std, np.full(8, 1 / 6))
+
+
+def test_exchangeability_is_tested_once_then_moves_follow() -> None:
+    moves = policy()
+    seen = steps(moves, exchangeable, 0, 200)
+    stages = [stage for stage, _ in seen]
+    assert stages[0] is Stage.EXCHANGE and stages.count(Stage.EXCHANGE) == 1
+    assert Stage.SENSITIVITY not in stages and Stage.REMOVAL in stages
+    names = {name for _, name in seen[1:]}
+    assert {"split", "relocate group", "refine"} <= names
+    assert not {"crossover", "relocate segment", "swap"} & names
+
+
+def test_without_blocks_other_moves_follow() -> None:
+    seen = steps(policy(mixed), mixed, 0, 150)
+    stages = [stage for stage, _ in seen]
+    assert Stage.REMOVAL not in stages and stages.count(Stage.SENSITIVITY) == 1
+    names = {name for _, name in seen[4:]}
+    assert names == {"crossover", "relocate group", "relocate segment", "refine", "begin anew"}
+
+
+def test_declared_groups_need_no_test() -> None:
+    moves = policy(groups=BLOCKS.tolist())
+    stages = [stage for stage, _ in steps(moves, exchangeable, 0, 50)]
+    assert stages.count(Stage.EXCHANGE) == 1 and Stage.REMOVAL in stages  # it measures noise
+    with pytest.raises(OptionError, match="overlap"):
+        policy(groups=[[0, 1], [1, 2]])
+
+
+@pytest.mark.parametrize("groups", [None, [], BLOCKS.tolist()], ids=["found", "none", "declared"])
+def test_noise_is_measured_whether_blocks_are_found_or_declared(groups: Any) -> None:
+    rng, noise = np.random.default_rng(0), 0.01
+    moves = policy(groups=groups)
+    moves.after_search(exchangeable(np.full(8, 0.4)), 100, guided=True)
+    assert moves.stage is Stage.EXCHANGE and moves.noise is None
+    several = [replace(exchangeable(x), loss=noise * rng.random()) for x in moves.draw(rng)]
+    repeats = [one.loss for one in several if (one.x == 0.4).all()]
+    assert (len(several) == 2) == (groups is not None)
+    moves.learn(several, several[0].x)
+    assert moves.noise is not None and moves.noise > 0
+    assert moves.noise == pytest.approx(np.std(repeats, ddof=1))
+    assert moves.stage is not Stage.EXCHANGE or groups is None
+
+
+def test_a_better_optimum_is_the_next_incumbent_and_a_worse_one_is_not() -> None:
+    moves = policy()
+    rng = np.random.default_rng(0)
+    moves.after_search(exchangeable(np.full(8, 0.4)), 100, guided=True)
+    while moves.stage is not Stage.SEARCH:
+        round_of(moves, exchangeable, rng)
+    first = moves.known.here
+    assert moves.goal == first.loss
+    worse = TrainingSample(7, np.full(8, 0.9), first.tokens, first.loss + 1)
+    moves.after_search(worse, 100, guided=True)
+    assert moves.known.here is first
+    better = exchangeable(STAR)
+    while moves.stage is not Stage.SEARCH:
+        round_of(moves, exchangeable, rng)
+    moves.after_search(better, 100, guided=True)
+    assert moves.known.here is better
+
+
+def test_without_images_every_search_begins_elsewhere() -> None:
+    moves = policy()
+    starts = []
+    for guided, found in ((True, None), (False, exchangeable(STAR)), (True, None)):
+        assert moves.after_search(found, 100, guided=guided) is Stage.SEARCH
+        assert moves.goal == np.inf
+        starts.append(tuple(moves.start.mean))
+    assert len(set(starts)) == 3
+
+
+def test_drawing_changes_nothing() -> None:
+    moves = policy()
+    for _ in range(40):
+        if moves.stage is not Stage.SEARCH:
+            before = repr(moves.state_dict())
+            once, again = (moves.draw(np.random.default_rng(1)) for _ in range(2))
+            np.testing.assert_array_equal(once, again)
+            assert repr(moves.state_dict()) == before
+        steps(moves, exchangeable, 3, 1)
+
+
+@pytest.mark.parametrize("render", [exchangeable, mixed])
+@pytest.mark.parametrize("after", range(0, 40, 5))
+def test_state_goes_on_in_the_middle_of_every_move(render: Any, after: int) -> None:
+    original = policy(render)
+    steps(original, render, 0, after)
+    copy = policy(render, seed=99)
+    copy.load_state_dict(original.state_dict())
+    assert steps(copy, render, 1, 15) == steps(original, render, 1, 15)
+    assert repr(copy.state_dict()) == repr(original.state_dict())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"stage": "nap"},
+        {"stage": "restart"},
+        {"move": "leap"},
+        {"alone": -1},
+        {"optima": {"samples": [], "counts": [], "descents": -1}},
+        {"start": {"mean": np.zeros(7), "std": np.ones(8), "population": 1, "patience": 1}},
+    ],
+)
+def test_impossible_states_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError):
+        policy().load_state_dict({**policy().state_dict(), **wrong})
+
+
+def test_optima_are_tried_by_rank_and_failures() -> None:
+    optima = Optima()
+
+    def distance(a: Float64, b: Float64) -> float:
+        return float(np.abs(a - b).max())
+
+    assert optima.next(2) is None
+    best, second = (
+        TrainingSample(i, np.full(2, i / 2), mixed(STAR).tokens, i + 1.0) for i in (0, 1)
+    )
+    assert optima.note(best, distance) and not optima.note(second, distance)
+    order = []
+    for _ in range(12):
+        following = optima.next(2)
+        order.append(following)
+        if following is not None:
+            optima.fail(following)
+    assert order[:3] == [best, best, best] or order[:2] == [best, best]
+    assert second in order and None in order
+    near = TrainingSample(2, best.x + 0.01, best.tokens, 1.5)
+    assert not optima.note(near, distance) and len(optima) == 2
+    assert optima.all[0].searches == 2
+    nearer = TrainingSample(3, best.x + 0.01, best.tokens, 0.5)
+    assert optima.note(nearer, distance) and len(optima) == 2
+    assert optima.all[0].searches == 3 and optima.all[0].failures == 0
+
+
+def test_a_new_descent_without_an_incumbent_can_be_saved() -> None:
+    """After a search by losses alone, a guided one may find nothing that is worth leaving."""
+    moves = policy()
+    moves.known.incumbent, moves.move, moves.stage = None, "begin anew", Stage.RESTART
+    other = policy()
+    other.load_state_dict(moves.state_dict())
+    assert (other.stage, other.move, other.known.incumbent) == (Stage.RESTART, "begin anew", None)
+    moves.move = "split"
+    with pytest.raises(ValueError, match="incumbent"):
+        policy().load_state_dict(moves.state_dict())
+
+
+def test_a_state_is_not_changed_by_what_comes_after() -> None:
+    moves = policy()
+    steps(moves, exchangeable, 0, 4)
+    state = moves.state_dict()
+    gain = state["choice"]["gain"].copy()
+    steps(moves, exchangeable, 1, 12)
+    np.testing.assert_array_equal(state["choice"]["gain"], gain)

@@ -1,0 +1,114 @@
+"""When a search is over."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins.search.termination import Termination, default_patience, has_stalled, is_hopeless
+
+WIDE = np.full(4, 0.1)
+INF = float("inf")
+
+
+@pytest.mark.parametrize(
+    ("history", "stalled"),
+    [
+        ([1.0] * 5, False),  # too short to tell
+        ([1.0] * 6, True),
+        ([1.0, 1, 1, 1, 1, 0.98], False),
+        ([1.0, 1, 1, 1, 1, 0.995], True),
+        ([9.0, 1, 1, 1, 1, 1, 1], True),  # only the last generations count
+        ([-1.0, -1, -1, -1, -1, -1.02], False),  # a loss may be negative
+        ([-1.0, -1, -1, -1, -1, -1.005], True),
+        ([0.0] * 6, True),  # nothing is better than nothing
+        ([INF, 1, 1, 1, 1, 1], False),
+        ([INF] * 6, True),
+    ],
+)
+def test_stall(history: list[float], stalled: bool) -> None:
+    with np.errstate(all="raise"):
+        assert has_stalled(history, 5, 0.01) == stalled
+
+
+@pytest.mark.parametrize(
+    ("history", "goal", "hopeless"),
+    [
+        ([8.0, 7, 6, 5, 4, 3], 0.0, False),  # 1 a generation: 0 is 3 generations away
+        ([8.0, 7, 6, 5, 4, 3], -4.9, False),
+        ([8.0, 7, 6, 5, 4, 3], -5.1, True),  # 8.1 generations away
+        ([8.0, 7, 6, 5, 4], -100.0, False),  # too early to tell
+        ([3.0] * 6, 2.0, True),
+        ([3.0] * 6, 3.0, False),  # it is there
+        ([3.0] * 6, INF, False),  # nothing to beat
+        ([INF] * 6, 1.0, True),
+        ([INF] * 5 + [9.0], 1.0, False),
+    ],
+)
+def test_hope(history: list[float], goal: float, hopeless: bool) -> None:
+    with np.errstate(all="raise"):
+        assert is_hopeless(history, goal) == hopeless
+
+
+def test_hope_does_not_depend_on_the_scale_or_origin_of_the_loss() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        history = np.minimum.accumulate(rng.random(int(rng.integers(1, 12))))
+        goal = rng.random()
+        verdict = is_hopeless(history.tolist(), goal)
+        assert is_hopeless((64 * history).tolist(), 64 * goal) == verdict
+        assert is_hopeless((history - 2).tolist(), goal - 2) == verdict
+
+
+def test_a_search_that_stalls_is_over() -> None:
+    progress = Termination(1 / 6, 5, 0.01)
+    for generation in range(6):
+        assert not progress.is_over(WIDE), generation
+        progress.note(np.array([3.0, 1.0, np.inf, 2.0]))
+    assert progress.history == [1.0] * 6
+    assert progress.is_over(WIDE)
+
+
+def test_a_search_with_something_to_beat_is_over_sooner() -> None:
+    free, bound = Termination(1 / 6, 15, 0.1), Termination(1 / 6, 15, 0.1, goal=0.5)
+    for _ in range(6):
+        assert not bound.is_over(WIDE)
+        for progress in (free, bound):
+            progress.note(np.ones(3))
+    assert bound.is_over(WIDE) and not free.is_over(WIDE)
+
+
+def test_a_collapsed_search_is_over() -> None:
+    progress = Termination(1 / 6, 5, 0.01)
+    assert progress.is_over(np.full(4, 1e-9))
+    assert not progress.is_over(np.array([1e-9, 1e-9, 1e-9, 0.1]))
+
+
+@pytest.mark.parametrize(
+    ("dim", "popsize", "generations"),
+    [(1, 4, 5), (40, 15, 5), (95, 16, 5), (96, 16, 6), (300, 21, 14), (512, 4, 128)],
+)
+def test_patience_grows_with_the_dimension(dim: int, popsize: int, generations: int) -> None:
+    assert default_patience(dim, popsize) == generations
+
+
+def test_a_search_by_losses_alone_ends_when_it_has_converged_or_nothing_is_better() -> None:
+    """A tenth in ten generations is enough for a search that images guide, and too much to ask."""
+    progress = Termination(1.0, patience=10, improvement=0.1, patience_alone=30)
+    for generation in range(100):
+        progress.note(np.array([1.0 - 1e-6 * generation]))
+    assert progress.is_over(np.array([0.5])) and not progress.is_over(np.array([0.5]), guided=False)
+    assert not progress.is_over(np.array([1e-10, 1e-12]), guided=False)
+    assert progress.is_over(np.array([9e-12, 1e-12]), guided=False)
+    for generation in range(30):
+        assert not progress.is_over(np.array([0.5]), guided=False), generation
+        progress.note(np.array([7.0]))
+    assert progress.is_over(np.array([0.5]), guided=False)
+
+
+def test_what_nobody_asks_for_is_forgotten() -> None:
+    progress = Termination(1.0, patience=10, improvement=0.1, patience_alone=30)
+    for generation in range(1000):
+        progress.note(np.array([1.0 / (1 + generation)]))
+    assert len(progress.history) == 31
+    assert progress.history[-1] == 1 / 1000

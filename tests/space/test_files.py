@@ -1,0 +1,136 @@
+"""Spaces in files: what is written is read, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from fide_plugins import Choice, Float, Group, Int, Space
+from fide_plugins.errors import SpaceError
+
+from .test_space import spaces
+
+GOOD = """
+[azimuth]
+type = "float"
+low = -60
+high = 60
+unit = "deg"
+periodic = true
+
+[roughness]
+type = "float"
+low = 0.002
+high = 0.2
+log = true
+
+[columns]
+type = "int"
+low = 3
+high = 8
+
+[floor]
+type = "choice"
+values = ["checker", "wood"]
+
+[beads]
+repeat = 6
+
+[beads.x]
+type = "float"
+low = 0
+high = 1
+
+[beads.y]
+type = "float"
+low = 0
+high = 1
+"""
+
+
+def test_a_good_file(tmp_path: Path) -> None:
+    file = tmp_path / "space.toml"
+    file.write_text(GOOD)
+    space = Space(
+        azimuth=Float(-60, 60, unit="deg", periodic=True),
+        roughness=Float(0.002, 0.2, log=True),
+        columns=Int(3, 8),
+        floor=Choice("checker", "wood"),
+        beads=6 * Group(x=Float(0, 1), y=Float(0, 1)),
+    )
+    assert Space.read(file) == space
+    space.write(file)
+    assert Space.read(file) == space == Space.from_toml(space.to_toml())
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow])
+@given(spaces)
+def test_what_is_written_is_read(space: Space) -> None:
+    try:
+        text = space.to_toml()
+    except SpaceError as error:
+        assert "None, which TOML cannot" in str(error)
+        assert "null" in json.dumps(space.to_dict())
+    else:
+        again = Space.from_toml(text)
+        assert again == space and again.to_toml() == text
+
+
+def test_every_text_survives() -> None:
+    values = ['"', "\\", "\n", "\x7f", "\x00", "é", "😀", "'''", "#", ""]
+    space = Space(é=Choice(*values), b=Float(1e-300, 1e300, unit="µm"))
+    assert Space.from_toml(space.to_toml()) == space
+
+
+BAD = [
+    ("[a]\nlow = 0\nhigh = 1", r"\[a\] has no type; write type = one of 'float', 'int', 'choice'"),
+    ('[a]\ntype = "flaot"\nlow = 0\nhigh = 1', r"\[a\] type: unknown type 'flaot'.*mean 'float'"),
+    ('[a]\ntype = "float"\nlow = 0\nhihg = 1', r"\[a\] hihg: unknown key of a float.*mean 'high'"),
+    ('[a]\ntype = "float"\nlow = 0', r"\[a\] high: missing; a float needs low and high"),
+    ('[a]\ntype = "float"\nlow = 1\nhigh = 0', r"\[a\] Float\(1, 0\): low must be less than high"),
+    ('[a]\ntype = "float"\nlow = "x"\nhigh = 0', r"\[a\] Float\('x', 0\): low must be a finite"),
+    (
+        '[a]\ntype = "int"\nlow = 1\nhigh = 4\nperiodic = true',
+        r"\[a\] periodic: unknown key of an? int",
+    ),
+    ('[a]\ntype = "choice"\nvalues = "wood"', r"\[a\] values: must be a list"),
+    ('[a]\ntype = "choice"\nvalues = []', r"\[a\] Choice needs 1 to 1000 values"),
+    ('[a]\ntype = "choice"\nvalues = [["b"], "c"]', r"\[a\] a value of Choice must be hashable"),
+    ("[a]\nrepeat = 3", r"\[a\] Group needs at least one parameter"),
+    ('[a]\nrepeat = 0\n[a.x]\ntype = "int"\nlow = 0\nhigh = 1', r"\[a\] a Group may be repeated"),
+    ("[a]\nrepaet = 3\n[a.x]\n", r"\[a\] repaet: a group holds tables.*mean 'repeat'"),
+    ('[a]\n[a.x]\ntype = "int"\nlow = 3', r"\[a.x\] high: missing"),
+    ('["a b"]\ntype = "int"\nlow = 0\nhigh = 1', "the name of .* not 'a b'; call it 'a_b'"),
+    ("a = 3", r"\[a\] must be a table with a type, not 3"),
+    ("", "Space needs at least one parameter"),
+    ("[a\n", "no TOML: .*line 1"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD)
+def test_a_bad_file_is_named_with_table_and_key(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "space.toml"
+    file.write_text(text)
+    with pytest.raises(SpaceError, match=f"space.toml: {message}"):
+        Space.read(file)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nothing.toml"):
+        Space.read(tmp_path / "nothing.toml")
+    (tmp_path / "picture.toml").write_bytes(b"\x89PNG\xff")
+    with pytest.raises(SpaceError, match="picture.toml: no TOML.*save it as UTF-8"):
+        Space.read(tmp_path / "picture.toml")
+    with pytest.raises(SpaceError, match="a space must be a dictionary"):
+        Space.from_dict([1, 2])  # type: ignore[arg-type]
+
+
+def test_a_failed_write_changes_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "space.toml"
+    file.write_text("mine")
+    with pytest.raises(SpaceError, match="'a' has the value .*which files cannot hold"):
+        Space(a=Choice((1, 2), (3, 4))).write(file)
+    assert file.read_text() == "mine"

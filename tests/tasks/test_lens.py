@@ -1,0 +1,84 @@
+"""Lens: the camera against OpenCV, its inverse, and what makes the answer unique."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import lens
+
+Array = NDArray[np.float64]
+
+
+@cache
+def cameras(n: int) -> Array:
+    """Physical values of targets, (n, 11)."""
+    tasks = [fide_tasks.make("lens", 32, seed) for seed in range(n)]
+    return np.array([task._physical(task.x_star) for task in tasks if task.x_star is not None])
+
+
+def board_points() -> Array:
+    x, y = np.meshgrid(np.linspace(-3.5, 3.5, 8), np.linspace(-2.5, 2.5, 6))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(48)], axis=1)
+
+
+def test_points_are_seen_where_opencv_sees_them() -> None:
+    points = board_points()
+    for v in cameras(4):
+        rotation, _ = cv2.Rodrigues(lens.rotation(v))
+        camera = np.diag([v[6], v[6], 1.0])
+        seen, _ = cv2.projectPoints(points, rotation, v[3:6], camera, v[7:])
+        np.testing.assert_allclose(lens.project(v, points), seen[:, 0], atol=1e-9)
+
+
+def test_rotations_are_proper() -> None:
+    for v in cameras(4):
+        R = lens.rotation(v)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1)
+
+
+def test_the_inverse_finds_the_points_of_the_board_again() -> None:
+    """To 0.02 squares for points in the picture; iterations stop before rounding does."""
+    points = board_points()
+    for v in cameras(4):
+        x, y = lens.project(v, points).T.astype(np.float32)
+        inside = np.maximum(np.abs(x), np.abs(y)) < 0.5
+        assert inside.sum() >= 40
+        u, w, _, seen = lens.on_board(v, x[inside], y[inside])
+        assert seen.all()
+        np.testing.assert_allclose(u, points[inside, 0], atol=0.02)
+        np.testing.assert_allclose(w, points[inside, 1], atol=0.02)
+
+
+def test_squares_have_their_colors() -> None:
+    discs = {(x, y) for x, y, _, _ in lens._DISCS}
+    points = board_points()
+    for seed in range(2):
+        task = fide_tasks.make("lens", 224, seed)
+        assert task.x_star is not None
+        for (x, y, _), seen in zip(
+            points, lens.project(task._physical(task.x_star), points), strict=True
+        ):
+            column, row = np.floor(seen * 224 + 112).astype(int)
+            gray = 0.94 if (np.floor(x) + np.floor(y)) % 2 == 0 else 0.08
+            if (x, y) not in discs and min(row, column) >= 0 and max(row, column) < 224:
+                np.testing.assert_allclose(task.target[row, column], gray, atol=1e-3)
+
+
+def test_neither_a_turned_nor_a_shifted_board_looks_the_same() -> None:
+    """These are the folds: wrong answers, and each nearer than most."""
+    task = fide_tasks.make("lens", 64)
+    frontal = np.array([0.0, 0, 0, 0, 0, 13, 1.5, 0, 0, 0, 0])
+    low, high = np.array([(p.low, p.high) for p in task.parameters]).T
+    turned, shifted = frontal.copy(), frontal.copy()
+    turned[0], shifted[3] = 180.0, 2.0
+    X = (np.stack([frontal, turned, shifted]) - low) / (high - low)
+    images = task.render(X).astype(np.float64)
+    for image in images[1:]:
+        assert ((image - images[0]) ** 2).mean() > 0.005

@@ -1,0 +1,229 @@
+import io
+import re
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings, strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+
+from fide_plugins.errors import FideError, ImageError, ImageNotFoundError
+from fide_plugins.validation.images import MAX_PIXELS, as_target, load
+
+RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
+BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
+GRAY = RGB[..., 0]
+
+
+def canonical(image: np.ndarray) -> bool:
+    return image.dtype == np.float32 and image.ndim == 3 and bool(image.flags.c_contiguous)
+
+
+@pytest.mark.parametrize(
+    ("given_image", "expected"),
+    [
+        pytest.param(RGB, RGB, id="canonical"),
+        pytest.param(RGB.astype(np.float64), RGB, id="float64"),
+        pytest.param(RGB.astype(">f4"), RGB, id="big-endian"),
+        pytest.param(RGB.astype(np.float16), RGB.astype(np.float16).astype(np.float32), id="half"),
+        pytest.param(BYTES, BYTES / np.float32(255), id="uint8"),
+        pytest.param(RGB > 0.5, (RGB > 0.5).astype(np.float32), id="bool"),
+        pytest.param(GRAY, np.repeat(GRAY[..., None], 3, 2), id="HxW"),
+        pytest.param(GRAY[..., None], np.repeat(GRAY[..., None], 3, 2), id="HxWx1"),
+        pytest.param(RGB[::-1, ::2], RGB[::-1, ::2], id="strided view"),
+        pytest.param(np.asfortranarray(RGB), RGB, id="Fortran order"),
+        pytest.param(torch.from_numpy(RGB), RGB, id="HWC tensor"),
+        pytest.param(torch.from_numpy(RGB).permute(2, 0, 1), RGB, id="CHW tensor"),
+        pytest.param(torch.from_numpy(BYTES).permute(2, 0, 1), BYTES / np.float32(255), id="CHW8"),
+        pytest.param(torch.from_numpy(GRAY), np.repeat(GRAY[..., None], 3, 2), id="HW tensor"),
+        pytest.param(torch.from_numpy(GRAY)[None], np.repeat(GRAY[..., None], 3, 2), id="1HW"),
+        pytest.param(
+            torch.from_numpy(RGB).bfloat16(),
+            torch.from_numpy(RGB).bfloat16().float().numpy(),
+            id="bfloat16",
+        ),
+        pytest.param(torch.from_numpy(RGB).clone().requires_grad_(), RGB, id="requires grad"),
+        pytest.param(Image.fromarray(BYTES), BYTES / np.float32(255), id="PIL"),
+        pytest.param(RGB.tolist(), RGB, id="nested list"),
+        pytest.param(np.zeros((1, 1, 3)), np.zeros((1, 1, 3), np.float32), id="1x1"),
+        pytest.param(np.full((2, 2, 3), 1 + 5e-7), np.ones((2, 2, 3), np.float32), id="rounding"),
+    ],
+)
+def test_conversions(given_image: Any, expected: np.ndarray) -> None:
+    target = as_target(given_image)
+    assert canonical(target)
+    np.testing.assert_array_equal(target, expected)
+
+
+def test_alpha_is_composited_over_white() -> None:
+    rgba = np.array([[[0.5, 0.0, 1.0, 1.0], [0.5, 0.0, 1.0, 0.0], [0.5, 0.0, 1.0, 0.25]]])
+    expected = [[[0.5, 0.0, 1.0], [1.0, 1.0, 1.0], [0.875, 0.75, 1.0]]]
+    np.testing.assert_array_equal(as_target(rgba), np.array(expected, np.float32))
+
+
+def test_ambiguous_tensor_is_channels_first() -> None:
+    tensor = torch.rand((3, 5, 4), generator=torch.Generator().manual_seed(0))
+    np.testing.assert_array_equal(as_target(tensor), tensor.permute(1, 2, 0).numpy())
+
+
+def test_the_target_is_a_copy() -> None:
+    image = RGB.copy()
+    target = as_target(image)
+    tensor_target = as_target(torch.from_numpy(image))
+    image[:] = 0
+    np.testing.assert_array_equal(target, RGB)
+    np.testing.assert_array_equal(tensor_target, RGB)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((3, 5, 7)), r"1, 3 or 4 channels in its last axis.*\(3, 5, 7\).*np.moveaxis"),
+        (np.zeros((5, 7, 2)), r"1, 3 or 4 channels.*\(5, 7, 2\), dtype float64$"),
+        (torch.zeros(2, 5, 7), r"1, 3 or 4 channels.*\(2, 5, 7\)"),
+        (np.zeros(5), r"\(H, W\) or \(H, W, C\).*\(5,\)"),
+        (np.zeros((2, 5, 7, 3)), r"\(H, W\) or \(H, W, C\).*\(2, 5, 7, 3\)"),
+        (np.zeros((0, 7, 3)), r"empty.*\(0, 7, 3\)"),
+        (np.zeros((5, 7, 3), np.int64), r"uint8 in \[0, 255\].*int64.*astype"),
+        (np.zeros((5, 7, 3), np.uint16), r"uint16"),
+        (np.zeros((5, 7, 3), complex), r"complex128"),
+        (torch.zeros(5, 7, 3, dtype=torch.int32), r"int32.*to\(torch.uint8\)"),
+        (np.full((5, 7, 3), 128.0), r"in \[0, 1\].*\[128, 128\].*divide by 255"),
+        (np.full((5, 7, 3), -0.1), r"in \[0, 1\].*\[-0.1, -0.1\].*clip"),
+        (np.full((5, 7, 3), 1e300), r"in \[0, 1\].*1e\+300"),
+        (np.full((5, 7, 3), np.nan), r"finite.*105 NaN or infinite.*\(5, 7, 3\)"),
+        (np.where(RGB > 0.99, np.inf, RGB), r"finite.*NaN or infinite"),
+        (None, r"NoneType"),
+        (object(), r"object"),
+        ([[1.0], [1.0, 2.0]], r"is not an image"),
+        ({"a": 1}, r"dict"),
+        (torch.zeros(2, 2).to_sparse(), r"is not an image"),
+    ],
+)
+def test_refused(image: object, message: str) -> None:
+    with pytest.raises(ImageError, match=f"(?s)the target.*{message}") as error:
+        as_target(image)
+    assert isinstance(error.value, FideError) and isinstance(error.value, ValueError)
+
+
+@settings(deadline=None)
+@given(
+    hnp.arrays(
+        np.float32,
+        hnp.array_shapes(min_dims=2, max_dims=2, max_side=6).map(lambda s: (*s, 3)),
+        elements=st.floats(0, 1, width=32),
+    )
+)
+def test_canonical_images_are_unchanged(image: np.ndarray) -> None:
+    np.testing.assert_array_equal(as_target(image), image)
+
+
+# -- files -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrap", [str, Path])
+def test_a_file_is_its_pixels(tmp_path: Path, wrap: type) -> None:
+    path = tmp_path / "a.png"
+    Image.fromarray(BYTES).save(path)
+    np.testing.assert_array_equal(as_target(wrap(path)), BYTES / np.float32(255))
+
+
+def test_modes_of_files(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    deep = np.array([[0, 65535, 32768]], np.uint16)
+    Image.fromarray(deep).save(path)
+    np.testing.assert_allclose(as_target(path)[..., 1], deep / 65535, atol=1e-7)
+    Image.fromarray(BYTES).quantize(256).save(path)
+    assert np.abs(as_target(path) - BYTES / 255).max() < 0.02
+    clear = Image.new("RGBA", (2, 2), (10, 20, 30, 0))
+    clear.save(path)
+    np.testing.assert_array_equal(as_target(path), np.ones((2, 2, 3)))
+    Image.new("1", (2, 2), 1).save(path)
+    np.testing.assert_array_equal(as_target(path), np.ones((2, 2, 3)))
+    Image.new("CMYK", (2, 2), (0, 0, 0, 255)).save(tmp_path / "a.jpg")
+    np.testing.assert_array_equal(as_target(tmp_path / "a.jpg"), np.zeros((2, 2, 3)))
+
+
+def test_a_photo_is_turned_upright(tmp_path: Path) -> None:
+    image = Image.fromarray(BYTES)
+    exif = image.getexif()
+    exif[0x0112] = 6  # orientation: the right side is up
+    image.save(tmp_path / "a.png", exif=exif)
+    upright = np.rot90(BYTES, -1) / np.float32(255)
+    np.testing.assert_array_equal(as_target(tmp_path / "a.png"), upright)
+
+
+def test_load_reduces_large_images(tmp_path: Path) -> None:
+    pixels = np.zeros((40, 80, 3), np.uint8)
+    pixels[:, 40:] = 255
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    Image.fromarray(pixels).save(tmp_path / "a.jpg", quality=100)
+    for name in ("a.png", "a.jpg"):
+        small = load(tmp_path / name, max_side=8)
+        assert canonical(small) and small.shape == (4, 8, 3)
+        np.testing.assert_allclose(small[:, :4], 0.0, atol=0.02)
+        np.testing.assert_allclose(small[:, 4:], 1.0, atol=0.02)
+    assert load(tmp_path / "a.png", max_side=80).shape == (40, 80, 3)
+    assert load(tmp_path / "a.png").shape == (40, 80, 3)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ImageNotFoundError, match=r"no image file at .*gone\.png") as error:
+        as_target(tmp_path / "gone.png")
+    assert isinstance(error.value, FileNotFoundError) and isinstance(error.value, ValueError)
+
+
+def png_header(width: int, height: int) -> bytes:
+    """A PNG of that size with next to no data."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        crc = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc)
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    data = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0")) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + data
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(b"", id="empty"),
+        pytest.param(b"not an image", id="text"),
+        pytest.param(png_header(100, 100), id="cut short"),
+        pytest.param(png_header(100_000, 100_000), id="bomb"),
+        pytest.param(png_header(10_000, 10_000), id="small bomb"),
+        pytest.param(png_header(MAX_PIXELS // 8000 + 1, 8000), id="smallest bomb"),
+    ],
+)
+def test_bad_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "bad.png"
+    path.write_bytes(content)
+    with pytest.raises(ImageError, match=re.escape(path.name)):
+        as_target(path)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 10_000), st.integers(0, 255))
+def test_a_damaged_file_is_an_image_or_refused(position: int, value: int) -> None:
+    stream = io.BytesIO()
+    Image.fromarray(BYTES).save(stream, "PNG")
+    data = bytearray(stream.getvalue())
+    data[position % len(data)] = value
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            image.load()
+    except Exception:
+        return  # Pillow refuses it; `as_target` turns that into ImageError, see above
+    assert canonical(as_target(Image.open(io.BytesIO(data))))
+
+
+def test_a_directory_and_a_null_byte_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path, "a\0b"):
+        with pytest.raises(ImageError, match="cannot read"):
+            as_target(path)

@@ -1,0 +1,103 @@
+"""The next picture of several views, and of pictures of which a part is hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE
+from fide_plugins.errors import ImageError
+from fide_plugins.types import Float32, Float64
+
+Render = Callable[[Float64], Float32]
+Images = Callable[[Float64], Any]
+MASK = np.ones((16, 16), np.float32)
+MASK[:, 11:] = 0
+HALF = np.full((8, 16), 1, np.float32)
+HALF[:, :4] = 0.5
+
+
+def spoiled(picture: Float32, seed: int) -> Float32:
+    """The picture with noise where `MASK` hides it."""
+    noise = np.random.default_rng(seed).random(picture.shape, np.float32)
+    return np.where(MASK[..., None] > 0, picture, noise)
+
+
+@pytest.fixture(params=["views", "mask", "views and weights"])
+def scene(request: pytest.FixtureRequest, render: Render) -> tuple[Images, Images, dict[str, Any]]:
+    """Renders, pictures to find, and options."""
+
+    def both(X: Float64) -> list[Float32]:
+        images = render(X)
+        return [images, images[:, 4:12].copy()]
+
+    def pair(X: Float64) -> list[Float32]:
+        return [images[0] for images in both(X)]
+
+    def masked(X: Float64) -> Float32:
+        return spoiled(render(X)[0], int(1000 * X[0, 0]))
+
+    scenes: dict[str, tuple[Images, Images, dict[str, Any]]] = {
+        "views": (both, pair, {}),
+        "mask": (render, masked, {"mask": MASK}),
+        "views and weights": (both, pair, {"weights": [None, HALF]}),
+    }
+    return scenes[request.param]
+
+
+def go_on(opt: FIDE, images: Images, n: int) -> Float64:
+    asked = []
+    for _ in range(n):
+        asked.append(opt.ask(3))
+        opt.tell(asked[-1], images(asked[-1]))
+    return np.concatenate(asked)
+
+
+def test_a_picture_that_was_rendered_is_found_at_once(
+    scene: tuple[Images, Images, dict[str, Any]], answer: Float64
+) -> None:
+    images, pictures, options = scene
+    opt = FIDE(6, pictures(answer[None]), seed=1, popsize=8, **options)
+    x = go_on(opt, images, 30)[40]
+    weights = opt.weights
+    opt.retarget(pictures(x[None]))
+    first = opt.ask(1)
+    np.testing.assert_array_equal(first[0], x)
+    opt.tell(first, images(first))
+    assert opt.best is not None and opt.best.loss < 1e-12 and opt.status.code == "solved"
+    pairs = [(opt.weights, weights)]
+    if isinstance(weights, list):
+        pairs = list(zip(opt.weights, weights, strict=True))
+    assert all(one is other or np.array_equal(one, other) for one, other in pairs)
+
+
+def test_losses_and_books_are_those_of_the_next_picture(
+    scene: tuple[Images, Images, dict[str, Any]], answer: Float64, tmp_path: Path
+) -> None:
+    images, pictures, options = scene
+    opt = FIDE(6, pictures(answer[None]), seed=1, popsize=8, **options)
+    go_on(opt, images, 30)
+    following = pictures(np.clip(answer + 0.03, 0, 1)[None])
+    opt.retarget(following)
+    fresh = FIDE(6, following, seed=1, popsize=8, **options)
+    X = np.random.default_rng(0).random((4, 6))
+    np.testing.assert_allclose(opt.tell(X, images(X)), fresh.tell(X, images(X)), rtol=1e-12)
+    assert opt.best is not None
+    before = opt.best.loss
+    opt.save(tmp_path / "c")
+    again = FIDE.load(tmp_path / "c")
+    np.testing.assert_array_equal(go_on(opt, images, 8), go_on(again, images, 8))
+    assert opt.best is not None and opt.best.loss <= before
+
+
+def test_the_number_and_the_sizes_of_views_stay(render: Render, target: Float32) -> None:
+    opt = FIDE(6, [target, target[:8]], seed=1, popsize=8)
+    for wrong in (target, [target], [target[:8], target], [target, target[:8], target]):
+        with pytest.raises(ImageError, match=r"size of the first, 16 x 16 \+ 8 x 16"):
+            opt.retarget(wrong)
+    opt.retarget([target[::-1], target[8:]])
+    np.testing.assert_array_equal(opt.target[1], target[8:])

@@ -1,0 +1,110 @@
+"""The page in a real browser: it updates, fits a phone, is dark or light, fetches nothing else."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fide_plugins.watch import Server
+
+from .conftest import write_live, write_picture
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
+
+
+def titled(page: Any, text: str) -> None:
+    """Wait for a title that begins so."""
+    playwright.expect(page).to_have_title(re.compile(f"^{re.escape(text)}"))
+
+
+def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, directory: Path) -> None:
+    page = browser.new_page(viewport={"width": 1000, "height": 900})
+    troubles: list[str] = []
+    fetched: list[str] = []
+    page.on("console", lambda message: troubles.append(message.text))
+    page.on("pageerror", lambda error: troubles.append(str(error)))
+    page.on("request", lambda request: fetched.append(request.url))
+    page.goto(server.url)
+    titled(page, "0.002")
+    text = page.locator("main").inner_text()
+    for shown in ("scene.py:render", "7 of 8", "120 of 500", "1 min 15 s", "12.5", "deg"):
+        assert shown in text
+    assert "<b>wood</b>" in text, "text of a run is text, never HTML"
+    assert "improving: the loss fell by half" in page.locator("#status").inner_text()
+    for name in ("target", "best", "difference"):
+        playwright.expect(page.locator(f"#{name}")).to_have_js_property("naturalWidth", 16)
+    line = page.locator("#line").get_attribute("d")
+    before = page.locator("#best").get_attribute("src")
+
+    write_picture(directory / "best.png", 199)
+    write_live(directory, 300, 0.0001)
+    titled(page, "1.00e-4")
+    assert page.locator("#line").get_attribute("d") != line
+    assert page.locator("#best").get_attribute("src") != before
+    page.close()
+    assert troubles == []
+    assert all(url.startswith((server.url, "data:")) for url in fetched)
+
+
+def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
+    from fide_plugins.watch import serve
+
+    server, url = serve(directory)
+    page = browser.new_page()
+    page.goto(url)
+    titled(page, "0.002")
+    server.close()
+    playwright.expect(page.locator("#status")).to_contain_text("may have ended")
+    page.close()
+
+
+def test_dark_and_light(browser: Any, server: Server) -> None:
+    colors = {}
+    for scheme in ("light", "dark"):
+        context = browser.new_context(color_scheme=scheme)
+        page = context.new_page()
+        page.goto(server.url)
+        colors[scheme] = page.evaluate(
+            """() => [getComputedStyle(document.body).backgroundColor,
+                      getComputedStyle(document.body).color,
+                      getComputedStyle(document.getElementById("line")).stroke]"""
+        )
+        context.close()
+    assert colors["light"][0] == "rgb(255, 255, 255)" and colors["dark"][0] == "rgb(20, 22, 26)"
+    assert all(light != dark for light, dark in zip(*colors.values(), strict=True))
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_a_phone_shows_it_without_scrolling_sideways(
+    browser: Any, server: Server, width: int
+) -> None:
+    context = browser.new_context(viewport={"width": width, "height": 700}, is_mobile=True)
+    page = context.new_page()
+    page.goto(server.url)
+    titled(page, "0.002")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    sizes = page.evaluate(
+        """() => [...document.querySelectorAll("#ticks text")].map(
+                 e => e.getBoundingClientRect().height)"""
+    )
+    assert sizes and min(sizes) >= 8
+    context.close()
+
+
+def test_another_site_cannot_read_it(browser: Any, server: Server, tmp_path: Path) -> None:
+    """A page from elsewhere gets neither the data nor the pictures."""
+    page = browser.new_page()
+    page.goto("about:blank")
+    read = f"fetch('{server.url}state.json').then(r => r.text()).catch(() => 'refused')"
+    assert page.evaluate(read) == "refused"
+    picture = f"""new Promise(done => {{
+        const image = new Image();
+        image.onload = () => done("shown");
+        image.onerror = () => done("refused");
+        image.src = "{server.url}best.png";
+    }})"""
+    assert page.evaluate(picture) == "refused"
+    page.close()

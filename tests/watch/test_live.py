@@ -1,0 +1,112 @@
+"""What a fit and a run write, as the page reads it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fide_plugins
+from fide_plugins import Choice, Float, Group, Space
+from fide_plugins.cli import main
+from fide_plugins.types import Float32
+from fide_plugins.watch import LiveFile
+from fide_plugins.watch.live import listed
+from fide_plugins.watch.snapshot import RunFiles
+
+SPACE = Space(angle=Float(-60, 60, unit="deg"), level=Float(0, 1))
+
+
+def render(params: dict[str, Any]) -> Float32:
+    image = np.full((8, 8, 3), params["level"], np.float32)
+    image[:, :4] *= (params["angle"] + 60) / 120
+    return image
+
+
+def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
+    target = render({"angle": 30.0, "level": 0.8})
+    seen: list[dict[str, Any]] = []
+
+    def look(event: Any) -> None:
+        if event.evaluation == 25:
+            seen.append(RunFiles(tmp_path / "run").state())
+
+    fide_plugins.fit(
+        render,
+        target,
+        SPACE,
+        budget=40,
+        workers=0,
+        seed=0,
+        out=tmp_path / "run",
+        callbacks=[LiveFile(every=0.0), look],
+    )
+    (during,) = seen
+    assert during["status"] == "running"
+    assert during["evaluations"] == 26 and during["budget"] == 40
+    losses = [loss for _, loss in during["improvements"]]
+    assert losses == sorted(losses, reverse=True) and losses[-1] == during["best_loss"]
+    assert [(row[0], row[2]) for row in during["parameters"]] == [("angle", "deg"), ("level", "")]
+    assert set(during["pictures"]) == {"target.png", "best.png", "difference.png"}
+    after = RunFiles(tmp_path / "run").state()
+    assert after["status"] == "finished" and after["evaluations"] == 40 and "busy" not in after
+    assert after["best_loss"] <= during["best_loss"]
+
+
+def test_a_fit_of_two_views_and_a_mask(tmp_path: Path) -> None:
+    def both(params: dict[str, Any]) -> list[Float32]:
+        image = render(params)
+        return [image, image[:4]]
+
+    mask = np.zeros((4, 8), np.float32)
+    mask[:, 4:] = 1
+    target = both({"angle": 30.0, "level": 0.8})
+    out = tmp_path / "run"
+    options: dict[str, Any] = {"budget": 60, "workers": 0, "seed": 0, "mask": [None, mask]}
+    result = fide_plugins.fit(both, target, SPACE, out=out, callbacks=[LiveFile()], **options)
+    assert result.evaluations == 60 and result.best is not None
+    assert isinstance(result.best.image, list) and result.best.image[1].shape == (4, 8, 3)
+    assert set(RunFiles(out).state()["pictures"]) == {"target.png", "best.png", "difference.png"}
+
+
+def test_it_writes_no_more_often_than_it_says(tmp_path: Path) -> None:
+    now = [0.0]
+    live, written = LiveFile(every=0.5, clock=lambda: now[0]), []
+
+    def look(event: Any) -> None:
+        written.append(json.loads((tmp_path / "run/live.json").read_text())["evaluations"])
+        now[0] += 0.2
+
+    fide_plugins.fit(
+        render, render({"angle": 0.0, "level": 0.5}), SPACE,
+        budget=9, workers=0, seed=0, out=tmp_path / "run", callbacks=[live, look],
+    )  # fmt: skip
+    assert written == [1, 1, 1, 4, 4, 4, 7, 7, 7]
+
+
+def test_without_a_run_directory_nothing_is_written(tmp_path: Path) -> None:
+    target = render({"angle": 0.0, "level": 0.5})
+    fide_plugins.fit(render, target, SPACE, budget=9, workers=0, callbacks=[LiveFile()])
+
+
+def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:
+    words = ["run", "voronoi", "--size", "16", "--budget", "40", "--out", str(tmp_path / "run")]
+    assert main([*words, "--set", "popsize=6"]) == 0
+    state = RunFiles(tmp_path / "run").state()
+    assert state["status"] == "finished" and state["evaluations"] == 40
+    assert set(state["pictures"]) == {"target.png", "best.png", "difference.png"}
+    assert state["improvements"][-1][1] == state["best_loss"]
+
+
+def test_parameters_of_groups_and_choices() -> None:
+    space = Space(floor=Choice("wood", "stone"), beads=2 * Group(x=Float(0, 10, unit="mm")))
+    x = space.encode({"floor": "stone", "beads": [{"x": 2.5}, {"x": 7.0}]})
+    names = list(space.parameters)
+    assert listed(space, x) == [
+        [names[0], "stone", ""],
+        [names[1], "2.5", "mm"],
+        [names[2], "7", "mm"],
+    ]
+    assert listed(None, [0.25]) == [["x[0]", "0.2500", ""]]

@@ -1,0 +1,197 @@
+"""The page can be neither written to, nor reached by another name, nor made to show other files."""
+
+from __future__ import annotations
+
+import http.client
+import io
+import json
+import os
+import socket
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fide_plugins.errors import OptionError
+from fide_plugins.watch import Server, serve
+
+from .conftest import write_live
+
+
+def ask(server: Server, path: str, method: str = "GET", **headers: str) -> tuple[int, bytes, Any]:
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    try:
+        connection.putrequest(method, path, skip_host="Host" in headers)
+        for name, value in headers.items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.read(), answer.headers
+    finally:
+        connection.close()
+
+
+def test_the_page_and_its_parts(server: Server) -> None:
+    for path in ("/", "/page.js", "/page.css", "/state.json", "/target.png", "/best.png?1"):
+        status, body, headers = ask(server, path)
+        assert status == 200 and body
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        policy = headers["Content-Security-Policy"]
+        assert policy.startswith("default-src 'none'") and "unsafe" not in policy
+    assert b"://" not in ask(server, "/")[1] + ask(server, "/page.css")[1]
+
+
+def test_the_state_is_that_of_the_files(server: Server, directory: Path) -> None:
+    state = json.loads(ask(server, "/state.json")[1])
+    assert (state["status"], state["task"], state["loss"]) == ("running", "scene.py:render", "mse")
+    assert (state["evaluations"], state["best_loss"], state["busy"]) == (120, 0.002, 7)
+    assert state["improvements"] == [[1, 0.5], [20, 0.03], [120, 0.002]]
+    assert state["parameters"][0] == ["azimuth", "12.5", "deg"]
+    write_live(directory, 300, 0.001)
+    assert json.loads(ask(server, "/state.json")[1])["evaluations"] == 300
+    (directory / "live.json").unlink()
+    state = json.loads(ask(server, "/state.json")[1])
+    assert (state["evaluations"], state["best_loss"], state["seconds"]) == (3, 0.1, 0.3)
+    assert state["improvements"] == [[1, 0.5], [3, 0.1]]
+
+
+def test_the_difference_is_that_of_the_pictures(server: Server) -> None:
+    pixels = np.asarray(Image.open(io.BytesIO(ask(server, "/difference.png")[1])))
+    assert pixels.shape == (12, 16, 3) and (pixels == 80).all()
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "HEAD", "OPTIONS", "TRACE"])
+def test_nothing_can_be_written(server: Server, directory: Path, method: str) -> None:
+    before = {path.name: path.read_bytes() for path in directory.iterdir()}
+    assert ask(server, "/best.png", method)[0] == 501
+    assert {path.name: path.read_bytes() for path in directory.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../secret.png",
+        "/%2e%2e/secret.png",
+        "/..%2fsecret.png",
+        "//secret.png",
+        "/run.json",
+        "/live.json",
+        "/run.ckpt",
+        "/target.png/",
+        "/./target.png",
+        "target.png",
+        "http://127.0.0.1/../secret.png",
+        "/state.json/../../secret.png",
+        "*",
+    ],
+)
+def test_only_known_names_are_served(server: Server, path: str) -> None:
+    host = f"127.0.0.1:{server.server_port}"
+    assert ask(server, path, Host=host)[0] in (400, 404)
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "", "localhost"]
+)
+def test_another_name_is_refused(server: Server, host: str) -> None:
+    """DNS rebinding: a name of somebody else's that leads to this address."""
+    host = host.format(port=server.server_port)
+    assert ask(server, "/state.json", Host=host)[0] == 421
+
+
+def test_both_own_names_are_answered(server: Server) -> None:
+    for name in ("127.0.0.1", "localhost"):
+        assert ask(server, "/state.json", Host=f"{name}:{server.server_port}")[0] == 200
+
+
+def test_it_listens_on_the_loopback_address_only(server: Server) -> None:
+    assert server.server_address[0] == "127.0.0.1"
+    others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)}
+    for address in others - {"127.0.0.1"}:
+        with pytest.raises(OSError):
+            socket.create_connection((str(address), server.server_port), timeout=1).close()
+
+
+@pytest.mark.skipif(not hasattr(os, "O_NOFOLLOW"), reason="no such links here")
+def test_links_and_other_contents_are_not_served(server: Server, directory: Path) -> None:
+    (directory / "best.png").unlink()
+    (directory / "best.png").symlink_to(directory.parent / "secret.png")
+    assert ask(server, "/best.png")[0] == 404
+    (directory / "best.png").unlink()
+    (directory / "best.png").write_text("<script>alert(1)</script>")
+    assert ask(server, "/best.png")[0] == 404
+    assert ask(server, "/difference.png")[0] == 404
+    (directory / "best.png").unlink()
+    os.mkfifo(directory / "best.png")
+    assert ask(server, "/best.png")[0] == 404
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        b"",
+        b"[]",
+        b"{",
+        b"\xff\xfe",
+        b'{"evaluations": "many", "improvements": [[1], 2], "parameters": {"a": 1}}',
+        b'{"evaluations": 1e400, "best_loss": NaN, "improvements": [[NaN, 1], [2, 0.5]]}',
+        b"[" * 100_000,
+    ],
+)
+@pytest.mark.parametrize("name", ["live.json", "run.json", "curve.csv", "run.ckpt"])
+def test_damaged_files_are_not_shown(
+    server: Server, directory: Path, name: str, contents: bytes
+) -> None:
+    (directory / name).write_bytes(contents)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"no JSON: {constant}")
+
+    status, body, _ = ask(server, "/state.json")
+    state = json.loads(body, parse_constant=refuse)
+    assert status == 200
+    assert all(len(point) == 2 for point in state["improvements"])
+
+
+def test_an_empty_directory_and_none(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "later"):
+        server, url = serve(path)
+        assert url == f"http://127.0.0.1:{server.server_port}/"
+        assert json.loads(ask(server, "/state.json")[1])["status"] == "not begun"
+        assert ask(server, "/target.png")[0] == 404
+        server.close()
+
+
+def test_what_is_no_directory_and_no_port(tmp_path: Path, server: Server) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OptionError, match="is no directory"):
+        serve(tmp_path / "file")
+    with pytest.raises(OptionError, match="from 0 to 65535, not 70000"):
+        serve(tmp_path, 70_000)
+    with pytest.raises(OSError, match="in use"):
+        serve(tmp_path, server.server_port)
+
+
+@pytest.mark.parametrize("error, said", [(ConnectionResetError(), False), (KeyError("x"), True)])
+def test_only_a_browser_that_leaves_is_no_error(
+    server: Server, capsys: pytest.CaptureFixture[str], error: Exception, said: bool
+) -> None:
+    try:
+        raise error
+    except Exception:
+        server.handle_error(None, ("127.0.0.1", 1))
+    assert bool(capsys.readouterr().err) is said
+
+
+def test_a_browser_that_leaves_leaves_no_trace(
+    server: Server, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", server.server_port)) as one:
+            one.sendall(b"GET /state.json HTTP/1.1\r\n")
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    assert ask(server, "/state.json")[0] == 200
+    assert not capsys.readouterr().err
