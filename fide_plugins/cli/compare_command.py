@@ -6,7 +6,8 @@ r"""Compare optimizers with the same targets, budgets and seeds.
     fide compare robot --optimizers fide,nevergrad:CMA,dibo:budget=2000 --out runs/robot --resume
     fide compare scene.py:render --optimizers fide,cma --seeds 5 --budget 1000 --out runs/scene
 
-An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. With
+An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. NAME may be
+FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/compare.md). With
 --resume the command executes the missing runs: after an interruption, or for more tasks, losses,
 optimizers or seeds. At the end it writes the report, like `fide report`.
 """
@@ -40,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("tasks", nargs="+", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
     add("--optimizers", type=names, default=["fide", "cma", "random"], metavar="A,B",
-        help="see: fide list optimizers (fide,cma,random)")  # fmt: skip
+        help="see: fide list optimizers (fide,cma,random); or FILE.py:NAME")  # fmt: skip
     add("--losses", type=names, default=["mse"], metavar="L,M", help="see: fide list losses (mse)")
     add("--size", type=whole(1), default=224, metavar="PX", help="side of the image (224)")
     where = add_grid_arguments(parser, what="comparison", seeds=10, budget=5000)

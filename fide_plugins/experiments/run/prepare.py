@@ -66,7 +66,8 @@ def prepare(
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
         `pixel_samples`.
     optimizer
-        name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
+        name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
+        `baselines.own`; or a callable that is called as a class of one would be:
         (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
         optional, see `user_optimizer.UserOptimizer`.
     loss
@@ -98,6 +99,8 @@ def prepare(
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
+    if isinstance(optimizer, str):
+        optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.renderers.function import is_reference
+from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
