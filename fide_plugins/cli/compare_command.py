@@ -5,6 +5,8 @@ r"""Compare optimizers with the same targets, budgets and seeds.
         --seeds 10 --size 112 --jobs 2 --out runs/mine
     fide compare robot --optimizers fide,nevergrad:CMA,dibo:budget=2000 --out runs/robot --resume
     fide compare scene.py:render --optimizers fide,cma --seeds 5 --budget 1000 --out runs/scene
+    fide compare --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml \
+        --target target.png --optimizers fide,cma --seeds 5 --budget 1000 --out runs/sun
 
 An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. NAME may be
 FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/compare.md). With
@@ -20,14 +22,15 @@ from typing import Any
 
 from fide_plugins.cli.arguments import (
     add_grid_arguments,
-    add_space_argument,
     names,
     setting,
     thresholds,
     whole,
 )
 from fide_plugins.cli.messages import duration, note, number, plain
+from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
 from fide_plugins.cli.running import execute_comparisons
+from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
@@ -39,7 +42,7 @@ _METRICS = ("mse", "perceptual")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide compare``."""
     add = parser.add_argument
-    add("tasks", nargs="+", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
+    add("tasks", nargs="*", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
     add("--optimizers", type=names, default=["fide", "cma", "random"], metavar="A,B",
         help="see: fide list optimizers (fide,cma,random); or FILE.py:NAME")  # fmt: skip
     add("--losses", type=names, default=["mse"], metavar="L,M", help="see: fide list losses (mse)")
@@ -53,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(those minimized, mse and perceptual)")  # fmt: skip
     add("--threshold", type=thresholds, action="append", default=[], metavar="[TASK/]LOSS=VALUE",
         help="loss that counts as success, for the report; may be repeated")  # fmt: skip
-    add_space_argument(parser)
+    add_own_task(parser)
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -72,20 +75,28 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
 
     metrics = args.metrics or list(dict.fromkeys([*args.losses, *_METRICS]))
     plan = Plan(
-        tuple(args.tasks),
+        _tasks(args),
         tuple(Configuration.parse(text) for text in args.optimizers),
         tuple(args.losses),
         args.seeds,
         args.budget,
         args.size,
         args.task_seed,
-        dict(args.task_set) | ({} if args.space is None else {"space": args.space}),
+        dict(args.task_set) | options_of(args),
         dict(args.options),
         tuple(metrics),
     )
     return prepare(
         plan, args.out, jobs=args.jobs, dask=args.dask, resume=args.resume, command=command
     )
+
+
+def _tasks(args: argparse.Namespace) -> tuple[str, ...]:
+    if args.template is not None:
+        return (task_of(args),)
+    if not args.tasks:
+        raise OptionError("name a TASK, or give --command; see: fide compare --help")
+    return tuple(args.tasks)
 
 
 def _execute(comparison: Any) -> int:

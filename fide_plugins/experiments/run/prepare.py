@@ -59,8 +59,8 @@ def prepare(
     Parameters
     ----------
     task
-        name in `fide_tasks`; ``FILE.py:NAME`` for a user's renderer, see `renderer_task`; or a
-        `Task`.
+        name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
+        renderer, see `renderer_task.make`; or a `Task`.
     size, task_seed, task_options
         arguments of a task that is given by name; a user's renderer has its own size.  The option
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
@@ -151,7 +151,7 @@ def make_task(
 
     Its option `spp` is the largest number of samples.
     """
-    if renderer_task.is_reference(name):
+    if renderer_task.is_own(name, options):
         return renderer_task.make(name, seed, options)
     import fide_tasks
 
