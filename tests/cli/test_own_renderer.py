@@ -23,12 +23,13 @@ def fide(*words: object) -> int:
 @pytest.mark.usefixtures("scene")
 def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
     first, again, other = (make("scene.py:render", seed, {}) for seed in (3, 3, 4))
+    assert first.x_star is not None and other.x_star is not None
     assert first.target.shape == (12, 16, 3)
     np.testing.assert_array_equal(first.target, again.target)
     assert not np.array_equal(first.x_star, other.x_star)
     (image,) = first.render(first.x_star[None])
     np.testing.assert_allclose(np.repeat(image[..., None], 3, 2), first.target, atol=1e-7)
-    assert first.search_space is not None and first.x_star is not None
+    assert first.search_space is not None
     np.testing.assert_array_equal(first.search_space.snap(first.x_star), first.x_star)
 
 
@@ -143,7 +144,7 @@ def test_compare_takes_a_program_and_a_picture(target: Path) -> None:
     ("words", "message"),
     [
         (["run"], "name a TASK, or give --command"),
-        (["compare", "--out", "out"], "name a TASK, or give --command"),
+        (["compare", "--out", "out"], "name a TASK, or give --command or --suite"),
         (["run", "voronoi", "--command", "ls {out}"], "a TASK or --command, not both"),
         (["run", "voronoi", "--timeout", "3"], "--timeout is of --command; leave it out"),
         (["run", "--command", COMMAND], r"needs a space \(--space FILE.toml\)"),

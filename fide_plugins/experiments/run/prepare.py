@@ -147,10 +147,14 @@ def _restored(
 def make_task(
     name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
 ) -> Task:
-    """Make the task `name` of `fide_tasks`, or that of a user's renderer.
+    """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
 
     Its option `spp` is the largest number of samples.
     """
+    if "suite" in options:
+        from fide_plugins.experiments import suite
+
+        return suite.make(suite.read(options["suite"]), name)
     if renderer_task.is_own(name, options):
         return renderer_task.make(name, seed, options)
     import fide_tasks
