@@ -83,8 +83,9 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 def _figures(found: Scores, names: list[str], legend: bool) -> list[tuple[str, str, Any]]:
     """File name, title and figure of the data profile, and of a performance profile a budget."""
     t = found.t
-    solved = t[np.isfinite(t)]
-    at = np.unique([1.0, *solved, float(found.budgets[-1])])
+    solved = t[np.isfinite(t)].tolist()
+    begin = 0.5 * min([*solved, found.budgets[0]])
+    at = np.unique([begin, *solved, float(found.budgets[-1])])
     figures = [
         (
             "data-profile",

@@ -33,7 +33,7 @@ class SuitePlan(Plan):
         return Keep(film=False, summary=False, checkpoint=False)
 
     def runs(self) -> Iterator[RunKey]:
-        """All runs, targets outermost, so that the finished problems can be compared at any time."""
+        """All runs, targets outermost, so that finished problems can be compared at any time."""
         assert self.suite is not None
         for problem in self.tasks:
             scene, _ = self.suite.problem(problem)

@@ -63,7 +63,7 @@ def scores(results: Results) -> Scores:
             "--resume"
         )
     most = int(results.settings["budget"])
-    budgets = tuple(b for b in suite.budgets if b <= most) or (most,)
+    budgets = (*(b for b in suite.budgets if b < most), most)
     rows = [[runs[label] for label in labels] for runs in whole.values()]
     t = np.array([[_renders(suite, run) for run in row] for row in rows])
     losses = np.array([[[_loss(run, b) for run in row] for row in rows] for b in budgets])

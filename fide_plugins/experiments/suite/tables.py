@@ -30,7 +30,7 @@ def totals(found: Scores, names: list[str]) -> Table:
         p = statistics.adjusted([mcnemar(solved[:, best], solved[:, s]) for s in rivals])
         of = dict(zip(rivals, p, strict=True))
         for s, row in enumerate(cells):
-            row.append(Entry(f"{counts[s]:.0f}", float(counts[s]), counts[s] == counts.max()))
+            row.append(Entry(f"{counts[s]:.0f}", float(counts[s]), counts[s] == counts.max() > 0))
             row.append(Entry(f"{of[s]:.2g}", of[s]) if s in of else Entry("", -1.0))
     caption = f"Problems solved, of {len(found.problems)}"
     return Table(caption, tuple(columns), tuple(tuple(row) for row in cells))
@@ -45,8 +45,9 @@ def by_scene(found: Scores, names: list[str]) -> Table:
     for scene in found.scenes:
         t = found.of(scene)
         counts = np.array([(t <= budget).sum(axis=0) for budget in found.budgets])  # (B, S)
+        most = counts[-1].max()
         entries = [
-            Entry(" / ".join(map(str, column)), float(column[-1]), column[-1] == counts[-1].max())
+            Entry(" / ".join(map(str, column)), float(column[-1]), column[-1] == most > 0)
             for column in counts.T.tolist()
         ]
         rows.append((Entry(scene, scene), Entry(str(len(t)), len(t)), *entries))
