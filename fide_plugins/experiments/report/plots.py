@@ -182,8 +182,7 @@ def profile(
     x: (m,), increasing, positive.  shares: (m, S) in [0, 1], S curves called `names`.
     marks: vertical lines.
     """
-    beside = legend and len(names) > _MANY
-    room = 0.5 + 0.062 * max(map(len, names)) if beside else 0.1
+    room = 0.5 + 0.062 * max(map(len, names)) if legend else 0.1
     figure, axes = _canvas(5.1 + room, 3.6, left=0.62, top=0.26, right=room)
     for mark in marks:
         axes.axvline(mark, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
@@ -195,10 +194,8 @@ def profile(
     axes.set_ylim(-2, 102)
     axes.set_xlabel(axis, fontsize=10, color=INK)
     axes.set_title("problems solved, %", fontsize=10, color=INK, loc="left", pad=5)
-    if beside:
+    if legend:
         _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.02))
-    elif legend:
-        _legend(axes, loc="upper left")
     return figure
 
 
