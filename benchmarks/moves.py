@@ -57,7 +57,7 @@ SCENES = {
     "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
     "sprites": Scene("sprites", {}, 1e-3, 5000, 64),
     "stick_figure": Scene("stick_figure", {}, 1e-5, 5000, 64),
-    "configuration": Scene("configuration", {}, 1e-6, 5000, 64),
+    "arm": Scene("arm", {}, 1e-6, 5000, 64),
     "lens": Scene("lens", {}, 1e-5, 5000, 64),
     "ball": Scene("ball", {}, 1e-6, 2000, 64),
 }
