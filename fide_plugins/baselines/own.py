@@ -78,7 +78,10 @@ class Own(Replayed):
             self._user = self.made_by(**{k: v for k, v in known.items() if k in taken})
         _check_methods(self.name, self._user)
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
-        self._takes_images = "images" in inspect.signature(self._user.tell).parameters
+        names = list(inspect.signature(self._user.tell).parameters)
+        self._images_at = (
+            names.index("images") if "images" in names else None
+        )
         self._asked: Float64 | None = None  # last generation
 
     @classmethod
@@ -116,15 +119,17 @@ class Own(Replayed):
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         with self._global_random.lent():
-            if self._takes_images:
-                self._user.tell(X, features, losses)
-            else:
-                self._user.tell(X, losses)
+            told: list[Any] = [X, losses]
+            if self._images_at is not None:
+                told.insert(self._images_at, features)
+            self._user.tell(*told)
 
     def _encode(self, batch: Float32 | None) -> Float32 | None:
-        if self._takes_images and batch is None:
+        if self._images_at is None:
+            return None
+        if batch is None:
             raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
-        return batch if self._takes_images else None
+        return batch.copy()  # a renderer may use its memory again
 
     def _search_state(self) -> dict[str, Any]:
         return {**super()._search_state(), "asked": self._asked}
@@ -132,7 +137,7 @@ class Own(Replayed):
     def _load_search_state(self, state: dict[str, Any]) -> None:
         history = {name: value for name, value in state.items() if name != "asked"}
         check(state["asked"], maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
-        if self._takes_images and state["asked"] is not None:
+        if self._images_at is not None and state["asked"] is not None:
             raise CheckpointError(
                 f"{self.name} learns from images, which a checkpoint does not hold; run it again"
             )

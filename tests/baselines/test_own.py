@@ -45,6 +45,11 @@ class Images(Least):
         return np.full(3, 0.25)
 
 
+class Last(Images):
+    def tell(self, X, losses, images=None):
+        super().tell(X, images, losses)
+
+
 class Unseeded:
     def __init__(self, dim):
         self.dim = dim
@@ -115,8 +120,9 @@ def test_it_searches_as_what_it_calls() -> None:
     np.testing.assert_array_equal(opt.recommend(), opt.best.x)
 
 
-def test_it_gets_what_it_names_and_whole_generations() -> None:
-    opt: Any = optimizers.make("mine.py:Images", 3, TARGET, seed=1, budget=77, gain=3.0)
+@pytest.mark.parametrize("name", ["Images", "Last"])
+def test_it_gets_what_it_names_and_whole_generations(name: str) -> None:
+    opt: Any = optimizers.make(f"mine.py:{name}", 3, TARGET, seed=1, budget=77, gain=3.0)
     user = opt._user
     assert (user.budget, user.gain) == (77, 3.0)
     np.testing.assert_array_equal(user.target, TARGET)
