@@ -79,9 +79,7 @@ class Own(Replayed):
         _check_methods(self.name, self._user)
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
         names = list(inspect.signature(self._user.tell).parameters)
-        self._images_at = (
-            names.index("images") if "images" in names else None
-        )
+        self._images_at = names.index("images") if "images" in names else None
         self._asked: Float64 | None = None  # last generation
 
     @classmethod
