@@ -22,11 +22,11 @@ from fide_plugins.experiments.run.signals import Interrupts
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
 from fide_plugins.fitting.failures import Failures, GivenUpError
-from fide_plugins.fitting.pictures import as_told, shown
+from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Task, Workers
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float64
 
 __all__ = ["Loop"]
 
@@ -185,15 +185,14 @@ class Loop:
             return False
         self.render_seconds += outcome.seconds
         try:
-            images = as_told(self.optimizer, outcome.image)
-            loss = self._tell(x, images)
+            loss = self._tell(x, as_told(self.optimizer, outcome.image))
         except ImageError as error:  # raised before anything changes
             self.whole = True
             self._fail(x, Failed(f"render returned no image that fits: {error}"))
             return False
-        improved = self._note(x, images, loss)
+        improved = self._note(x, outcome.image, loss)
         if self._callbacks:
-            self._call_back(x, images, loss, improved)
+            self._call_back(x, outcome.image, loss, improved)
         return improved
 
     def _tell(self, x: Float64, images: Any) -> float:
@@ -210,12 +209,12 @@ class Loop:
         times["search"] += max(0.0, elapsed)
         return float(losses[0])
 
-    def _note(self, x: Float64, images: Any, loss: float) -> bool:
+    def _note(self, x: Float64, image: Any, loss: float) -> bool:
         """Enter an evaluated candidate in the record; returns whether it is the best so far."""
         self._tick()
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
-            r.first_image = self._canonical(images)[0]
+            r.first_image = canonical(self.optimizer, image)
         improved = loss < r.best_loss and best is not None
         if improved and best is not None:
             r.best_loss, r.best_evaluation = loss, r.evaluations
@@ -227,14 +226,14 @@ class Loop:
         self.failures.note_image()
         return improved
 
-    def _call_back(self, x: Float64, images: Any, loss: float, improved: bool) -> None:
+    def _call_back(self, x: Float64, image: Any, loss: float, improved: bool) -> None:
         r = self.record
         event = Event(
             evaluation=r.evaluations - 1,
             x=x,
             loss=loss,
             best_loss=r.best_loss,
-            image=shown(self.optimizer, self._canonical(images)[0]),
+            image=shown(self.optimizer, canonical(self.optimizer, image)),
             seconds=r.wall_s,
             busy=self.busy,
             failures=self.failures.count,
@@ -243,12 +242,6 @@ class Loop:
         stops = self._callbacks.call("on_evaluation", event)
         stops |= improved and self._callbacks.call("on_improvement", event)
         self.stopped_by_callback |= stops
-
-    def _canonical(self, images: Any) -> Float32:
-        """Batch (1, H, W, 3) of images that were told; the optimizer has warned of clipped ones."""
-        batch = self.optimizer.evaluator.as_batch(1, images, None, None, lambda message: None)
-        assert batch is not None
-        return batch
 
     def _fail(self, x: Float64, failed: Failed) -> None:
         """Withdraw x (d,) and count it; raises GivenUpError if it is time for that."""
