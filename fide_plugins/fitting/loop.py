@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -122,8 +124,8 @@ class Loop:
                 self.whole = False
                 self._waiting.append(self.optimizer.ask(1)[0])
                 self.whole = True
-            with self._interrupts.stoppable():
-                task = self.workers.submit(self._waiting[0])
+            with self._waiting_for_renders(), self._interrupts.stoppable():
+                task = self.workers.submit(self._waiting[0])  # in this process it renders
             self._running[task] = self._waiting.popleft()
             task.add_done_callback(self._arrived.put)
 
@@ -138,15 +140,21 @@ class Loop:
         late = self._late()
         if late is not None:
             return late
-        start = time.perf_counter()
         try:
-            with self._interrupts.stoppable():
+            with self._waiting_for_renders(), self._interrupts.stoppable():
                 task = self._arrived.get(timeout=self._patience())
         except Empty:
             return None
+        return task if task in self._running else None  # or it was abandoned
+
+    @contextmanager
+    def _waiting_for_renders(self) -> Iterator[None]:
+        """Count this block as time of rendering: in it the fit does nothing else."""
+        start = time.perf_counter()
+        try:
+            yield
         finally:
             self.record.times["render"] += time.perf_counter() - start
-        return task if task in self._running else None  # or it was abandoned
 
     def _patience(self) -> float | None:
         """Seconds to wait at most."""

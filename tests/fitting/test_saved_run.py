@@ -60,6 +60,21 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
     assert same(again, whole)  # nothing was left to be done
 
 
+def test_time_of_rendering_is_known_without_workers(tmp_path: Path) -> None:
+    spent: list[float] = []
+
+    def render(params: dict[str, float]) -> Any:
+        start = time.perf_counter()
+        time.sleep(0.01)
+        image = disk()(params)
+        spent.append(time.perf_counter() - start)
+        return image
+
+    fit(render, target(), SPACE, budget=20, workers=0, seed=5, out=tmp_path)
+    totals = json.loads((tmp_path / "run.json").read_text())["totals"]
+    assert sum(spent) <= totals["render_s"] <= totals["wall_s"]
+
+
 def test_ctrl_c_saves_and_the_rest_is_that_of_the_uninterrupted_fit(
     whole: Result, tmp_path: Path
 ) -> None:
