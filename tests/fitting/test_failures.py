@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import shlex
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -17,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import fit
+from fide_plugins import Float, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.failures import (
     CallbackError,
@@ -28,9 +30,11 @@ from fide_plugins.fitting.failures import (
 from fide_plugins.fitting.rendering import Rendered, Renderer
 from fide_plugins.fitting.workers.executors import OfExecutor
 from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.renderers import CommandRenderer
 
 from .scene import SPACE, disk, target
 
+GRAY = Space(gray=Float(0, 1))
 WIDE: dict[str, Any] = {"seed": 0, "sigma0": 0.4}  # so that some candidates are unlucky
 
 
@@ -145,6 +149,24 @@ def test_threads_that_hang_are_missed_and_when_all_do_it_gives_up() -> None:
         arguments: dict[str, Any] = {"workers": 2, "executor": executor, "timeout": 0.1}
         with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="2 workers hang"):
             fit(render, target(), SPACE, **arguments, **WIDE)
+
+
+def test_a_killed_worker_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "files"))
+    (tmp_path / "files").mkdir()
+    log = tmp_path / "log"
+    program = (
+        "import os, sys, signal\n"
+        "open(sys.argv[2], 'a').write(sys.argv[1] + '\\n')\n"
+        "os.kill(os.getppid(), signal.SIGKILL)"
+    )
+    words = [sys.executable, "-I", "-S", "-c", program]
+    render = CommandRenderer(f"{shlex.join(words)} {{out}} {shlex.quote(str(log))} {{gray}}", GRAY)
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
+        fit(render, np.zeros((8, 8)), GRAY, workers=2, seed=0)
+    written = [Path(line) for line in log.read_text().splitlines()]
+    assert len(written) >= 8 and all(tmp_path / "files" in each.parents for each in written)
+    assert not list((tmp_path / "files").iterdir())
 
 
 HANGS = """

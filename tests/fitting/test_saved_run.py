@@ -166,19 +166,24 @@ def test_workers_end_with_their_parent_and_need_no_main_guard(
     script, log = tmp_path / "script.py", tmp_path / "pids"
     script.write_text(textwrap.dedent(SCRIPT))
     command = [sys.executable, str(script), str(tmp_path / "run"), str(log)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    folder = tmp_path / "files"
+    folder.mkdir()
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(folder)}
+    )
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
         if log.exists() and len(log.read_text().splitlines()) > 20:
             break
         time.sleep(0.1)
+    assert len(list(folder.iterdir())) == 2, "a folder for each worker"
     process.send_signal(signum)
     _, errors = process.communicate(timeout=30)
     pids = {int(line) for line in log.read_text().splitlines()}
     assert len(pids) == 2 and process.pid not in pids, errors
     while any(map(alive, pids)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not any(map(alive, pids))
+    assert not any(map(alive, pids)) and not list(folder.iterdir())
     if signum is signal.SIGTERM:
         assert "FitInterrupted: stopped by SIGTERM" in errors
         assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"
