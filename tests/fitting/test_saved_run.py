@@ -9,11 +9,13 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fide_plugins import fit
 from fide_plugins.errors import CheckpointError, FideError
@@ -119,6 +121,55 @@ def test_a_loss_of_one_s_own_is_given_again(tmp_path: Path) -> None:
     assert same(
         fit(disk(), target(), SPACE, budget=40, out=tmp_path, resume=True, **arguments), expected
     )
+
+
+def means(size: int) -> Callable[[Float32], Any]:
+    """An encoder: means of squares of so many pixels."""
+
+    def encode(images: Float32) -> Any:
+        n, height, width, _ = images.shape
+        blocks = images.reshape(n, height // size, size, width // size, size, 3)
+        return blocks.mean(axis=(2, 4)).reshape(n, -1, 3)
+
+    return encode
+
+
+def test_an_encoder_of_one_s_own_goes_on_and_another_is_refused(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5}
+    expected = fit(disk(), target(), SPACE, budget=40, encoder=means(4), **arguments)
+    arguments["out"] = tmp_path
+    fit(disk(), target(), SPACE, budget=20, encoder=means(4), **arguments)
+    with pytest.raises(RunDirectoryError, match="another encoder: its features of the target"):
+        fit(disk(), target(), SPACE, budget=40, encoder=means(2), resume=True, **arguments)
+    again = fit(disk(), target(), SPACE, budget=40, encoder=means(4), resume=True, **arguments)
+    assert same(again, expected)
+
+
+def test_another_loss_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    picture = np.repeat(target()[..., None], 3, axis=-1)
+
+    def power(p: float) -> Callable[[Float32], Any]:
+        return lambda images: (np.abs(images - picture) ** p).mean(axis=(1, 2, 3))
+
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path}
+    fit(disk(), target(), SPACE, budget=20, loss=power(1), **arguments)
+    with pytest.raises(RunDirectoryError, match="another loss: it was .* for the best image"):
+        fit(disk(), target(), SPACE, budget=40, loss=power(1.5), resume=True, **arguments)
+
+
+def test_a_mask_is_the_same_in_any_form_and_another_is_refused(tmp_path: Path) -> None:
+    pixels = np.zeros((16, 16), np.uint8)
+    pixels[:, :8] = 255
+    Image.fromarray(pixels).save(tmp_path / "mask.png")
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path / "run"}
+    fit(disk(), target(), SPACE, budget=10, mask=Image.fromarray(pixels), **arguments)
+    arguments |= {"budget": 20, "resume": True}
+    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+        fit(disk(), target(), SPACE, mask=Image.fromarray(255 - pixels), **arguments)
+    assert fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments).evaluations == 20
+    Image.fromarray(255 - pixels).save(tmp_path / "mask.png")
+    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+        fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments)
 
 
 def test_a_directory_of_another_run_is_refused(tmp_path: Path) -> None:
