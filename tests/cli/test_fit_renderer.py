@@ -8,6 +8,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 import warnings
@@ -191,7 +192,7 @@ def test_live_shows_the_fit_while_it_goes_on(
         with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
             seen.append({"url": url, **json.load(answer)})
 
-    monkeypatch.setattr("webbrowser.open", visit)
+    monkeypatch.setattr("fide_plugins.cli.live.open_page", visit)
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen
@@ -200,6 +201,23 @@ def test_live_shows_the_fit_while_it_goes_on(
     assert Path("out/live.json").exists() == ("--renderer" in what)
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(page["url"], timeout=20)
+
+
+def test_a_browser_that_blocks_does_not_hold_the_fit(
+    target: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    called, over = threading.Event(), threading.Event()
+
+    def block(url: str) -> None:
+        called.set()
+        over.wait(120)
+
+    monkeypatch.setattr("webbrowser.open", block)
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 20, "--live", "--json"]
+    assert fide("fit", target, *words) == 0
+    assert summary(capsys)["evaluations"] == 20
+    assert called.wait(60) and not over.is_set()
+    over.set()
 
 
 # -- wrong usage -----------------------------------------------------------------------------------
