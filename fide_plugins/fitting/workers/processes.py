@@ -22,6 +22,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing import parent_process
@@ -29,10 +30,9 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any
 
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Renderer, restored, unpack
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, restored, unpack
 from fide_plugins.fitting.workers.base import Task
 from fide_plugins.renderers import scratch
-from fide_plugins.types import Float64
 
 __all__ = ["Processes"]
 
@@ -46,14 +46,14 @@ class Processes:
     Raises what the renderer raises if it cannot be pickled.
     """
 
-    def __init__(self, renderer: Renderer, number: int) -> None:
+    def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
         self.number = self.usable = number
         self._portable = Portable.of(renderer)
         self._workers: list[_Worker] = []
         self._of: dict[Task, _Worker] = {}
 
-    def submit(self, x: Float64) -> Task:
-        """Render the point x (d,) in a free worker."""
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes, in a free worker."""
         worker = self._free()
         try:
             task = worker.submit(x)
@@ -119,7 +119,7 @@ class _Worker:
     def _note_ready(self, _: object) -> None:
         self._ready_at = time.monotonic()
 
-    def submit(self, x: Float64) -> Task:
+    def submit(self, x: Any) -> Task:
         self._asked_at = time.monotonic()
         return self._executor.submit(_render, x)
 
@@ -219,5 +219,5 @@ def _ready() -> None:
         restored(_PORTABLE[0].payload)
 
 
-def _render(x: Float64) -> Outcome:
+def _render(x: Any) -> Outcome:
     return _PORTABLE[0](x)
