@@ -68,16 +68,18 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, Any]) -> int:
     """Learn, with messages and exit codes."""
+    from fide_plugins.experiments.run.signals import Interrupted, Interrupts
     from fide_plugins.learning import learn
 
     who = "fide learn"
     try:
-        model = learn(**arguments, on_progress=_Lines())
-    except KeyboardInterrupt:
+        with Interrupts() as interrupts, interrupts.stoppable():  # each file is written at once
+            model = learn(**arguments, on_progress=_Lines())
+    except Interrupted as stop:
         words = command if "--resume" in command else [*command, "--resume"]
-        note(f"{who}: stopped; what was rendered is kept in {plain(args.out)}.renders")
+        note(f"{who}: {stop}; what was rendered and learned is kept in {plain(args.out)}.renders")
         note(f"continue with: {plain(shlex.join(words))}")
-        return 130
+        return 128 + stop.signum
     except (OptionError, ImportError) as error:
         return complain(who, error)
     except (FideError, OSError) as error:
