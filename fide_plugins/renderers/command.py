@@ -12,6 +12,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.renderers.child import run, tail_of
+from fide_plugins.renderers.fingerprint import digest
 from fide_plugins.renderers.naming import described
 from fide_plugins.renderers.scratch import folder_of_a_render
 from fide_plugins.renderers.template import Template
@@ -62,6 +63,11 @@ class CommandRenderer:
     def name(self) -> str:
         """Name of the program."""
         return Path(self.templates[0].words[0]).name
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the command lines."""
+        return digest("command", "\0".join(each.text for each in self.templates).encode())
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = [template.text for template in self.templates]

@@ -9,6 +9,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.renderers.function import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
@@ -41,6 +42,11 @@ class RendererTask:
         x = np.random.default_rng(seed).random(self.dim)
         self.x_star: Float64 = x if self.search_space is None else self.search_space.snap(x)
         self._target: Float32 | None = None
+
+    @property
+    def fingerprint(self) -> str | None:
+        """That of the renderer."""
+        return fingerprint_of(self._render)
 
     @property
     def target(self) -> Float32:
