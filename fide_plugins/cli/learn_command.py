@@ -120,7 +120,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
     from fide_plugins.fitting.durations import seconds_of
-    from fide_plugins.renderers.function import is_reference
+    from fide_plugins.runtime.reference import is_reference
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")

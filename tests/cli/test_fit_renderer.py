@@ -21,7 +21,6 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Space
-from fide_plugins.cli import main
 from fide_plugins.cli.extra_renders import check_first
 from fide_plugins.cli.fit_renderer import _keep_pictures
 from fide_plugins.errors import ImageError
@@ -29,6 +28,8 @@ from fide_plugins.experiments.solutions import pictures as stored
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.types import Float64
+
+from .conftest import fide
 
 PROGRAM = """
 import sys
@@ -57,10 +58,6 @@ type = "int"
 low = 1
 high = 4
 """
-
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -396,7 +393,7 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
         losses.append(summary(capsys)["best_loss"])
     assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
-    assert "target.png must have an alpha channel" in one_line(capsys)
+    assert "target.png must have an alpha channel" in last_line(capsys)
 
 
 @pytest.fixture
@@ -450,10 +447,10 @@ def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
 def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--renderer", "views.py:render", "--workers", 0]
     assert fide("fit", "small.png", "target.png", *words) == 2
-    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in one_line(capsys)
+    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
     assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets; give --mask once for each" in one_line(capsys)
+    assert "1 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def last_line(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err.splitlines()[-1]
