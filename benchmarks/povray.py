@@ -4,10 +4,10 @@
     python benchmarks/povray.py --table --out runs/povray.jsonl
 
 The command of docs/reference/own_renderer.md at 64 x 64 pixels, 1,500 renders a seed, default
-options.  Eight candidates are asked, rendered at once and told together, so a seed gives the same run whatever the
-machine does meanwhile.  Every run is one line of the output file; a second call does what is
-missing, and several calls may share the seeds.  A run takes two to three minutes, mostly waiting
-for POV-Ray to start.
+options.  Eight candidates are asked, rendered at once and told together, so a seed gives the same
+run whatever the machine does meanwhile.  Every run is one line of the output file; a second call
+does what is missing, and several calls may share the seeds.  A run takes two to three minutes,
+mostly waiting for POV-Ray to start.
 """
 
 from __future__ import annotations
