@@ -27,10 +27,10 @@ extensions = [
     "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.napoleon",
     "command_line",
     "field_lists",
     "public_names",
+    "repository_links",
 ]
 
 # -- Markdown --------------------------------------------------------------------------------------
@@ -47,7 +47,6 @@ autodoc_preserve_defaults = True
 autodoc_default_options = {"members": True, "show-inheritance": False}
 add_module_names = False
 maximum_signature_line_length = 88
-napoleon_google_docstring = False
 python_use_unqualified_type_names = True
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: the build has no network

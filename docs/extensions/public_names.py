@@ -46,7 +46,8 @@ def setup(app: Any) -> dict[str, Any]:
 def _check(app: Any, env: Any) -> None:
     known = set(env.domains["py"].objects)
     for name, obj in public():
-        if name not in known and f"{obj.__module__}.{obj.__qualname__}" not in known:
+        shorter = f"fide_plugins.{obj.__name__}"  # what the package itself offers
+        if not known & {name, shorter, f"{obj.__module__}.{obj.__qualname__}"}:
             _log.warning("the reference lacks the public name %s", name)
         for parameter in undocumented(obj):
             _log.warning("the docstring of %s does not name its parameter %r", name, parameter)
@@ -66,7 +67,6 @@ def undocumented(obj: Any) -> list[str]:
     """Parameters of a public function, or of a class, that no docstring of it names."""
     if inspect.isclass(obj) and issubclass(obj, Exception):
         return []
-    text = inspect.getdoc(obj) or ""
-    if inspect.isclass(obj):
-        text += inspect.getdoc(obj.__init__) or ""
+    where = inspect.getmro(obj) if inspect.isclass(obj) else (obj,)
+    text = " ".join(one.__doc__ or "" for one in where)
     return [name for name in inspect.signature(obj).parameters if name not in text]
