@@ -80,7 +80,7 @@ def prepare(page: Path, folder: Path) -> None:
     image = np.repeat(names["render"](TRUTH)[..., None], 3, axis=-1)
     pictures = {
         "target": image, "front": image, "side": image[:, ::-2],
-        "front-mask": np.ones_like(image), "side-mask": np.ones_like(image[:, ::2]),
+        "photo": image, "front-mask": np.ones_like(image), "side-mask": np.ones_like(image[:, ::2]),
     }  # fmt: skip
     for name, picture in pictures.items():
         Image.fromarray((255 * picture).astype(np.uint8)).save(folder / f"{name}.png")
@@ -134,6 +134,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
     "budget": lambda names: names["result"].stopped in ("stop_at", "until_stalled"),
     "function": found,
     "gpu": lambda names: str(names["result"].optimizer.encoder.device) in ("cpu", "cuda:0"),
+    "index": lambda names: "result" not in names or names["result"].best.loss < 1e-3,
     "learn_once": lambda names: names["model"].sample(names["target"], 3).shape == (3, 3),
     "nevergrad": lambda names: names["optimizer"].num_images == 200,
     "noise": lambda names: names["result"].optimizer.recommend().shape == (3,),
