@@ -18,10 +18,11 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Space
-from fide_plugins.cli import main
 from fide_plugins.cli.extra_renders import check_first
 from fide_plugins.errors import ImageError
 from fide_plugins.renderers import FunctionRenderer
+
+from .conftest import fide
 
 PROGRAM = """
 import sys
@@ -50,10 +51,6 @@ type = "int"
 low = 1
 high = 4
 """
-
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -349,7 +346,7 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
         losses.append(summary(capsys)["best_loss"])
     assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
-    assert "target.png must have an alpha channel" in one_line(capsys)
+    assert "target.png must have an alpha channel" in last_line(capsys)
 
 
 @pytest.fixture
@@ -375,10 +372,10 @@ def test_several_targets_are_views_of_one_render(capsys: pytest.CaptureFixture[s
 def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--renderer", "views.py:render", "--workers", 0]
     assert fide("fit", "small.png", "target.png", *words) == 2
-    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in one_line(capsys)
+    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
     assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets; give --mask once for each" in one_line(capsys)
+    assert "1 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def last_line(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err.splitlines()[-1]

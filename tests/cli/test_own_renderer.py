@@ -10,12 +10,9 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Choice, Float, Int, Space
-from fide_plugins.cli import main
 from fide_plugins.experiments.run.renderer_task import make
 
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
+from .conftest import fide
 
 
 @pytest.mark.usefixtures("scene")

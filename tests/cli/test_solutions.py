@@ -12,15 +12,12 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Solution, images
-from fide_plugins.cli import main
 from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.solutions import figure, pictures, read
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
 
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
+from .conftest import fide
 
 
 def two(optimizer: FIDE, k: int = 5) -> list[Solution]:
