@@ -54,8 +54,15 @@ def _prose(text: str) -> list[nodes.Node]:
             code = "\n".join(line.removeprefix("    ") for line in lines)
             made.append(nodes.literal_block(code, code, language="text"))
         else:
-            made.append(nodes.paragraph(text=" ".join(line.strip() for line in lines)))
+            made.append(nodes.paragraph("", "", *_words(" ".join(map(str.strip, lines)))))
     return made
+
+
+def _words(text: str) -> Iterator[nodes.Node]:
+    """A text with its flags, placeholders and `names` in the type of code."""
+    for part in re.split(r"(`[^`]+`|(?<!\w)--[a-z][a-z-]*|\{[^} ]+\})", text):
+        is_code = part.startswith(("`", "--", "{"))
+        yield nodes.literal(text=part.strip("`")) if is_code else nodes.Text(part)
 
 
 def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 _NAMES = r"\*{0,2}[a-zA-Z_][\w.]*(?:, \*{0,2}[a-zA-Z_][\w.]*)*"
 _FIELD = re.compile(rf"^({_NAMES}):(?: (\S.*))?$")
-_SECOND = re.compile(rf"(?<=[.)])  (?={_NAMES}: )|(?<=;) (?={_NAMES}: )")
+_SECOND = re.compile(rf"(?<=[.)])  (?={_NAMES}: )")
 _SECTIONS = ("Parameters", "Raises", "Returns", "Yields", "Attributes")
 
 
@@ -65,7 +65,8 @@ def _as_list(block: list[str]) -> Iterator[str]:
             found = _FIELD.match(part)
             if found:
                 yield _terms(found[1], code=True)
-                yield f"    {found[2]}" if found[2] else ""
+                if found[2]:
+                    yield f"    {found[2]}"
             else:
                 yield f"    {part.strip()}" if part.strip() else ""
 
