@@ -37,7 +37,10 @@ extensions = [
 myst_enable_extensions = ["colon_fence", "deflist"]
 smartquotes = False  # "--resume" is no dash
 myst_heading_anchors = 4  # [a section](page.md#section) resolves, or the build fails
-suppress_warnings = ["ref.python"]  # two classes are called Run; either is a fair goal
+suppress_warnings = [
+    "myst.header",  # a table of measurements may have a small heading
+    "ref.python",  # two classes are called Run; either is a fair goal
+]
 
 # -- the API ---------------------------------------------------------------------------------------
 default_role = "py:obj"  # `fit` in a docstring is a link if the reference has it, else plain code

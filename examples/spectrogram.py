@@ -19,7 +19,7 @@ from fide_plugins import Float, Space, fit
 
 RATE, SECONDS = 8000, 1.0  # samples a second
 SPACE = Space(
-    pitch=Float(150, 600, unit="Hz", log=True), glide=Float(-12, 12, unit="semitones"),
+    pitch=Float(200, 400, unit="Hz", log=True), glide=Float(-12, 12, unit="semitones"),
     ratio=Float(0.5, 4), index=Float(0, 6), attack=Float(0.01, 0.5, unit="s", log=True),
     decay=Float(0.1, 2, unit="s", log=True), cutoff=Float(500, 4000, unit="Hz", log=True),
     breath=Float(0.001, 0.2, log=True),
