@@ -112,7 +112,7 @@ def test_settings_are_typed(text: str, value: object) -> None:
             "not enough memory .*PiB.*; use smaller images",
         ),
         (["run", "voronoi", "--seed"], "expected one argument"),
-        (["run"], "arguments are required: TASK"),
+        (["run"], "name a TASK, or give --command"),
         (["fit", "none.png", "--model", "voronoi"], "none.png"),
         (["fit", "none.png"], "--renderer --command --model is required"),
         (["fit", "none.png", "--model", "ellipses"], "invalid choice: 'ellipses'"),
