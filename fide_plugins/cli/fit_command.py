@@ -14,7 +14,8 @@ image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For s
 Several targets are views of one scene: give --mask once for each, too. --live opens a page in the
 browser that shows how far the fit is; `fide watch DIR` does so for a fit that runs already.
 
-With --resume and a larger --budget or --time a finished fit goes on. docs/own_renderer.md has more.
+With --resume and a larger --budget or --time a finished fit goes on. There is more in
+docs/reference/own_renderer.md.
 
 With --model, FIDE begins near parameters that are read off the picture: cells at its superpixels, a
 stroke through its dark pixels. --start center begins at the center of the box.

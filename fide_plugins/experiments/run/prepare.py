@@ -34,7 +34,13 @@ def run(
     on_progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> RunResult:
-    """Fit `task` with `optimizer`; arguments and errors as in :func:`prepare` and `Run.execute`."""
+    """Fit `task` with `optimizer`, and return the result.
+
+    loss, budget, seed, settings: arguments of `prepare`, which raises their errors.
+    on_progress: called after each piece of a generation.
+
+    Raises also what `Run.execute` raises.
+    """
     return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
 
 
@@ -69,8 +75,8 @@ def prepare(
     optimizer
         name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
         `baselines.own`; or a callable that is called as a class of one would be:
-        (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
-        optional, see `user_optimizer.UserOptimizer`.
+        ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
+        else is optional, see `user_optimizer.UserOptimizer`.
     loss
         name in `fide_plugins.losses`, or a callable images -> (n,).
     budget
