@@ -20,7 +20,7 @@ import numpy as np
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.local_fit import LocalFit
 
-__all__ = ["covariance"]
+__all__ = ["WIDER", "covariance"]
 
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]

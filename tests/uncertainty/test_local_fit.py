@@ -7,6 +7,7 @@ import pytest
 
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import LocalFit, covariance, fit_locally
+from fide_plugins.uncertainty.covariance import WIDER
 
 D, F, N = 6, 300, 400
 MIXING = np.random.default_rng(1).normal(size=(D, F))
@@ -53,7 +54,9 @@ def test_noise_of_the_renders_is_not_taken_for_knowledge(rng: np.random.Generato
         fit = fitted(rng, noise=noise, mixing=blind)
         target = HERE @ blind + 0.05 * rng.normal(size=F)
         std = np.sqrt(np.diag(covariance(fit, target, F)))
-        assert std[2] == pytest.approx(12**-0.5, rel=0.1)
+        reach = WIDER**2 * fit.cloud[2, 2]  # of samples that look alike
+        assert std[2] == pytest.approx((12 + 1 / reach) ** -0.5, rel=0.1)
+        assert 0.2 < std[2] < 12**-0.5
         assert np.delete(std, 2).max() < 0.03
 
 
