@@ -14,7 +14,7 @@ from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
+from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.space import Space
@@ -172,10 +172,10 @@ def prepare(
     record, saved = None, None
     if out is not None:
         settings = settings_of(name_of(render), optimizer, options)
-        saved = SavedRun(out, settings, stopping.record(), resume=resume, command=command)
-        restored = saved.restore(options.get("loss"))
-        if restored is not None:
-            record, optimizer = restored
+        own = callable(options.get("encoder"))  # others are known by name and version
+        facts = {"features": features_of(optimizer)} if own else None
+        saved = SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)
+        record = saved.restore(optimizer)
         saved.begin(optimizer)
     return Fitting(
         optimizer,

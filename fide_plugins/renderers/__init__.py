@@ -15,6 +15,7 @@ file         idea
 `template`   the command line of a program, with placeholders for parameters
 `naming`     parameters by flat names, and as a line of text
 `child`      a program that is run to its end, with a time limit and captured output
+`scratch`    where the files of one render are while it goes on
 ===========  ===================================================================================
 """
 

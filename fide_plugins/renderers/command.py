@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.renderers.child import run, tail_of
 from fide_plugins.renderers.naming import described
+from fide_plugins.renderers.scratch import folder_of_a_render
 from fide_plugins.renderers.template import Template
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
@@ -80,8 +80,7 @@ class CommandRenderer:
             )
 
     def _render(self, template: Template, params: Mapping[str, Any]) -> Float32:
-        with tempfile.TemporaryDirectory(prefix="fide-", ignore_cleanup_errors=True) as name:
-            folder = Path(name)
+        with folder_of_a_render() as folder:
             written = folder / "image"
             written.mkdir()
             parameters = folder / "params.json"

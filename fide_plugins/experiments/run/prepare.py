@@ -59,14 +59,15 @@ def prepare(
     Parameters
     ----------
     task
-        name in `fide_tasks`; ``FILE.py:NAME`` for a user's renderer, see `renderer_task`; or a
-        `Task`.
+        name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
+        renderer, see `renderer_task.make`; or a `Task`.
     size, task_seed, task_options
         arguments of a task that is given by name; a user's renderer has its own size.  The option
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
         `pixel_samples`.
     optimizer
-        name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
+        name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
+        `baselines.own`; or a callable that is called as a class of one would be:
         (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
         optional, see `user_optimizer.UserOptimizer`.
     loss
@@ -98,6 +99,8 @@ def prepare(
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
+    if isinstance(optimizer, str):
+        optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
@@ -144,11 +147,15 @@ def _restored(
 def make_task(
     name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
 ) -> Task:
-    """Make the task `name` of `fide_tasks`, or that of a user's renderer.
+    """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
 
     Its option `spp` is the largest number of samples.
     """
-    if renderer_task.is_reference(name):
+    if "suite" in options:
+        from fide_plugins.experiments import suite
+
+        return suite.make(suite.read(options["suite"]), name)
+    if renderer_task.is_own(name, options):
         return renderer_task.make(name, seed, options)
     import fide_tasks
 
