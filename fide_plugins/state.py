@@ -199,13 +199,13 @@ class State:
         It is computed when it is read, from what is remembered now.
         """
         known, cells = self.moves.known, self.descent.setting.cells
-        samples = self.remembered
+        samples = self.memory.samples + self._ends
         if not samples:
             return None
         discrete = None if cells is None else cells.discrete
         blocks, axes = known.exchangeability.blocks, known.axes
         about = known.target, known.channels, axes, discrete, blocks
-        return LocalEstimate(x, in_order(samples), *about)
+        return LocalEstimate(x, samples, *about)
 
     @property
     def remembered(self) -> list[TrainingSample]:
@@ -214,9 +214,12 @@ class State:
         if not samples:
             return []
         seen = {(sample.index, sample.x.tobytes()) for sample in samples}
+        return samples + [one for one in self._ends if (one.index, one.x.tobytes()) not in seen]
+
+    @property
+    def _ends(self) -> list[TrainingSample]:
         ends = [optimum.sample for optimum in self.moves.known.optima.all]
-        ends += [] if self.search_best is None else [self.search_best]
-        return samples + [one for one in ends if (one.index, one.x.tobytes()) not in seen]
+        return ends if self.search_best is None else [*ends, self.search_best]
 
     def warn_clipped(self, message: str) -> None:
         """Warn of values outside [0, 1], once."""

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.proposers.training_sample import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.types import Float64
@@ -39,7 +39,7 @@ class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
 
     x: (d,), the solution.
-    samples: evaluated candidates, in the order of asking.
+    samples: evaluated candidates; some may be in it twice.
     target: (T, C), tokens.
     channels: so many leading channels of the tokens count; None: all.
     axes: which of them are periodic.
@@ -66,7 +66,8 @@ class LocalEstimate:
         least = int(_FEWEST * free.sum()) + _MORE
         if not free.any() or len(self.samples) < least:
             return None
-        points = np.array([sample.x for sample in self.samples])
+        samples = in_order({(one.index, one.x.tobytes()): one for one in self.samples}.values())
+        points = np.array([sample.x for sample in samples])
         points, kept = aligned(points, self.x, self.blocks, self.axes)
         if self.discrete is not None:
             kept &= (points[:, ~free] == self.x[~free]).all(axis=1)
@@ -74,7 +75,7 @@ class LocalEstimate:
         nearest = int(np.argmin(np.where(kept, np.abs(u).max(axis=1), np.inf)))
         if kept.sum() < least or np.abs(u[nearest]).max() > _APART:
             return None
-        seen = self._features([self.samples[i].tokens for i in np.flatnonzero(kept).tolist()])
+        seen = self._features([samples[i].tokens for i in np.flatnonzero(kept).tolist()])
         here = seen[np.flatnonzero(kept).tolist().index(nearest)]
         distances = np.square(seen - here).sum(axis=1)  # (n,)
         near = np.sort(np.argsort(distances, kind="stable")[:_NEAREST])
