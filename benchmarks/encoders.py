@@ -1,4 +1,4 @@
-"""Which encoder, which loss: the tables of docs/encoders.md.
+"""Which encoder, which loss: the tables of docs/measurements/encoders.md.
 
     python benchmarks/encoders.py encoders voronoi spline robot
     python benchmarks/encoders.py losses voronoi spline robot

@@ -10,7 +10,7 @@ r"""Compare optimizers with the same targets, budgets and seeds.
     fide compare --suite image-fitting-v1 --optimizers fide,mine.py:Search --out runs/suite
 
 An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. NAME may be
-FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/compare.md). With
+FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/reference/compare.md). With
 --resume the command executes the missing runs: after an interruption, or for more tasks, losses,
 optimizers or seeds. At the end it writes the report, like `fide report`.
 """

@@ -25,6 +25,7 @@ class LiveFile:
     """Callback of `fit` that writes `live.json` and `best.png` into its run directory.
 
     every: seconds between two of them, at least.
+    clock: seconds now, for tests.
 
     Without a run directory it does nothing.  A disk that is full does not end the fit.
     """

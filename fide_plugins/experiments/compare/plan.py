@@ -20,7 +20,12 @@ __all__ = ["Checked", "Plan", "RunKey"]
 
 
 class RunKey(NamedTuple):
-    """Identity of one run within a comparison; configuration: its label."""
+    """Identity of one run within a comparison.
+
+    task, loss: their names.
+    configuration: label of the optimizer and its options.
+    seed: of the optimizer.
+    """
 
     task: str
     loss: str

@@ -16,6 +16,7 @@ from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.task import Task, TaskInfo, name_of
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
@@ -33,7 +34,13 @@ def run(
     on_progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> RunResult:
-    """Fit `task` with `optimizer`; arguments and errors as in :func:`prepare` and `Run.execute`."""
+    """Fit `task` with `optimizer`, and return the result.
+
+    loss, budget, seed, settings: arguments of `prepare`, which raises their errors.
+    on_progress: called after each piece of a generation.
+
+    Raises also what `Run.execute` raises.
+    """
     return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
 
 
@@ -68,8 +75,8 @@ def prepare(
     optimizer
         name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
         `baselines.own`; or a callable that is called as a class of one would be:
-        (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
-        optional, see `user_optimizer.UserOptimizer`.
+        ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
+        else is optional, see `user_optimizer.UserOptimizer`.
     loss
         name in `fide_plugins.losses`, or a callable images -> (n,).
     budget
@@ -110,6 +117,8 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
+    if "learned" in options:
+        options["learned"] = model_for(options["learned"], task)
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
     record, directory = Record(), None
     if out is not None:
