@@ -55,7 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_argument(own)
     add = own.add_argument
     add("--workers", type=whole(0), metavar="N", help="renders at a time (8)")
-    add("--timeout", metavar="TIME", help="of a render, such as 60 or 2m (none; for --command 60)")
+    add(
+        "--timeout",
+        metavar="TIME",
+        help="of a render with all its views: 60, 2m (none; for --command 60)",
+    )
     add("--mask", action="append", metavar="FILE",
         help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")

@@ -17,6 +17,7 @@ from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
 
@@ -164,7 +165,8 @@ def prepare(
     options = dict(options or {})
     if resume and out is not None and seed is None:
         seed = seed_there(out)
-    optimizer = FIDE(space, target, seed=seed, **options)
+    model = {"learned": model_for(options.get("learned"), render)}
+    optimizer = FIDE(space, target, seed=seed, **{**options, **model})
     renderer = Renderer(render, optimizer.space)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:

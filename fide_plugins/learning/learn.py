@@ -23,6 +23,7 @@ from fide_plugins.learning.rendering import check_picklable, fill
 from fide_plugins.learning.report import Distance, Report, judge
 from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -133,7 +134,7 @@ def learn(
                 raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
             check_writable(Path(out).absolute().parent)
             folder = Path(f"{os.fspath(out)}.renders")
-        store = RenderStore(folder, plan.settings)
+        store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source))
         model = plan.model(store)
     if out is not None:
         model.save(out)
@@ -242,7 +243,7 @@ class _Plan:
         )
         return Model(
             network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
-            self.periodic, self.blocks, familiarity, report,
+            self.periodic, self.blocks, familiarity, report, fingerprint_of(self.renderer.source),
         )  # fmt: skip
 
     @property

@@ -10,6 +10,7 @@ store is the same whatever the number of workers, and whatever was interrupted.
 from __future__ import annotations
 
 import os
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.learning.renderer import Pixels, Small
+from fide_plugins.renderers.fingerprint import changed
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, remove_leftovers
 from fide_plugins.types import Float64
@@ -36,20 +38,37 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
+    fingerprint: of the renderer, see `renderers.fingerprint`; None where nothing is known.
 
+    Warns if the renderer was changed since the first renders were made: they stay.
     Raises OptionError if the folder holds other renders, naming the difference; OSError if it
     cannot be written.
     """
 
-    def __init__(self, folder: str | os.PathLike[str], settings: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        settings: Mapping[str, Any],
+        fingerprint: str | None = None,
+    ) -> None:
         self.folder, self.settings = Path(folder), dict(settings)
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
         file = self.folder / "settings"
-        if file.exists():
-            _check_same(self.folder, checkpoint.read(file, _KIND), self.settings)
-        else:
-            checkpoint.write(file, _KIND, self.settings)
+        if not file.exists():
+            checkpoint.write(file, _KIND, {**self.settings, "fingerprint": fingerprint})
+            return
+        there = checkpoint.read(file, _KIND)
+        known = there.pop("fingerprint", None)
+        _check_same(self.folder, there, self.settings)
+        if changed(known, fingerprint) and any(self.folder.glob("*.npz")):
+            warnings.warn(
+                f"the renderer {self.settings.get('renderer')} was changed since {self.folder} was "
+                "begun, and renders from before are learned, too; delete that folder if their "
+                "images would be others now",
+                RuntimeWarning,
+                stacklevel=3,
+            )
 
     @property
     def size(self) -> tuple[int, int]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.renderers.fingerprint import digest
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.reference import Kind, attribute, load, shown_traceback, split
 from fide_plugins.space import Space
@@ -61,6 +63,15 @@ class FunctionRenderer:
     def name(self) -> str:
         """The reference without folders."""
         return f"{os.path.basename(self.place)}:{self._name}"
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Of the file of the function; None where it has none that can be read."""
+        file = getattr(self._module, "__file__", None)
+        try:
+            return None if file is None else digest("file", Path(file).read_bytes())
+        except OSError:
+            return None
 
     @property
     def space(self) -> Space | int | None:

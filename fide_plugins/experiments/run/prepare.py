@@ -16,6 +16,7 @@ from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.task import Task, TaskInfo, name_of
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
@@ -116,6 +117,8 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
+    if "learned" in options:
+        options["learned"] = model_for(options["learned"], task)
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
     record, directory = Record(), None
     if out is not None:

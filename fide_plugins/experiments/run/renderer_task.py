@@ -12,6 +12,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
@@ -54,6 +55,11 @@ class RendererTask:
         x = x if self.search_space is None else self.search_space.snap(x)
         self.x_star: Float64 | None = x if picture is None else None
         self._target: Float32 | None = None if picture is None else as_target(picture)
+
+    @property
+    def fingerprint(self) -> str | None:
+        """That of the renderer."""
+        return fingerprint_of(self._render)
 
     @property
     def target(self) -> Float32:
