@@ -301,17 +301,26 @@ class FIDE(Retargeting):
     def draw_generation(self) -> None:
         """Sample candidates (line 4), and say which become proposals (line 5)."""
         state = self.state
-        self.draw(state.population, state.rng)
+        extra = state.population.pending > 0 and state.needs_its_own
+        self.draw(state.population, state.rng, extra=extra)
         if state.proposer is None or not state.proposer.background:
             state.population.settle()
 
-    def draw(self, population: Population, rng: np.random.Generator) -> None:
-        """Draw a generation of the present stage into a population; changes nothing else."""
+    def draw(
+        self, population: Population, rng: np.random.Generator, *, extra: bool = False
+    ) -> None:
+        """Draw a generation of the present stage into a population; changes nothing else.
+
+        extra: whether all of it is out already, and the population waits for just that; other
+            candidates are drawn, for those who have nothing to render.
+        """
         state = self.state
+        if extra:
+            x, _ = state.descent.sample(population.size, rng)
+            population.draw(x, x, extra=True)
+            return
         if state.stage is not Stage.SEARCH:
             x = state.descent.place(state.moves.draw(rng))
-            if state.population.pending:  # they are out already, and some are always the same
-                x, _ = state.descent.sample(len(x), rng)
             population.draw(x, x)
             return
         k = state.descent.popsize
