@@ -34,6 +34,7 @@ from fide_plugins import encoders
 from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Makers, Population
+from fide_plugins.preview import Ahead
 from fide_plugins.proposers import make_proposer
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
@@ -182,13 +183,13 @@ class FIDE(Retargeting):
     def ask(self, n: int | None = None) -> Float64:
         """Candidates to render, float64 (n, dim) in [0, 1].
 
-        None: what is left of the present generation, or, if all of it is pending, another of its
-        size from the same distribution, for users with more workers than that.
-        A generation has `popsize` candidates.  After a search has stalled there may be one of
-        sensitivity samples and the like (see `search.moves`) and one of restart candidates.
+        None: what is left of the present generation, or, if all of it is pending, as many again,
+        for users with more workers than that.  As soon as what is pending will complete the
+        generation, candidates are drawn for the next one, see `preview`.  Generations have
+        `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
         """
         n = None if n is None else whole_number("n", n, 1)
-        population = self.state.population
+        population, ahead = self.state.population, Ahead(self.state, self._propose)
         with timed(self.times, "search"):
             if not population.remaining:
                 self.draw_generation()
@@ -202,7 +203,7 @@ class FIDE(Retargeting):
                 if not population.remaining:
                     self.draw_generation()
                     population.make_proposals(n - i)
-                row[:] = population.hand_out().x
+                row[:] = (ahead.hand_out() or population.hand_out()).x
         return X
 
     @one_at_a_time
@@ -311,8 +312,7 @@ class FIDE(Retargeting):
     ) -> None:
         """Draw a generation of the present stage into a population; changes nothing else.
 
-        extra: whether all of it is out already, and the population waits for just that; other
-            candidates are drawn, for those who have nothing to render.
+        extra: whether the population waits for just those that are out; others are drawn.
         """
         state = self.state
         if extra:

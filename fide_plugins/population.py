@@ -164,6 +164,21 @@ class Population:
         self.make_proposals(1)
         return self._hand_out(self._queue.popleft())
 
+    @property
+    def next_is_proposal(self) -> bool:
+        """Whether the next candidate of this generation is a proposal."""
+        return self._queue[0].proposed if self._queue else len(self._unmade) > 0
+
+    def hand_out_instead(self, x: Float64, z: Float64, maker: int) -> Candidate:
+        """Hand out x (d,) with its z (d,) in the place of the next candidate, as a late one."""
+        proposed = self.next_is_proposal
+        if self._queue:
+            index = self._queue.popleft().index
+        else:
+            index, self._unmade = self._unmade_from, self._unmade[1:]
+            self._unmade_from += 1
+        return self._hand_out(Candidate(index, x, z, proposed, late=True, maker=maker))
+
     def hand_out_all(self) -> list[Candidate]:
         """All candidates of the generation that remain."""
         self.expect(self.remaining)

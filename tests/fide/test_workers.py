@@ -14,7 +14,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float32, Float64
 
-from .helpers import Render, StateOf
+from .helpers import TINY, Render, StateOf, pending_now, sphere
 from .test_moves import settings, until
 
 WORKERS = 8
@@ -33,14 +33,14 @@ class Workers:
         """Keep all busy, and tell the result that is due first."""
         while len(self.out) < WORKERS:
             due = self._now + self._rng.uniform(0.5, 1.5)
-            heapq.heappush(self.out, (due, self._rng.integers(2**60), self.opt.ask(1)[0]))
+            heapq.heappush(self.out, (due, self.opt.state.population.drawn, self.opt.ask(1)[0]))
         self._now, _, x = heapq.heappop(self.out)
         self.opt.tell(x[None], self.render(x[None]))
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_exchangeable_blocks_are_found(seed: int) -> None:
-    """The cells of a Voronoi diagram, each the five parameters of one: no render of a test fails."""
+    """The cells of a Voronoi diagram, each the five parameters of one."""
     task = fide_tasks.make("voronoi", 64, seed)
     workers = Workers(FIDE(task.dim, task.target, seed=seed), task.render)
     moves = workers.opt.state.moves
@@ -141,3 +141,46 @@ def test_restart_candidates_stand_for_each_other(target: Float32, render: Render
     X = np.concatenate([more, first[: len(first) - 9]])
     opt.tell(X, render(X))
     assert opt.state.stage is Stage.SEARCH
+
+
+def test_what_the_generation_does_not_need_is_drawn_for_the_next_one() -> None:
+    """Once what is out completes it, and half of it is known: around where the mean will be."""
+    opt = FIDE(3, TINY, popsize=8, sigma0=0.02, seed=0)
+    X = opt.ask(6)
+    opt.tell(X[:4], None, sphere(X[:4]))
+    needed, mean = opt.ask(2), opt.state.search.mean.copy()
+    ahead = opt.ask(4000)
+    assert [c.late for c in pending_now(opt)] == [False] * 4 + [True] * 4000
+    expected = opt.state.descent.preview(*opt.state.population.members())
+    error = ahead.mean(axis=0) - expected.mean
+    assert np.abs(error).max() < 5 * expected.std.max() / 4000**0.5
+    assert np.linalg.norm(expected.mean - mean) > 10 * np.linalg.norm(error)
+    np.testing.assert_array_equal(opt.state.search.mean, mean)
+    opt.tell(needed, None, sphere(needed))
+    opt.tell(X[4:], None, sphere(X[4:]))
+    assert opt.state.population.generations == 1 and pending_now(opt)
+
+
+def test_one_worker_gets_nothing_ahead(target: Float32, render: Render) -> None:
+    opt = FIDE(6, target, popsize=8, seed=0)
+    for _ in range(100):
+        x = opt.ask(1)
+        assert not pending_now(opt)[0].late
+        opt.tell(x, render(x))
+
+
+def test_as_many_are_proposed_as_by_one_worker(target: Float32, render: Render) -> None:
+    """Proposals are the last of a generation: with eight workers nearly all are made ahead."""
+    opt = FIDE(
+        6, target, seed=0, popsize=10, proposal_fraction=0.5, fraction_rate=0.0,
+        guard_images=False, restarts="none",
+    )  # fmt: skip
+    workers, asked = Workers(opt, render), {}
+    for step in range(400):
+        workers.step()
+        if step >= 100:
+            asked.update({c.index: c for c in pending_now(opt)})
+    ahead = [c for c in asked.values() if c.late]
+    assert len(ahead) > 0.4 * len(asked)
+    assert 0.4 < np.mean([c.proposed for c in asked.values()]) < 0.6
+    assert np.mean([c.proposed for c in ahead]) > 0.5

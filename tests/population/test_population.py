@@ -420,3 +420,18 @@ def test_the_state_knows_what_is_extra(saved: bool) -> None:
     population.record(xs[2], 1.0)
     assert population.complete
     assert [c.index for c in population.close_generation()[0]] == [0, 1, 2]
+
+
+def test_another_candidate_takes_the_place_of_the_next_one() -> None:
+    """Of a sample or of a proposal, which is then never made."""
+    population = drawn(4)
+    hand_out(population, 1)
+    x = np.array([[0.1, 0.2], [0.3, 0.4]])
+    for row, proposed in zip(x, (False, True), strict=True):
+        assert population.next_is_proposal == proposed
+        candidate = population.hand_out_instead(row, row + 2.0, 5)
+        assert (candidate.proposed, candidate.late, candidate.maker) == (proposed, True, 5)
+    assert (population.remaining, population.pending) == (1, 3)
+    [last] = hand_out(population, 1)
+    np.testing.assert_array_equal(last, np.random.default_rng(0).random((4, 2))[3])
+    assert [index_of(population, row, 0.0) for row in (*x, last)] == [1, 2, 3]
