@@ -34,7 +34,7 @@ from fide_plugins import encoders
 from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Makers, Population
-from fide_plugins.preview import Ahead
+from fide_plugins.preview import make_next
 from fide_plugins.proposers import make_proposer
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
@@ -189,7 +189,7 @@ class FIDE(Retargeting):
         `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
         """
         n = None if n is None else whole_number("n", n, 1)
-        population, ahead = self.state.population, Ahead(self.state, self._propose)
+        population = self.state.population
         with timed(self.times, "search"):
             if not population.remaining:
                 self.draw_generation()
@@ -197,13 +197,13 @@ class FIDE(Retargeting):
             population.expect(n)
             if n > population.remaining - population.unmade:
                 self._train_early()
-                population.make_proposals(n)  # which may fail, before anything is handed out
+            make_next(self.state, n, self._propose)  # which may fail, before anything is handed out
             X = np.empty((n, self.dim))
             for i, row in enumerate(X):
                 if not population.remaining:
                     self.draw_generation()
-                    population.make_proposals(n - i)
-                row[:] = (ahead.hand_out() or population.hand_out()).x
+                    make_next(self.state, n - i, self._propose)
+                row[:] = population.hand_out().x
         return X
 
     @one_at_a_time

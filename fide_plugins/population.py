@@ -164,20 +164,22 @@ class Population:
         self.make_proposals(1)
         return self._hand_out(self._queue.popleft())
 
-    @property
-    def next_is_proposal(self) -> bool:
-        """Whether the next candidate of this generation is a proposal."""
-        return self._queue[0].proposed if self._queue else len(self._unmade) > 0
+    def proposed(self, first: int, n: int) -> Mask:
+        """Which of n candidates of those that remain are proposals, (n,), from the first on."""
+        flags = [candidate.proposed for candidate in self._queue] + [True] * len(self._unmade)
+        return np.array(flags[first : first + n], bool)
 
-    def hand_out_instead(self, x: Float64, z: Float64, maker: int) -> Candidate:
-        """Hand out x (d,) with its z (d,) in the place of the next candidate, as a late one."""
-        proposed = self.next_is_proposal
-        if self._queue:
-            index = self._queue.popleft().index
-        else:
-            index, self._unmade = self._unmade_from, self._unmade[1:]
-            self._unmade_from += 1
-        return self._hand_out(Candidate(index, x, z, proposed, late=True, maker=maker))
+    def replace(self, first: int, x: Float64, z: Float64, makers: Makers) -> None:
+        """Put points x (m, d) with their z (m, d) in the place of candidates, as late ones.
+
+        makers: (m,).  first: of those that remain, which is queued, or the next proposal.
+        """
+        for i, (point, drawn, maker) in enumerate(zip(x, z, makers.tolist(), strict=True), first):
+            if i == len(self._queue):
+                self._queue.append(Candidate(self._unmade_from, point, drawn, proposed=True))
+                self._unmade, self._unmade_from = self._unmade[1:], self._unmade_from + 1
+            old = self._queue[i]
+            self._queue[i] = Candidate(old.index, point, drawn, old.proposed, True, maker)
 
     def hand_out_all(self) -> list[Candidate]:
         """All candidates of the generation that remain."""

@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fide_plugins.population import Candidate, Makers
+from fide_plugins.population import Makers
 from fide_plugins.search.descent import Descent
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.state import State
 from fide_plugins.types import Float64
 
-__all__ = ["Ahead", "previewed"]
+__all__ = ["make_next", "previewed"]
 
 _ENOUGH = 1 / 2  # of the results of a generation
 _FEWEST = 4  # results; no generation has fewer
@@ -38,32 +38,33 @@ def previewed(state: State) -> Descent | None:
     return state.descent.preview(*population.members())
 
 
-class Ahead:
-    """Hands out candidates of the next generation, while nothing is told.
+def make_next(state: State, n: int, propose: _Propose) -> None:
+    """Make the next n candidates of those that remain, each for the generation that needs it.
 
     propose: makes proposals from samples z (m, d) of a search.
     """
+    _draw_ahead(state, n, propose)
+    state.population.make_proposals(n)
 
-    def __init__(self, state: State, propose: _Propose) -> None:
-        self._state, self._propose = state, propose
-        self._descent: Descent | None = None  # one for all: the update takes O(d^3)
 
-    def hand_out(self) -> Candidate | None:
-        """Hand out one; None where the present generation needs more.
+def _draw_ahead(state: State, n: int, propose: _Propose) -> None:
+    """Of the next n candidates, draw those anew that the present generation does not need.
 
-        It takes the place of the next candidate that was drawn, and is a proposal if that is one.
-        A proposer that is asked for all of a generation at once is left to do that.
-        """
-        state, population, proposer = self._state, self._state.population, self._state.proposer
-        needed = population.evaluated + population.pending < population.size
-        if needed or not (proposer is None or proposer.singly):
-            return None
-        self._descent = self._descent or previewed(state)
-        if self._descent is None:
-            return None
-        x, z = self._descent.sample(1, state.rng)  # (1, d)
-        maker = 0
-        if population.next_is_proposal:
-            x, z, makers = self._propose(z, self._descent, state.rng)
-            maker = int(makers[0])
-        return population.hand_out_instead(x[0], z[0], maker)
+    As many of them are proposals as before.  A proposer that is asked for all of a generation at
+    once is left to do that.
+    """
+    population, proposer = state.population, state.proposer
+    needed = max(0, population.size - population.evaluated - population.pending)
+    m = min(n, population.remaining) - needed
+    if m <= 0 or not (proposer is None or proposer.singly):
+        return
+    descent = previewed(state)
+    if descent is None:
+        return
+    population.make_proposals(needed)
+    x, z = descent.sample(m, state.rng)  # (m, d)
+    proposed = population.proposed(needed, m)
+    makers = np.zeros(m, np.int64)
+    if proposed.any():
+        x[proposed], z[proposed], makers[proposed] = propose(z[proposed], descent, state.rng)
+    population.replace(needed, x, z, makers)

@@ -422,16 +422,18 @@ def test_the_state_knows_what_is_extra(saved: bool) -> None:
     assert [c.index for c in population.close_generation()[0]] == [0, 1, 2]
 
 
-def test_another_candidate_takes_the_place_of_the_next_one() -> None:
-    """Of a sample or of a proposal, which is then never made."""
+@pytest.mark.parametrize("first", [0, 1])
+def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
+    """Of a sample and of a proposal, which is then never made."""
     population = drawn(4)
-    hand_out(population, 1)
-    x = np.array([[0.1, 0.2], [0.3, 0.4]])
-    for row, proposed in zip(x, (False, True), strict=True):
-        assert population.next_is_proposal == proposed
-        candidate = population.hand_out_instead(row, row + 2.0, 5)
-        assert (candidate.proposed, candidate.late, candidate.maker) == (proposed, True, 5)
-    assert (population.remaining, population.pending) == (1, 3)
-    [last] = hand_out(population, 1)
-    np.testing.assert_array_equal(last, np.random.default_rng(0).random((4, 2))[3])
-    assert [index_of(population, row, 0.0) for row in (*x, last)] == [1, 2, 3]
+    hand_out(population, 1 - first)
+    x, makers = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([0, 5])
+    assert population.proposed(first, 2).tolist() == [False, True]
+    population.replace(first, x, x + 2.0, makers)
+    assert population.remaining == 3 + first
+    asked = hand_out(population, 3 + first)[first:]
+    np.testing.assert_array_equal(asked[:2], x)
+    np.testing.assert_array_equal(asked[2], np.random.default_rng(0).random((4, 2))[3])
+    found = [population.record(row, 0.0) for row in asked]
+    flags = [(c.index, c.proposed, c.late, c.maker) for c in found if c is not None]
+    assert flags == [(1, False, True, 0), (2, True, True, 5), (3, True, False, 7)]
