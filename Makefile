@@ -18,9 +18,12 @@ HASWELL := OPENBLAS_CORETYPE=Haswell ATEN_CPU_CAPABILITY=avx2 \
   NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
 SANDYBRIDGE := OPENBLAS_CORETYPE=Sandybridge ATEN_CPU_CAPABILITY=default \
   NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+# of `docs`: installed when the site is first built, so that `make setup` stays as fast as it is
+DOCS   := $(VENV)/.docs
+SITE   := build/docs/html
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-kernels lint format wheel clean
+.PHONY: setup demo test test-kernels lint format docs wheel clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -55,6 +58,17 @@ lint: setup
 format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+$(DOCS): $(STAMP)
+	@$(PIP) install -qq -c constraints.txt -e ".[docs]"
+	@touch $@
+
+# The site, from nothing; a warning, such as of a link that leads nowhere, is an error.
+docs: $(DOCS)
+	@rm -rf build/docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs $(SITE)
+	$(BIN)/python docs/check_site.py $(SITE)
+	@echo "Open $(SITE)/index.html"
 
 # Built into dist/ and tested away from this folder, as a user would have it.
 wheel: setup

@@ -15,7 +15,7 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from quality import Arms, grid, read, run_missing, table
+from quality import Configurations, grid, read, run_missing, table
 
 NOTHING_PROPOSED: dict[str, Any] = {
     "share": 0.0,
@@ -48,23 +48,31 @@ CHANGES: dict[str, dict[str, Any]] = {
     "population of 30": {"popsize": 30},
     DIFFUSION: {"proposer": "diffusion", "encoder": "patch", "share": 0.3},
 }
-ARMS: Arms = {arm: ("fide", options) for arm, options in CHANGES.items()}
+CONFIGURATIONS: Configurations = {
+    configuration: ("fide", options) for configuration, options in CHANGES.items()
+}
 
 
 def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(read(arguments.table), ARMS))
+        print(table(read(arguments.table), CONFIGURATIONS))
         return
-    run_missing(grid(arguments), ARMS, arguments.out, arguments.part)
+    run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part)
 
 
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("tasks", nargs="*", help="voronoi, spline")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", choices=ARMS)
+    parser.add_argument(
+        "--configurations",
+        nargs="+",
+        default=list(CONFIGURATIONS),
+        metavar="CONFIGURATION",
+        choices=CONFIGURATIONS,
+    )
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--size", type=int, default=112)

@@ -1,7 +1,7 @@
 """Best value against evaluations of the baselines, on functions of 10 and 20 parameters.
 
     python benchmarks/baselines.py --out benchmarks/results/baselines.jsonl
-    python benchmarks/baselines.py --arms DiBO --functions ackley --dims 10 --seeds 1 ...
+    python benchmarks/baselines.py --configurations DiBO --functions ackley --dims 10 --seeds 1 ...
     python benchmarks/baselines.py --table benchmarks/results/baselines.jsonl
 
 Ackley, Rastrigin, Levy and Rosenbrock in the boxes of the DiBO paper, scaled to the unit cube.  The
@@ -25,7 +25,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import Cell, read, run_missing
+from quality import Row, read, run_missing
 
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
@@ -45,7 +45,7 @@ SMALL_DIBO = {
 }
 """Smaller networks and fewer samples than the defaults, which take a quarter of an hour a round."""
 
-ARMS: dict[str, tuple[str, dict[str, Any]]] = {
+CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "random": ("random", {}),
     "CMA-ES, default k": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
@@ -58,7 +58,7 @@ ARMS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 RATES = [(rate, 1e-3) for rate in (5e-4, 2e-3, 5e-3, 1e-2, 2e-2)]
 RATES += [(5e-4, 3e-3), (2e-3, 3e-3), (2e-3, 1e-2), (5e-3, 1e-2)]
-ARMS |= {
+CONFIGURATIONS |= {
     f"ZeroGrads, rates {rate:g} and {proxy:g}": (
         "zerograds",
         {"learning_rate": rate, "proxy_rate": proxy},
@@ -140,16 +140,18 @@ def main() -> None:
         print(table(read(arguments.table)))
         return
 
-    def run(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
-        return run_cell(cell, optimizer, options, arguments.out.with_suffix(".parts"))
+    def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
+        return measure(cell, optimizer, options, arguments.out.with_suffix(".parts"))
 
-    run_missing(grid(arguments), ARMS, arguments.out, arguments.part, run)
+    run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part, run)
 
 
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS)[:8], metavar="ARM")
+    parser.add_argument(
+        "--configurations", nargs="+", default=list(CONFIGURATIONS)[:8], metavar="CONFIGURATION"
+    )
     parser.add_argument("--functions", nargs="+", default=list(FUNCTIONS))
     parser.add_argument("--dims", nargs="+", type=int, default=[10, 20])
     parser.add_argument("--seeds", type=int, default=3)
@@ -160,22 +162,27 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost; `size` is the dimension."""
     for seed in range(arguments.seeds):
         for dim in arguments.dims:
             for name in arguments.functions:
-                for arm in arguments.arms:
-                    budget = arguments.budget or BUDGETS.get(arm, BUDGET)
-                    cell = {"task": name, "target": seed, "arm": arm, "seed": seed}
+                for configuration in arguments.configurations:
+                    budget = arguments.budget or BUDGETS.get(configuration, BUDGET)
+                    cell = {
+                        "task": name,
+                        "target": seed,
+                        "configuration": configuration,
+                        "seed": seed,
+                    }
                     yield {**cell, "size": dim, "budget": budget}
 
 
-def run_cell(cell: Cell, name: str, options: dict[str, Any], parts: Path) -> Cell:
+def measure(cell: Row, name: str, options: dict[str, Any], parts: Path) -> Row:
     """One run, saved after every round if it is a slow one; its best value at every mark."""
     function = in_the_unit_cube(cell["task"], cell["size"], cell["target"])
     parts.mkdir(parents=True, exist_ok=True)
-    place = parts / "-".join(str(cell[key]) for key in ("task", "size", "arm", "seed"))
+    place = parts / "-".join(str(cell[key]) for key in ("task", "size", "configuration", "seed"))
     opt, losses, seconds = begin(name, options, cell, place)
     while len(losses) < cell["budget"]:
         start = time.process_time()
@@ -201,7 +208,7 @@ def run_cell(cell: Cell, name: str, options: dict[str, Any], parts: Path) -> Cel
 
 
 def begin(
-    name: str, options: dict[str, Any], cell: Cell, place: Path
+    name: str, options: dict[str, Any], cell: Row, place: Path
 ) -> tuple[Baseline, Float64, float]:
     """A new optimizer, or one that was interrupted, with its losses and seconds so far."""
     if place.exists():
@@ -215,7 +222,7 @@ def begin(
     return opt, np.empty(0), 0.0
 
 
-def table(rows: list[Cell]) -> str:
+def table(rows: list[Row]) -> str:
     """Medians over seeds, in Markdown."""
     lines: list[str] = []
     for dim in sorted({row["size"] for row in rows}):
@@ -226,20 +233,27 @@ def table(rows: list[Cell]) -> str:
             lines += [f"### {name.capitalize()}, {dim} parameters", ""]
             head = " | ".join(f"{mark:,}" for mark in MARKS)
             lines += [f"| | runs | {head} | CPU s |", "|---" * (len(MARKS) + 3) + "|"]
-            arms = [arm for arm in ARMS if any(row["arm"] == arm for row in mine)]
-            lines += [line(arm, [row for row in mine if row["arm"] == arm]) for arm in arms]
+            configurations = [
+                configuration
+                for configuration in CONFIGURATIONS
+                if any(row["configuration"] == configuration for row in mine)
+            ]
+            lines += [
+                line(configuration, [row for row in mine if row["configuration"] == configuration])
+                for configuration in configurations
+            ]
             lines.append("")
     return "\n".join(lines)
 
 
-def line(arm: str, rows: list[Cell]) -> str:
-    """One arm."""
+def line(configuration: str, rows: list[Row]) -> str:
+    """One configuration."""
     cells = []
     for mark in map(str, MARKS):
         reached = [row["best"][mark] for row in rows if mark in row["best"]]
         cells.append(f"{statistics.median(reached):.3g}" if reached else "")
     seconds = statistics.median(row["cpu_s"] for row in rows)
-    return f"| {arm} | {len(rows)} | {' | '.join(cells)} | {seconds:.1f} |"
+    return f"| {configuration} | {len(rows)} | {' | '.join(cells)} | {seconds:.1f} |"
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from encoder_noise import measured, of_encoder
-from encoders import run_cell
-from quality import Cell, read, run_missing
+from encoders import measure
+from quality import Row, read, run_missing
 from torch import Tensor
 
 from fide_plugins import encoders
@@ -219,13 +219,19 @@ def fit(arguments: argparse.Namespace) -> None:
         encoders.register(f"descriptor {name}", make)
         table[name] = ("mse", {"encoder": f"descriptor {name}"})
     cells = [
-        {"task": task, "target": seed, "arm": arm, "seed": seed, "size": arguments.size}
+        {
+            "task": task,
+            "target": seed,
+            "configuration": configuration,
+            "seed": seed,
+            "size": arguments.size,
+        }
         | {"budget": BUDGET}
         for seed in range(arguments.seeds)
         for task in arguments.tasks or ("voronoi", "spline", "robot")
-        for arm in arguments.arms
+        for configuration in arguments.configurations
     ]
-    run_missing(cells, table, arguments.out, "0/1", run_cell)
+    run_missing(cells, table, arguments.out, "0/1", measure)
 
 
 def print_table(arguments: argparse.Namespace) -> None:
@@ -238,16 +244,20 @@ def print_table(arguments: argparse.Namespace) -> None:
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     print(f"| descriptor | {' | '.join(f'{t} | over `dense`' for t in tasks)} |")
     print(f"|---|{'---:|' * 2 * len(tasks)}")
-    for name in [name for name in VARIANTS if any(row["arm"] == name for row in rows)]:
+    for name in [name for name in VARIANTS if any(row["configuration"] == name for row in rows)]:
         cells = [cell for task in tasks for cell in compared(rows, task, name)]
         print(f"| {name} | {' | '.join(cells)} |")
 
 
-def compared(rows: list[Cell], task: str, name: str) -> tuple[str, str]:
+def compared(rows: list[Row], task: str, name: str) -> tuple[str, str]:
     """Median loss at the end; the comparison with `dense` on the same seeds."""
     own, others = (
-        {r["seed"]: r["best"] for r in rows if (r["task"], r["arm"]) == (task, arm)}
-        for arm in (name, "dense")
+        {
+            r["seed"]: r["best"]
+            for r in rows
+            if (r["task"], r["configuration"]) == (task, configuration)
+        }
+        for configuration in (name, "dense")
     )
     shared = sorted(set(own) & set(others))
     if not shared:
@@ -266,7 +276,13 @@ def main() -> None:
     add = parser.add_argument
     add("what", choices=("noise", "fit", "table"))
     add("tasks", nargs="*", metavar="TASK")
-    add("--arms", nargs="+", default=list(VARIANTS), choices=list(VARIANTS), metavar="NAME")
+    add(
+        "--configurations",
+        nargs="+",
+        default=list(VARIANTS),
+        choices=list(VARIANTS),
+        metavar="NAME",
+    )
     add("--seeds", type=int, default=10)
     add("--size", type=int, default=112, metavar="PX")
     add("--out", type=Path, default=RESULTS, metavar="FILE")

@@ -1,4 +1,6 @@
-"""How much of a distance is noise, and how it affects the order: a table of docs/encoders.md.
+"""How much of a distance is noise, and how it affects the order.
+
+Makes a table of docs/measurements/encoders.md:
 
     python benchmarks/encoder_noise.py
 

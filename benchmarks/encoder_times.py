@@ -1,4 +1,4 @@
-"""Times of encoders and losses: tables of docs/encoders.md.
+"""Times of encoders and losses: tables of docs/measurements/encoders.md.
 
     python benchmarks/encoder_times.py images               # per image, each encoder and loss
     python benchmarks/encoder_times.py split voronoi spline # where FIDE's time goes
@@ -112,11 +112,11 @@ def print_batches(arguments: argparse.Namespace) -> None:
     """Milliseconds for an image, by how many of them a network sees together."""
     make_control()
     print(f"| network | side | {' | '.join(map(str, BATCHES))} |\n|---|" + "---:|" * 5)
-    for arm in ("random ViT-S/16", "vgg19"):
-        if usable("encoder", ENCODERS[arm]):
-            network: Any = encoders.make(ENCODERS[arm])
+    for configuration in ("random ViT-S/16", "vgg19"):
+        if usable("encoder", ENCODERS[configuration]):
+            network: Any = encoders.make(ENCODERS[configuration])
             for side in (112, 64):
-                print_row(f"{arm} | {side}", in_batches(network._features, side))
+                print_row(f"{configuration} | {side}", in_batches(network._features, side))
 
 
 @torch.inference_mode()

@@ -34,7 +34,7 @@ from fide_plugins import FIDE, losses
 from fide_plugins.experiments.run.pixel_samples import PixelSamples
 
 RESULTS = Path(__file__).parent / "results" / "fidelity.jsonl"
-ARMS = (
+CONFIGURATIONS = (
     "16",
     "4",
     "1",
@@ -60,7 +60,7 @@ class Run:
         self.task = self.tasks[1]
         self.loss = losses.make("mse", self.task.target)
         self.optimizer = FIDE(self.task.dim, self.task.target, seed=cell["seed"], device="cpu")
-        self.rule = rule(cell["arm"])
+        self.rule = rule(cell["configuration"])
         self.seconds, self.renders, self.samples = 0.0, 0, Fraction(0)
         self.level = Fraction(0)
         self.best = np.inf, np.full(self.task.dim, 0.5)
@@ -87,7 +87,7 @@ class Run:
     def number(self) -> Fraction:
         if self.rule is not None:
             return Fraction(self.rule.number, FINEST**2)
-        return Fraction(self.cell["arm"])
+        return Fraction(self.cell["configuration"])
 
     def generation(self) -> None:
         X, level = self.optimizer.ask(), self.number()
@@ -120,11 +120,11 @@ class Run:
         return float(self.loss.compute(self.task.reference(x)[None])[0])
 
 
-def rule(arm: str) -> PixelSamples | None:
+def rule(configuration: str) -> PixelSamples | None:
     """What chooses the samples, counted on 4 x 4 pixels."""
-    if not arm.startswith("as noise requires, "):
+    if not configuration.startswith("as noise requires, "):
         return None
-    least, most = arm.removeprefix("as noise requires, ").split(" to ")
+    least, most = configuration.removeprefix("as noise requires, ").split(" to ")
     return PixelSamples(int(Fraction(least) * FINEST**2), int(most) * FINEST**2)
 
 
@@ -141,15 +141,19 @@ def table(rows: list[dict[str, Any]]) -> str:
         titles = [*(f"{mark:g} s" for mark in marks), "renders", "samples", "at the end with"]
         lines += [f"| {kind[0]}, {kind[1]} px | runs | {' | '.join(titles)} |"]
         lines += ["|---" * (len(titles) + 2) + "|"]
-        for arm in (arm for arm in ARMS if any(r["arm"] == arm for r in mine)):
-            runs = [r["marks"] for r in mine if r["arm"] == arm]
+        for configuration in (
+            configuration
+            for configuration in CONFIGURATIONS
+            if any(r["configuration"] == configuration for r in mine)
+        ):
+            runs = [r["marks"] for r in mine if r["configuration"] == configuration]
             cells = [middle([run[i]["judged"] for run in runs]) for i in range(len(marks))]
             ends = [run[-1] for run in runs]
             cells += [
                 f"{statistics.median(e[k] for e in ends):.0f}" for k in ("renders", "samples")
             ]
             cells += [", ".join(str(e["level"]) for e in ends)]
-            lines.append(f"| {arm} | {len(runs)} | {' | '.join(cells)} |")
+            lines.append(f"| {configuration} | {len(runs)} | {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines)
 
@@ -163,7 +167,13 @@ def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("tasks", nargs="*", metavar="TASK", help="beads, san_miguel")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, metavar="ARM")
+    parser.add_argument(
+        "--configurations",
+        nargs="+",
+        default=list(CONFIGURATIONS),
+        choices=CONFIGURATIONS,
+        metavar="CONFIGURATION",
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--size", type=int, default=112)
     parser.add_argument("--seconds", type=float, default=60.0, help="CPU time of a run (60)")
@@ -175,8 +185,8 @@ def main() -> None:
         return
     for seed in range(a.seeds):
         for task in a.tasks:
-            for arm in a.arms:
-                cell = {"task": task, "arm": arm, "seed": seed, "size": a.size}
+            for configuration in a.configurations:
+                cell = {"task": task, "configuration": configuration, "seed": seed, "size": a.size}
                 cell["seconds"] = a.seconds
                 if any(all(row[k] == v for k, v in cell.items()) for row in read(a.out)):
                     continue

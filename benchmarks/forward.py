@@ -1,11 +1,12 @@
 """The forward model compared with the inverse one: loss against renders, asked in different ways.
 
-    python benchmarks/forward.py blobs lamps spline --arms both/all both/8 both/1 dfols/1
+    python benchmarks/forward.py blobs lamps spline --configurations both/all both/8 both/1 dfols/1
     python benchmarks/forward.py --table
 
-A cell is a task, a target, an arm and a seed, and a line of benchmarks/results/forward.jsonl,
-appended when it is done; a second call does what is missing.  An arm is a proposer and a way to
-ask: whole generations (all), 8 at a time, or one by one; "more" proposes more from the beginning.
+A run has a task, a target, a configuration and a seed, and is a line of the file
+benchmarks/results/forward.jsonl, appended when it is done; a second call does what is missing.
+A configuration is a proposer and a way to ask: whole generations (all), 8 at a time, or one by one;
+"more" proposes more from the beginning.
 A run ends at an MSE of 1e-11; marks beyond its end repeat the last value.
 """
 
@@ -45,7 +46,7 @@ TASKS: dict[str, tuple[range, dict[str, Any]]] = {
     "robot": (range(500, 505), {}),
 }
 
-Cell: TypeAlias = dict[str, Any]
+Row: TypeAlias = dict[str, Any]
 Floats: TypeAlias = NDArray[np.float64]
 
 
@@ -64,33 +65,39 @@ def parse_arguments() -> argparse.Namespace:
     )
     add = parser.add_argument
     add("tasks", nargs="*", default=[*SCENES, "spline", "voronoi", "robot"])
-    add("--arms", nargs="+", default=["inverse/all", "forward/all", "both/all", "both/1"])
+    add("--configurations", nargs="+", default=["inverse/all", "forward/all", "both/all", "both/1"])
     add("--targets", type=int, default=3)
     add("--seeds", type=int, default=1)
     add("--budget", type=int, default=2000)
     add("--set", nargs="*", default=[], metavar="KEY=VALUE", help="options of FIDE")
-    add("--label", default="", help="added to the names of the arms")
+    add("--label", default="", help="added to the names of the configurations")
     add("--out", type=Path, default=RESULTS)
     add("--table", action="store_true")
     return parser.parse_args()
 
 
-def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, targets outermost."""
     for number in range(arguments.targets):
         for seed in range(arguments.seeds):
             for task in arguments.tasks:
-                for arm in arguments.arms:
+                for configuration in arguments.configurations:
                     known = TASKS[task][0] if task in TASKS else range(100)
                     if number < len(known):
-                        name = arm + arguments.label
-                        yield {"task": task, "target": known[number], "arm": name, "seed": seed}
+                        name = configuration + arguments.label
+                        yield {
+                            "task": task,
+                            "target": known[number],
+                            "configuration": name,
+                            "seed": seed,
+                        }
 
 
-def run_missing(cells: list[Cell], arguments: argparse.Namespace) -> None:
+def run_missing(cells: list[Row], arguments: argparse.Namespace) -> None:
     """Run what the file does not have."""
     done = [
-        {key: row[key] for key in ("task", "target", "arm", "seed")} for row in read(arguments.out)
+        {key: row[key] for key in ("task", "target", "configuration", "seed")}
+        for row in read(arguments.out)
     ]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     for cell in cells:
@@ -100,10 +107,10 @@ def run_missing(cells: list[Cell], arguments: argparse.Namespace) -> None:
                 file.write(json.dumps(row) + "\n")
 
 
-def run(cell: Cell, budget: int, arguments: argparse.Namespace) -> Cell:
+def run(cell: Row, budget: int, arguments: argparse.Namespace) -> Row:
     """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
     task = make_task(cell["task"], cell["target"])
-    name, _, asked = cell["arm"].removesuffix(arguments.label).partition("/")
+    name, _, asked = cell["configuration"].removesuffix(arguments.label).partition("/")
     settings = dict(pair.split("=", 1) for pair in arguments.set)
     options = {key: json.loads(value) for key, value in settings.items()}
     if name in PROPOSERS:
@@ -135,26 +142,36 @@ def make_task(name: str, target: int) -> Any:
     return fide_tasks.make(name, size=112, seed=target, **TASKS[name][1])
 
 
-def read(path: Path) -> list[Cell]:
+def read(path: Path) -> list[Row]:
     """Rows of the file."""
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def table(rows: list[Cell], arguments: argparse.Namespace) -> str:
+def table(rows: list[Row], arguments: argparse.Namespace) -> str:
     """Geometric means at the marks; median renders until the goals, and how many got there."""
-    head = "| task | arm | n | " + " | ".join(map(str, MARKS)) + " | until 1e-4 | until 1e-6 | ms |"
+    head = (
+        "| task | configuration | n | "
+        + " | ".join(map(str, MARKS))
+        + " | until 1e-4 | until 1e-6 | ms |"
+    )
     lines = [head, "|" + "---|" * (head.count("|") - 1)]
     for task in arguments.tasks:
-        arms = list(dict.fromkeys(row["arm"] for row in rows if row["task"] == task))
-        for arm in arms:
-            several = [row for row in rows if (row["task"], row["arm"]) == (task, arm)]
+        configurations = list(
+            dict.fromkeys(row["configuration"] for row in rows if row["task"] == task)
+        )
+        for configuration in configurations:
+            several = [
+                row for row in rows if (row["task"], row["configuration"]) == (task, configuration)
+            ]
             means = np.exp(
                 np.log(np.maximum([row["losses"] for row in several], 1e-12)).mean(axis=0)
             )
             cells = [f"{mean:.1e}" for mean in means]
             cells += [_reached([row["reached"][i] for row in several]) for i in range(len(GOALS))]
             ms = float(np.mean([row["ms"] for row in several]))
-            lines.append(f"| {task} | {arm} | {len(several)} | {' | '.join(cells)} | {ms:.2f} |")
+            lines.append(
+                f"| {task} | {configuration} | {len(several)} | {' | '.join(cells)} | {ms:.2f} |"
+            )
     return "\n".join(lines)
 
 

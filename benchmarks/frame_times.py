@@ -1,4 +1,4 @@
-"""Milliseconds per frame of a task, and where they go; prints a table for docs/tasks.md.
+"""Milliseconds per frame of a task, and where they go; prints a table for docs/reference/tasks.md.
 
     python benchmarks/frame_times.py beads
     python benchmarks/frame_times.py voronoi spline --sizes 64 224

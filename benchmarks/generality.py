@@ -21,7 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import matplotlib
-from quality import ARMS, Cell, measured, read, run_missing
+from quality import CONFIGURATIONS, Row, measured, read, run_missing
 
 import fide_tasks
 from fide_plugins.experiments import run as harness
@@ -47,27 +47,33 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    run_missing(grid(), {arm: ARMS[arm] for arm in RACERS}, arguments.out, arguments.part, run)
+    run_missing(
+        grid(),
+        {configuration: CONFIGURATIONS[configuration] for configuration in RACERS},
+        arguments.out,
+        arguments.part,
+        run,
+    )
 
 
-def grid() -> Iterator[Cell]:
+def grid() -> Iterator[Row]:
     """All cells, seeds outermost."""
     tasks = [(seed, task, target)
              for seed in SEEDS for task in ("voronoi", "spline") for target in TARGETS]  # fmt: skip
     tasks += [(seed, task, 0) for seed in PHOTO_SEEDS for task in CELLS]
     for seed, task, target in tasks:
-        for arm in RACERS:
+        for configuration in RACERS:
             yield {
                 "task": task,
                 "target": target,
-                "arm": arm,
+                "configuration": configuration,
                 "seed": seed,
                 "size": SIZE,
                 "budget": BUDGET,
             }
 
 
-def run(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
+def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
     """One run, and its best loss at every mark."""
     name = cell["task"]
     given: dict[str, Any] = {"size": SIZE, "task_seed": cell["target"]}
@@ -85,16 +91,22 @@ def drawn_by(cells: int) -> Any:
     return fide_tasks.make("voronoi", target=images.load(path, max_side=SIZE), cells=cells)
 
 
-def table(rows: list[Cell]) -> str:
+def table(rows: list[Row]) -> str:
     """Medians over targets and seeds, and how many runs are solved, in Markdown."""
     marks = " | ".join(f"{int(m):,}" for m in MARKS)
     lines = [f"| | runs | {marks} | below {SOLVED} at {BUDGET:,} |", "|---" * 7 + "|"]
     for task in dict.fromkeys(row["task"] for row in rows):
-        for arm in RACERS:
-            best = [row["best"] for row in rows if row["task"] == task and row["arm"] == arm]
+        for configuration in RACERS:
+            best = [
+                row["best"]
+                for row in rows
+                if row["task"] == task and row["configuration"] == configuration
+            ]
             medians = " | ".join(f"{statistics.median(b[m] for b in best):.4f}" for m in MARKS)
             solved = sum(b[str(BUDGET)] < SOLVED for b in best)
-            lines.append(f"| {task}, {arm} | {len(best)} | {medians} | {solved} of {len(best)} |")
+            lines.append(
+                f"| {task}, {configuration} | {len(best)} | {medians} | {solved} of {len(best)} |"
+            )
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Loss around the true parameters of a task, for docs/tasks.md.
+"""Loss around the true parameters of a task, for docs/reference/tasks.md.
 
     python benchmarks/landscape.py san_miguel --task-seeds 0 2
 

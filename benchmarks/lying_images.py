@@ -30,7 +30,7 @@ import fide_tasks
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 
-ARMS = ("without", "noise", "constant", "others", "unreachable", "honest")
+CONFIGURATIONS = ("without", "noise", "constant", "others", "unreachable", "honest")
 DIM, SIZE = 10, 32
 
 
@@ -94,56 +94,61 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
 }
 
 
-def shown(arm: str, rendered: Float32, problem: Problem, rng: np.random.Generator) -> Any:
+def shown(configuration: str, rendered: Float32, problem: Problem, rng: np.random.Generator) -> Any:
     """What is told of rendered images."""
-    if arm == "without":
+    if configuration == "without":
         return None
-    if arm == "noise":
+    if configuration == "noise":
         return rng.random(rendered.shape, np.float32)
-    if arm == "constant":
+    if configuration == "constant":
         return np.full_like(rendered, 0.5)
-    if arm == "others":
+    if configuration == "others":
         return problem.render(rng.random((len(rendered), problem.dim)))
     return rendered
 
 
-def run(name: str, arm: str, seed: int) -> dict[str, Any]:
+def run(name: str, configuration: str, seed: int) -> dict[str, Any]:
     """One run, to the goal or to the end of its budget."""
     problem, rng = PROBLEMS[name](), np.random.default_rng(seed)
     target = problem.target
-    if arm == "unreachable":
+    if configuration == "unreachable":
         target = np.random.default_rng(5).random(target.shape, np.float32)
     opt, start = FIDE(problem.dim, target, seed=seed), time.process_time()
     while opt.evaluations < problem.budget:
         X = opt.ask()
         rendered = problem.render(X)
-        opt.tell(X, shown(arm, rendered, problem, rng), problem.loss(X, rendered))
+        opt.tell(X, shown(configuration, rendered, problem, rng), problem.loss(X, rendered))
         if opt.best is not None and opt.best.loss <= problem.goal:
             break
     best = np.inf if opt.best is None else opt.best.loss
     reached = opt.best.evaluation + 1 if opt.best is not None and best <= problem.goal else None
     seconds = time.process_time() - start
     return {
-        "problem": name, "arm": arm, "seed": seed, "goal": problem.goal, "reached": reached,
-        "best": best, "searches": opt._searches, "cpu_s": round(seconds, 2),
+        "problem": name, "configuration": configuration, "seed": seed, "goal": problem.goal,
+        "reached": reached, "best": best, "searches": opt._searches, "cpu_s": round(seconds, 2),
     }  # fmt: skip
 
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Median evaluations to the goal, and the median ratio to the same seed without images."""
-    lines = ["| | goal | seeds | " + " | ".join(ARMS) + " |", "|---" * (len(ARMS) + 3) + "|"]
+    lines = [
+        "| | goal | seeds | " + " | ".join(CONFIGURATIONS) + " |",
+        "|---" * (len(CONFIGURATIONS) + 3) + "|",
+    ]
     for name in PROBLEMS:
-        runs = {arm: reached(rows, name, arm) for arm in ARMS}
+        runs = {
+            configuration: reached(rows, name, configuration) for configuration in CONFIGURATIONS
+        }
         goals = {row["goal"] for row in rows if row["problem"] == name}
-        cells = [cell(runs[arm], runs["without"]) for arm in ARMS]
+        cells = [cell(runs[configuration], runs["without"]) for configuration in CONFIGURATIONS]
         head = f"| {name} | {max(goals, default=0):g} | {len(runs['without'])} | "
         lines.append(head + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def reached(rows: list[dict[str, Any]], name: str, arm: str) -> dict[int, float]:
+def reached(rows: list[dict[str, Any]], name: str, configuration: str) -> dict[int, float]:
     """Evaluations to the goal of each seed; infinite where it was not reached."""
-    mine = [row for row in rows if (row["problem"], row["arm"]) == (name, arm)]
+    mine = [row for row in rows if (row["problem"], row["configuration"]) == (name, configuration)]
     return {row["seed"]: row["reached"] or np.inf for row in mine}
 
 
@@ -159,7 +164,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--problems", nargs="+", default=list(PROBLEMS))
-    parser.add_argument("--arms", nargs="+", default=list(ARMS))
+    parser.add_argument("--configurations", nargs="+", default=list(CONFIGURATIONS))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--out", type=Path, default=Path("runs/lying.jsonl"))
     parser.add_argument("--table", type=Path)
@@ -170,14 +175,14 @@ def main() -> None:
         print(table(rows))
         return
     out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(row["problem"], row["arm"], row["seed"]) for row in rows}
+    done = {(row["problem"], row["configuration"], row["seed"]) for row in rows}
     for seed in range(arguments.seeds):
         for name in arguments.problems:
-            for arm in arguments.arms:
-                needless = name.endswith("target") and arm == "unreachable"
-                if needless or (name, arm, seed) in done:
+            for configuration in arguments.configurations:
+                needless = name.endswith("target") and configuration == "unreachable"
+                if needless or (name, configuration, seed) in done:
                     continue
-                row = run(name, arm, seed)
+                row = run(name, configuration, seed)
                 append(out, row)
                 print(row, file=sys.stderr, flush=True)
 

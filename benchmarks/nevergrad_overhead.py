@@ -1,4 +1,4 @@
-"""What the Nevergrad adapter costs beyond FIDE itself, for docs/nevergrad.md.
+"""What the Nevergrad adapter costs beyond FIDE itself, for docs/reference/nevergrad.md.
 
     OMP_NUM_THREADS=1 python benchmarks/nevergrad_overhead.py
 

@@ -1,4 +1,6 @@
-"""FIDE with uninformative images compared with CMA-ES without images, for docs/nevergrad.md.
+"""FIDE with uninformative images compared with CMA-ES without images.
+
+Makes a table of docs/reference/nevergrad.md:
 
     OMP_NUM_THREADS=1 nice python benchmarks/nevergrad_uninformative.py
 

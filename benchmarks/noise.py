@@ -1,4 +1,4 @@
-"""Noise of a task rendered by random paths, for docs/tasks.md.
+"""Noise of a task rendered by random paths, for docs/reference/tasks.md.
 
     python benchmarks/noise.py san_miguel beads --size 64
     python benchmarks/noise.py beads --losses mse loi perceptual --spp 16 64

@@ -27,10 +27,10 @@ from fide_plugins import FIDE
 
 MARKS = (500, 1000, 2000)
 SIZE = 112
-ARMS = ("full", "stored")
+CONFIGURATIONS = ("full", "stored")
 
 
-def run(arm: str, task_seed: int, seed: int) -> dict[str, Any]:
+def run(configuration: str, task_seed: int, seed: int) -> dict[str, Any]:
     """Best losses at the marks."""
     task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
     optimizer = FIDE(task.dim, task.target, seed=seed)
@@ -41,7 +41,7 @@ def run(arm: str, task_seed: int, seed: int) -> dict[str, Any]:
         images = task.render(X)
         told = [evaluator.loss(image[None]) for image in images]
         features = torch.stack([evaluator.tokens(image[None]) for image in images])
-        if arm == "stored":
+        if configuration == "stored":
             stored = [evaluator.codec.unpack(evaluator.codec.pack(f)) for f in features]
             features = torch.stack([f for f in stored if f is not None])
         optimizer.tell(X, losses=told, features=features)
@@ -61,12 +61,17 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    done = {(line["arm"], line["target"], line["seed"]) for line in read(arguments.out)}
+    done = {(line["configuration"], line["target"], line["seed"]) for line in read(arguments.out)}
     for seed in range(arguments.seeds):
         for target in range(arguments.targets):
-            for arm in ARMS:
-                if (arm, target, seed) not in done:
-                    line = {"arm": arm, "target": target, "seed": seed, **run(arm, target, seed)}
+            for configuration in CONFIGURATIONS:
+                if (configuration, target, seed) not in done:
+                    line = {
+                        "configuration": configuration,
+                        "target": target,
+                        "seed": seed,
+                        **run(configuration, target, seed),
+                    }
                     with arguments.out.open("a") as file:
                         file.write(json.dumps(line | {"date": time.strftime("%Y-%m-%d")}) + "\n")
 
@@ -78,11 +83,14 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 def table(lines: list[dict[str, Any]]) -> str:
     """Medians, and the mean ratio of pairs with its standard error, as Markdown."""
-    found = {(line["arm"], line["target"], line["seed"]): line for line in lines}
+    found = {(line["configuration"], line["target"], line["seed"]): line for line in lines}
     pairs = [key[1:] for key in found if key[0] == "full" and ("stored", *key[1:]) in found]
     rows = ["| trials | pairs | full | stored | stored / full |", "|---|---|---|---|---|"]
     for mark in map(str, MARKS):
-        full, stored = (np.array([found[arm, *pair][mark] for pair in pairs]) for arm in ARMS)
+        full, stored = (
+            np.array([found[configuration, *pair][mark] for pair in pairs])
+            for configuration in CONFIGURATIONS
+        )
         ratio = np.log((stored + 1e-4) / (full + 1e-4))
         error = ratio.std(ddof=1) / np.sqrt(len(ratio))
         low, high = np.exp(ratio.mean() - error), np.exp(ratio.mean() + error)

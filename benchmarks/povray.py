@@ -3,11 +3,11 @@
     python benchmarks/povray.py --seeds 0-9 --out runs/povray.jsonl
     python benchmarks/povray.py --table --out runs/povray.jsonl
 
-The command of docs/own_renderer.md at 64 x 64 pixels, 1,500 renders a seed, default options.  Eight
-candidates are asked, rendered at once and told together, so a seed gives the same run whatever the
-machine does meanwhile.  Every run is one line of the output file; a second call does what is
-missing, and several calls may share the seeds.  A run takes two to three minutes, mostly waiting
-for POV-Ray to start.
+The command of docs/reference/own_renderer.md at 64 x 64 pixels, 1,500 renders a seed, default
+options.  Eight candidates are asked, rendered at once and told together, so a seed gives the same
+run whatever the machine does meanwhile.  Every run is one line of the output file; a second call
+does what is missing, and several calls may share the seeds.  A run takes two to three minutes,
+mostly waiting for POV-Ray to start.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ def main() -> None:
 
 def renderer() -> CommandRenderer:
     """The documented command, at 64 x 64 pixels."""
-    text = (ROOT / "docs" / "own_renderer.md").read_text("utf-8")
+    text = (ROOT / "docs" / "reference" / "own_renderer.md").read_text("utf-8")
     found = re.search(r"^    fide (fit target\.png .*?)\n\n", text, re.MULTILINE | re.DOTALL)
-    assert found is not None, "docs/own_renderer.md has no such command"
+    assert found is not None, "docs/reference/own_renderer.md has no such command"
     words = shlex.split(found[1])
     template = words[words.index("--command") + 1]
     return CommandRenderer(

@@ -25,7 +25,7 @@ from fide_plugins import optimizers
 
 GENERATION = 500  # renders, of the network; those of the others end in between
 NETWORK = {"preset": "paper", "epochs": 4}
-ARMS: dict[str, tuple[str, dict[str, Any]]] = {
+CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "CMA-ES": ("cma", {}),
     "FIDE fast": ("fide", {"preset": "fast"}),
     "FIDE balanced": ("fide", {}),
@@ -69,17 +69,27 @@ def main() -> None:
     parser.add_argument("--renders", type=int, default=1000, help="a multiple of 500 (1000)")
     parser.add_argument("--frame", type=float, default=0.01, help="seconds (0.01)")
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--arms", nargs="+", default=list(ARMS), choices=ARMS, metavar="ARM")
+    parser.add_argument(
+        "--configurations",
+        nargs="+",
+        default=list(CONFIGURATIONS),
+        choices=CONFIGURATIONS,
+        metavar="CONFIGURATION",
+    )
     arguments = parser.parse_args()
-    found: dict[str, list[tuple[float, float]]] = {arm: [] for arm in arguments.arms}
+    found: dict[str, list[tuple[float, float]]] = {
+        configuration: [] for configuration in arguments.configurations
+    }
     for _ in range(arguments.repeats):
-        for arm, times in found.items():
-            times.append(Late(*ARMS[arm], arguments.frame).times(arguments.renders))
+        for configuration, times in found.items():
+            times.append(
+                Late(*CONFIGURATIONS[configuration], arguments.frame).times(arguments.renders)
+            )
     print("| | ms a render | beside the first | ms of CPU time |\n|---|---|---|---|")
-    medians = {arm: np.median(times, axis=0) for arm, times in found.items()}
-    first, _ = medians[arguments.arms[0]]
-    for arm, (wall, cpu) in medians.items():
-        print(f"| {arm} | {wall:.2f} | {wall / first:.3f} | {cpu:.2f} |")
+    medians = {configuration: np.median(times, axis=0) for configuration, times in found.items()}
+    first, _ = medians[arguments.configurations[0]]
+    for configuration, (wall, cpu) in medians.items():
+        print(f"| {configuration} | {wall:.2f} | {wall / first:.3f} | {cpu:.2f} |")
 
 
 if __name__ == "__main__":

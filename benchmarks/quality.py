@@ -31,11 +31,11 @@ MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
 RIVAL = "CMA-ES"
 BUDGET = {"voronoi": 25_000, "spline": 15_000}
 
-Cell: TypeAlias = dict[str, Any]
-Arms: TypeAlias = dict[str, tuple[str, dict[str, Any]]]
+Row: TypeAlias = dict[str, Any]
+Configurations: TypeAlias = dict[str, tuple[str, dict[str, Any]]]
 
 NETWORK = {"preset": "paper", "popsize": 100, "epochs": 4}
-ARMS: Arms = {
+CONFIGURATIONS: Configurations = {
     "FIDE": ("fide", {}),
     "CMA-ES, default k, restarts": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
@@ -57,14 +57,16 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    run_missing(grid(arguments), ARMS, arguments.out, arguments.part)
+    run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part)
 
 
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("tasks", nargs="*", help="voronoi, spline")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS)[:4], metavar="ARM")
+    parser.add_argument(
+        "--configurations", nargs="+", default=list(CONFIGURATIONS)[:4], metavar="CONFIGURATION"
+    )
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--size", type=int, default=112)
@@ -76,54 +78,54 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def run_missing(
-    cells: Iterable[Cell],
-    arms: Arms,
+    cells: Iterable[Row],
+    configurations: Configurations,
     out: Path,
     share: str,
-    run: Callable[[Cell, str, dict[str, Any]], Cell] | None = None,
+    run: Callable[[Row, str, dict[str, Any]], Row] | None = None,
 ) -> None:
-    """Run those of a share "i/n" of the cells that are not in the file yet; by `run_cell`."""
+    """Run those of a share "i/n" of the cells that are not in the file yet; by `measure`."""
     out.parent.mkdir(parents=True, exist_ok=True)
     part, parts = (int(number) for number in share.split("/"))
     for i, cell in enumerate(cells):
         done = {key(row) for row in read(out)} if out.exists() else set()
         if i % parts != part or key(cell) in done:
             continue
-        row = (run or run_cell)(cell, *arms[cell["arm"]])
+        row = (run or measure)(cell, *configurations[cell["configuration"]])
         append(out, row)
         print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
 
 
-def append(out: Path, row: Cell) -> None:
+def append(out: Path, row: Row) -> None:
     """Add a row to a file, in a folder that is there."""
     with out.open("a") as file:
         file.write(json.dumps(row) + "\n")
 
 
-def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
     for seed in range(arguments.seeds):
         for task in arguments.tasks:
             for target in range(arguments.targets):
-                for arm in arguments.arms:
+                for configuration in arguments.configurations:
                     budget = arguments.budget or BUDGET[task]
                     yield {
                         "task": task,
                         "target": target,
-                        "arm": arm,
+                        "configuration": configuration,
                         "seed": seed,
                         "size": arguments.size,
                         "budget": budget,
                     }
 
 
-def key(row: Cell) -> tuple[Any, ...]:
+def key(row: Row) -> tuple[Any, ...]:
     """What makes a cell; cells of mean squared error and of tasks without noise say no more."""
-    names = ("task", "target", "arm", "seed", "size", "budget")
+    names = ("task", "target", "configuration", "seed", "size", "budget")
     return (*(row[name] for name in names), row.get("loss", "mse"), row.get("spp"))
 
 
-def run_cell(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
+def measure(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
     """One run, and its best loss at every mark."""
     result = harness.run(
         cell["task"],
@@ -138,7 +140,7 @@ def run_cell(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
     return measured(cell, result)
 
 
-def measured(cell: Cell, result: harness.RunResult) -> Cell:
+def measured(cell: Row, result: harness.RunResult) -> Row:
     """The row of a run that is finished."""
     best = np.minimum.accumulate(result.losses)
     reached = {m for m in MARKS if m <= cell["budget"]} | {cell["budget"]}
@@ -154,18 +156,18 @@ def measured(cell: Cell, result: harness.RunResult) -> Cell:
     }
 
 
-def read(paths: Path | list[Path]) -> list[Cell]:
+def read(paths: Path | list[Path]) -> list[Row]:
     """Rows of one or several files."""
     several = paths if isinstance(paths, list) else [paths]
     return [json.loads(line) for path in several for line in path.read_text().splitlines()]
 
 
-def rows_of(out: Path) -> list[Cell]:
+def rows_of(out: Path) -> list[Row]:
     """Rows of a file; none if it is not there yet."""
     return read(out) if out.exists() else []
 
 
-def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:
+def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
     """Medians over targets and seeds, in Markdown, with the lead over the best CMA-ES."""
     lines: list[str] = []
     for task in dict.fromkeys(row["task"] for row in rows):
@@ -174,33 +176,44 @@ def table(rows: list[Cell], arms_in_order: Iterable[str] = ARMS) -> str:
         marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
         lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " |"]
         lines += ["|---" * (len(marks) + 2) + "|"]
-        arms = [arm for arm in arms_in_order if any(row["arm"] == arm for row in mine)]
-        arms += sorted({row["arm"] for row in mine} - set(arms))
-        medians = {arm: arm_medians(mine, arm, marks) for arm in arms}
-        for arm in arms:
-            group = [row for row in mine if row["arm"] == arm]
+        configurations = [
+            configuration
+            for configuration in order
+            if any(row["configuration"] == configuration for row in mine)
+        ]
+        configurations += sorted({row["configuration"] for row in mine} - set(configurations))
+        medians = {
+            configuration: medians_of(mine, configuration, marks)
+            for configuration in configurations
+        }
+        for configuration in configurations:
+            group = [row for row in mine if row["configuration"] == configuration]
             numbers = " | ".join(
-                medians[arm].get(m, "") and f"{medians[arm][m]:.5f}" for m in marks
+                medians[configuration].get(m, "") and f"{medians[configuration][m]:.5f}"
+                for m in marks
             )
-            lines.append(f"| {arm} | {len(group)} | {numbers} |")
-        if any(arm.startswith(RIVAL) for arm in medians):
+            lines.append(f"| {configuration} | {len(group)} | {numbers} |")
+        if any(configuration.startswith(RIVAL) for configuration in medians):
             lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} |")
         lines.append("")
     return "\n".join(lines)
 
 
-def arm_medians(rows: list[Cell], arm: str, marks: list[str]) -> dict[str, Any]:
-    """Median best loss of an arm at each mark it reached."""
-    group = [row["best"] for row in rows if row["arm"] == arm]
+def medians_of(rows: list[Row], configuration: str, marks: list[str]) -> dict[str, Any]:
+    """Median best loss of a configuration at each mark it reached."""
+    group = [row["best"] for row in rows if row["configuration"] == configuration]
     return {m: statistics.median(b[m] for b in group if m in b) for m in marks if m in group[0]}
 
 
 def leads(medians: dict[str, dict[str, Any]], marks: list[str]) -> str:
     """FIDE's median over the smallest median of any CMA-ES, at each mark."""
-    rivals = [arm for arm in medians if arm.startswith(RIVAL)]
+    rivals = [configuration for configuration in medians if configuration.startswith(RIVAL)]
     cells = []
     for m in marks:
-        best = min((medians[arm][m] for arm in rivals if m in medians[arm]), default=None)
+        best = min(
+            (medians[configuration][m] for configuration in rivals if m in medians[configuration]),
+            default=None,
+        )
         mine = medians.get("FIDE", {}).get(m)
         cells.append("" if best is None or mine is None else f"{mine / best:.2f}")
     return " | ".join(cells)

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from quality import ARMS, Arms, Cell, measured, read, run_missing
+from quality import CONFIGURATIONS, Configurations, Row, measured, read, run_missing
 from task_pictures import save
 
 import fide_tasks
@@ -47,7 +47,10 @@ SCENES = {
     "beads": Scene(6_000, 1, {"spp": 16}),
 }
 LOSSES = ("perceptual", "mse")
-RIVALS: Arms = {arm: ARMS[arm] for arm in ("FIDE", "CMA-ES, default k, restarts", "CMA-ES, k = 50")}
+RIVALS: Configurations = {
+    configuration: CONFIGURATIONS[configuration]
+    for configuration in ("FIDE", "CMA-ES, default k, restarts", "CMA-ES, k = 50")
+}
 RESULTS = Path(__file__).parent / "results" / "scenes.jsonl"
 GAP = 4  # pixels between the images of a picture
 
@@ -67,8 +70,8 @@ def main() -> None:
     else:
         cells = list(grid(arguments))
 
-        def run(cell: Cell, optimizer: str, options: dict[str, Any]) -> Cell:
-            return run_cell(cell, optimizer, options, arguments.threads)
+        def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
+            return measure(cell, optimizer, options, arguments.threads)
 
         run_missing(cells, RIVALS, arguments.out, arguments.part, run)
 
@@ -81,7 +84,13 @@ def parse_arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("tasks", nargs="*", metavar="TASK", help="robot, san_miguel, beads")
     add("--losses", nargs="+", default=list(LOSSES), choices=losses.names(), metavar="LOSS")
-    add("--arms", nargs="+", default=list(RIVALS), choices=list(RIVALS), metavar="ARM")
+    add(
+        "--configurations",
+        nargs="+",
+        default=list(RIVALS),
+        choices=list(RIVALS),
+        metavar="CONFIGURATION",
+    )
     add("--seeds", type=int, nargs="+", help="0 1 2 for robot, 0 for the others")
     add("--size", type=int, default=112, metavar="PX")
     add("--budget", type=int, help="renders; 10,000 for robot, 6,000 for the others")
@@ -99,14 +108,17 @@ def parse_arguments() -> argparse.Namespace:
     return arguments
 
 
-def rows_of(arguments: argparse.Namespace) -> list[Cell]:
-    """Rows of the file, of the tasks and arms that were asked for, in the order of the latter."""
+def rows_of(arguments: argparse.Namespace) -> list[Row]:
+    """Rows of the tasks and configurations that were asked for, in the order of the latter."""
     rows = [row for row in read(arguments.out) if row["task"] in (arguments.tasks or SCENES)]
-    order = {arm: i for i, arm in enumerate(arguments.arms)}
-    return sorted((row for row in rows if row["arm"] in order), key=lambda row: order[row["arm"]])
+    order = {configuration: i for i, configuration in enumerate(arguments.configurations)}
+    return sorted(
+        (row for row in rows if row["configuration"] in order),
+        key=lambda row: order[row["configuration"]],
+    )
 
 
-def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
+def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
     tasks = {name: SCENES[name] for name in arguments.tasks or SCENES}
     for seed in arguments.seeds or range(max(scene.seeds for scene in tasks.values())):
@@ -114,12 +126,12 @@ def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
             if not arguments.seeds and seed >= scene.seeds:
                 continue
             for loss in arguments.losses:
-                for arm in arguments.arms:
+                for configuration in arguments.configurations:
                     yield {
                         "task": task,
                         "target": seed,
                         "loss": loss,
-                        "arm": arm,
+                        "configuration": configuration,
                         "seed": seed,
                         "size": arguments.size,
                         "budget": arguments.budget or scene.budget,
@@ -127,9 +139,7 @@ def grid(arguments: argparse.Namespace) -> Iterator[Cell]:
                     }
 
 
-def run_cell(
-    cell: Cell, optimizer: str, options: dict[str, Any], threads: int | None = None
-) -> Cell:
+def measure(cell: Row, optimizer: str, options: dict[str, Any], threads: int | None = None) -> Row:
     """One run: its best loss at every mark, and the judgment of what it found."""
     task = make_task(cell, threads)
     result = harness.run(
@@ -145,7 +155,7 @@ def run_cell(
     }
 
 
-def make_task(cell: Cell, threads: int | None = None) -> fide_tasks.Task:
+def make_task(cell: Row, threads: int | None = None) -> fide_tasks.Task:
     """The task of a cell."""
     options = {name: cell[name] for name in SCENES[cell["task"]].options}
     if threads is not None and "threads" in fide_tasks.options(cell["task"]):
@@ -165,7 +175,7 @@ def judged(task: fide_tasks.Task, x: NDArray[np.float64]) -> dict[str, float]:
     return {name: float(losses.make(name, task.target)(image[None])[0]) for name in LOSSES}
 
 
-def table(rows: list[Cell]) -> str:
+def table(rows: list[Row]) -> str:
     """Medians over seeds, in Markdown; losses in thousandths, of the recommendation in ()."""
     lines: list[str] = []
     for title in dict.fromkeys(map(kind, rows)):
@@ -175,23 +185,28 @@ def table(rows: list[Cell]) -> str:
         columns += [f"judged `{name}`" for name in LOSSES]
         lines += [f"### {title}", ""]
         lines += ["| " + " | ".join(columns) + " |", "|---" + "|---:" * (len(columns) - 1) + "|"]
-        for arm in dict.fromkeys(row["arm"] for row in mine):
-            group = [row for row in mine if row["arm"] == arm]
+        for configuration in dict.fromkeys(row["configuration"] for row in mine):
+            group = [row for row in mine if row["configuration"] == configuration]
             best = [thousandths(row["best"][str(m)] for row in group) for m in marks]
-            cells = [arm, str(len(group)), *best, *(verdict(group, name) for name in LOSSES)]
+            cells = [
+                configuration,
+                str(len(group)),
+                *best,
+                *(verdict(group, name) for name in LOSSES),
+            ]
             lines.append("| " + " | ".join(cells) + " |")
         lines.append("")
     return "\n".join(lines)
 
 
-def kind(row: Cell) -> str:
+def kind(row: Row) -> str:
     """What the rows of one table have in common, as its title."""
     paths = f" {row['spp']} paths a pixel," if "spp" in row else ""
     size, budget = row["size"], row["budget"]
     return f"{row['task']}, `{row['loss']}`, {size}x{size},{paths} {budget:,} renders"
 
 
-def verdict(rows: list[Cell], loss: str) -> str:
+def verdict(rows: list[Row], loss: str) -> str:
     """Judged loss of the best candidate, and in parentheses of the recommendation."""
     best = thousandths(row["judged"]["best"][loss] for row in rows)
     return f"{best} ({thousandths(row['judged']['recommended'][loss] for row in rows)})"
@@ -202,17 +217,17 @@ def thousandths(values: Iterator[float]) -> str:
     return f"{1e3 * statistics.median(values):.3g}"
 
 
-def picture(rows: list[Cell]) -> NDArray[np.float32]:
+def picture(rows: list[Row]) -> NDArray[np.float32]:
     """Start, best candidate of each optimizer, target; a row for each loss, of the first seed."""
     first = min(row["seed"] for row in rows)
     rows = [row for row in rows if row["seed"] == first]
     task = make_task(rows[0])
     start, target = task.reference(np.full(task.dim, 0.5)), task.target
-    arms = list(dict.fromkeys(row["arm"] for row in rows))
-    found = {(row["loss"], row["arm"]): row["x"]["best"] for row in rows}
+    configurations = list(dict.fromkeys(row["configuration"] for row in rows))
+    found = {(row["loss"], row["configuration"]): row["x"]["best"] for row in rows}
     lines = []
     for loss in dict.fromkeys(row["loss"] for row in rows):
-        middle = [found.get((loss, arm)) for arm in arms]
+        middle = [found.get((loss, configuration)) for configuration in configurations]
         best = [np.ones_like(target) if x is None else task.reference(x) for x in middle]
         lines.append(joined([start, *best, target], axis=1))
     return joined(lines, axis=0)

@@ -5,7 +5,7 @@
     python -m pytest benchmarks/speed_suite.py --benchmark-only --benchmark-compare
 
 This suite is not part of the tests: its times, although CPU times, need an otherwise idle machine.
-`tests/speed` counts the work instead.  The limits in docs/speed.md are checked.
+`tests/speed` counts the work instead.  The limits in docs/measurements/speed.md are checked.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from profile_overlap import ARMS, Late
+from profile_overlap import CONFIGURATIONS, Late
 
 import fide_tasks
 from fide_plugins import FIDE, encoders, losses
@@ -68,8 +68,10 @@ def test_five_generations(benchmark: Any, preset: str, size: int, tmp_path: Path
 
 def test_who_waits_for_a_renderer_waits_little_longer_than_with_cma_es() -> None:
     walls = {
-        arm: np.median([Late(*ARMS[arm], 0.01).times(500)[0] for _ in range(3)])
-        for arm in ("CMA-ES", "FIDE balanced")
+        configuration: np.median(
+            [Late(*CONFIGURATIONS[configuration], 0.01).times(500)[0] for _ in range(3)]
+        )
+        for configuration in ("CMA-ES", "FIDE balanced")
     }
     assert walls["FIDE balanced"] < LATER * walls["CMA-ES"]
 

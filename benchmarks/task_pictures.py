@@ -1,4 +1,4 @@
-"""Pictures of the tasks for docs/tasks.md.
+"""Pictures of the tasks for docs/reference/tasks.md.
 
     python benchmarks/task_pictures.py san_miguel
 

@@ -8,7 +8,8 @@
     (8, 3)
 
 ``"nevergrad:NAME"`` and ``"optuna:NAME"`` are any optimizer of these frameworks, by the name that
-it has there.  Importing this module imports none of them.
+it has there; ``"FILE.py:NAME"`` and ``"module:NAME"`` one of the user's, see `baselines.own`.
+Importing this module imports none of them.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.runtime.reference import is_reference
 
 if TYPE_CHECKING:
     from fide_plugins.space import Space
@@ -102,7 +104,10 @@ def load(
 def options(name: str) -> list[str]:
     """Names of the options of optimizer `name`; empty where it takes any."""
     known: set[str] = set()
-    classes: tuple[Any, ...] = inspect.getmro(_resolve(name))
+    resolved = _resolve(name)
+    if hasattr(resolved, "option_names"):
+        return list(resolved.option_names())
+    classes: tuple[Any, ...] = inspect.getmro(resolved)
     for base in classes:  # an __init__ with **options hands them to the next class
         parameters = inspect.signature(base.__init__).parameters.values()
         known.update(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
@@ -118,6 +123,8 @@ def _resolve(name: str) -> Any:
         if method and family in _FAMILIES:
             entry = _CLASSES_OF_FAMILIES.get(name) or _import(_FAMILIES[family])(method)
             _CLASSES_OF_FAMILIES[name] = entry
+        elif family not in _FAMILIES and is_reference(name):
+            return _import("fide_plugins.baselines.own:own")(name)
     if entry is None:
         known = [*_CLASSES, *(f"{family}:NAME" for family in _FAMILIES)]
         raise UnknownNameError.of("optimizer", name, known)

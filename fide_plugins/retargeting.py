@@ -1,4 +1,7 @@
-"""The next picture, with all that is remembered of those before it; see `docs/retarget.md`."""
+"""The next picture, with all that is remembered of those before it.
+
+See `docs/reference/retarget.md`.
+"""
 
 from __future__ import annotations
 

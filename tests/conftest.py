@@ -19,7 +19,7 @@ from torch import Tensor
 from fide_plugins.types import Float32, Float64
 
 # The same cases every time, so that a change is judged by what it changes; a longer run, see
-# docs/extremes.md, looks for new ones.
+# docs/measurements/extremes.md, looks for new ones.
 hypothesis.settings.register_profile("same", derandomize=True)
 if "FIDE_CASES" not in os.environ:
     hypothesis.settings.load_profile("same")

@@ -15,7 +15,7 @@ Where this deviates
   serves losses of any size.
 - The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
   the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
-  four functions of 10 and 20 parameters, see `docs/baselines.md`.
+  four functions of 10 and 20 parameters, see `docs/measurements/baselines.md`.
 - Points and the parameter are kept in the box.
 """
 

@@ -102,7 +102,8 @@ def add_run_arguments(
     other arguments.
     """
     add = parser.add_argument
-    add("--optimizer", default=optimizer, metavar="NAME", help="see: fide list optimizers")
+    add("--optimizer", default=optimizer, metavar="NAME",
+        help="see: fide list optimizers; or FILE.py:NAME")  # fmt: skip
     add("--loss", default="mse", metavar="NAME", help="see: fide list losses")
     add("--budget", type=whole(1), default=budget, metavar="N",
         help=f"number of renders{_shown(budget)}")  # fmt: skip

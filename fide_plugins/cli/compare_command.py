@@ -5,8 +5,12 @@ r"""Compare optimizers with the same targets, budgets and seeds.
         --seeds 10 --size 112 --jobs 2 --out runs/mine
     fide compare robot --optimizers fide,nevergrad:CMA,dibo:budget=2000 --out runs/robot --resume
     fide compare scene.py:render --optimizers fide,cma --seeds 5 --budget 1000 --out runs/scene
+    fide compare --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml \
+        --target target.png --optimizers fide,cma --seeds 5 --budget 1000 --out runs/sun
+    fide compare --suite image-fitting-v1 --optimizers fide,mine.py:Search --out runs/suite
 
-An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. With
+An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. NAME may be
+FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/reference/compare.md). With
 --resume the command executes the missing runs: after an interruption, or for more tasks, losses,
 optimizers or seeds. At the end it writes the report, like `fide report`.
 """
@@ -19,18 +23,21 @@ from typing import Any
 
 from fide_plugins.cli.arguments import (
     add_grid_arguments,
-    add_space_argument,
     names,
     setting,
     thresholds,
     whole,
 )
 from fide_plugins.cli.messages import duration, note, number, plain
+from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
 from fide_plugins.cli.running import execute_comparisons
+from fide_plugins.cli.suite_arguments import add_suite_arguments, suite_plan
+from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
 _EVERY = 20.0  # seconds between two progress lines about a run
+_SEEDS, _BUDGET, _SIZE = 10, 5000, 224
 _METRICS = ("mse", "perceptual")
 """Losses that measure every improvement, in addition to those that are minimized."""
 
@@ -38,12 +45,12 @@ _METRICS = ("mse", "perceptual")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide compare``."""
     add = parser.add_argument
-    add("tasks", nargs="+", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
+    add("tasks", nargs="*", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
     add("--optimizers", type=names, default=["fide", "cma", "random"], metavar="A,B",
-        help="see: fide list optimizers (fide,cma,random)")  # fmt: skip
-    add("--losses", type=names, default=["mse"], metavar="L,M", help="see: fide list losses (mse)")
-    add("--size", type=whole(1), default=224, metavar="PX", help="side of the image (224)")
-    where = add_grid_arguments(parser, what="comparison", seeds=10, budget=5000)
+        help="see: fide list optimizers (fide,cma,random); or FILE.py:NAME")  # fmt: skip
+    add("--losses", type=names, metavar="L,M", help="see: fide list losses (mse)")
+    add("--size", type=whole(1), metavar="PX", help=f"side of the image ({_SIZE})")
+    where = add_grid_arguments(parser, what="comparison", seeds=_SEEDS, budget=_BUDGET)
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster")
     add("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", dest="options",
         help="any option of all optimizers, such as popsize=50; may be repeated")  # fmt: skip
@@ -52,7 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(those minimized, mse and perceptual)")  # fmt: skip
     add("--threshold", type=thresholds, action="append", default=[], metavar="[TASK/]LOSS=VALUE",
         help="loss that counts as success, for the report; may be repeated")  # fmt: skip
-    add_space_argument(parser)
+    add_own_task(parser)
+    add_suite_arguments(parser)
+    parser.set_defaults(budget=None, seeds=None, losses=None, size=None)  # a suite has its own
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -66,25 +75,43 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
-    from fide_plugins.experiments.compare import Configuration, Plan
+    from fide_plugins.experiments.compare import Plan
     from fide_plugins.experiments.compare.driver import prepare
 
-    metrics = args.metrics or list(dict.fromkeys([*args.losses, *_METRICS]))
-    plan = Plan(
-        tuple(args.tasks),
-        tuple(Configuration.parse(text) for text in args.optimizers),
-        tuple(args.losses),
-        args.seeds,
-        args.budget,
-        args.size,
-        args.task_seed,
-        dict(args.task_set) | ({} if args.space is None else {"space": args.space}),
-        dict(args.options),
-        tuple(metrics),
-    )
+    if args.suite is not None:
+        plan: Plan = suite_plan(args)
+    else:
+        plan = _plan(args)
     return prepare(
         plan, args.out, jobs=args.jobs, dask=args.dask, resume=args.resume, command=command
     )
+
+
+def _plan(args: argparse.Namespace) -> Any:
+    from fide_plugins.experiments.compare import Configuration, Plan
+
+    losses = args.losses or ["mse"]
+    metrics = args.metrics or list(dict.fromkeys([*losses, *_METRICS]))
+    return Plan(
+        _tasks(args),
+        tuple(Configuration.parse(text) for text in args.optimizers),
+        tuple(losses),
+        args.seeds or _SEEDS,
+        args.budget or _BUDGET,
+        args.size or _SIZE,
+        args.task_seed,
+        dict(args.task_set) | options_of(args),
+        dict(args.options),
+        tuple(metrics),
+    )
+
+
+def _tasks(args: argparse.Namespace) -> tuple[str, ...]:
+    if args.template is not None:
+        return (task_of(args),)
+    if not args.tasks:
+        raise OptionError("name a TASK, or give --command or --suite; see: fide compare --help")
+    return tuple(args.tasks)
 
 
 def _execute(comparison: Any) -> int:

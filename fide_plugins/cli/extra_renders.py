@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.fitting.pictures import as_told, canonical
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.images import as_target
+from fide_plugins.validation.images import as_batch
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -33,15 +32,17 @@ def check_first(
     targets: (H, W, 3), one for each view; names: of the targets, for messages.
     workers, timeout: as for `fit`.
 
-    Raises RenderError if there is no image, ImageError (a ValueError) if there is not one of the
-    target's size for each view.
+    Raises RenderError if there is no image, ImageError (a ValueError) for what `FIDE.tell` refuses:
+    not one of the target's size for each view, or impossible values.
     """
     (outcome,) = outcomes(render, optimizer, optimizer.x0[None], min(workers, 1), timeout)
     if isinstance(outcome, Failed):
         raise RenderError(f"the first render failed: {_shown(outcome)}")
-    images = _images(outcome.image, len(targets))
-    for target, name, image in zip(targets, names, images, strict=True):
-        _check_size(target.shape[:2], as_target(image).shape[:2], name)
+    try:
+        canonical(optimizer, outcome.image)
+    except ImageError as error:
+        _compare_sizes(targets, names, as_told(optimizer, outcome.image))
+        raise ImageError(f"the first render gave no image that fits: {error}") from error
 
 
 def outcomes(
@@ -77,15 +78,18 @@ def _shown(failed: Failed) -> str:
     return failed.details if told else f"{failed.reason}\n{failed.details}".rstrip()
 
 
-def _images(image: Any, views: int) -> list[Any]:
-    several = isinstance(image, list | tuple) and np.ndim(image[0]) >= 2
-    found = list(image) if several else [image]
-    if len(found) != views:
-        raise ImageError(
-            f"there are {views} targets, and the renderer gives {len(found)} images; it must "
-            "return a list with one image for each target"
-        )
-    return found
+def _compare_sizes(targets: Sequence[Float32], names: Sequence[str], told: Sequence[Any]) -> None:
+    """Raise ImageError, with the remedy, for an image of another size than its target's.
+
+    told: an image of each view, as `as_told` gave it.
+    """
+    images = told if len(targets) == 1 else [batch[0] for batch in told]
+    for target, name, image in zip(targets, names, images, strict=True):
+        try:
+            found = as_batch([image], on_clip=lambda message: None).shape[1:3]
+        except ImageError:  # not of its size, then
+            continue
+        _check_size(target.shape[:2], found, name)
 
 
 def _check_size(target: tuple[int, ...], image: tuple[int, ...], name: str) -> None:

@@ -14,7 +14,8 @@ image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For s
 Several targets are views of one scene: give --mask once for each, too. --live opens a page in the
 browser that shows how far the fit is; `fide watch DIR` does so for a fit that runs already.
 
-With --resume and a larger --budget or --time a finished fit goes on. docs/own_renderer.md has more.
+With --resume and a larger --budget or --time a finished fit goes on. There is more in
+docs/reference/own_renderer.md.
 
 With --model, FIDE begins near parameters that are read off the picture: cells at its superpixels, a
 stroke through its dark pixels. --start center begins at the center of the box.
@@ -54,7 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_argument(own)
     add = own.add_argument
     add("--workers", type=whole(0), metavar="N", help="renders at a time (8)")
-    add("--timeout", metavar="TIME", help="of a render, such as 60 or 2m (none; for --command 60)")
+    add(
+        "--timeout",
+        metavar="TIME",
+        help="of a render with all its views: 60, 2m (none; for --command 60)",
+    )
     add("--mask", action="append", metavar="FILE",
         help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")

@@ -6,7 +6,7 @@ import argparse
 import json
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -15,7 +15,7 @@ from fide_plugins.cli.fit_pictures import pictures, weights_of
 from fide_plugins.cli.live import page_of
 from fide_plugins.cli.messages import duration, note, number, paragraph, plain
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
-from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -164,9 +164,8 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     import numpy as np
 
     from fide_plugins.experiments.solutions import pictures as stored
-    from fide_plugins.fitting.pictures import side_by_side
+    from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.validation.images import as_target
 
     known = stored.read(out)
     points = [one.x for one in result.solutions[1:]]
@@ -175,8 +174,9 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
         return
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
         if isinstance(outcome, Rendered):
-            views = outcome.image if isinstance(outcome.image, list) else [outcome.image]
-            known.append((x, side_by_side([as_target(one) for one in views])))
+            with suppress(ImageError):  # no image that fits is a render that failed, too
+                image = canonical(result.optimizer, outcome.image)
+                known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:
         stored.write(out, [x for x, _ in kept], [image for _, image in kept])

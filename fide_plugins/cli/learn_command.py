@@ -68,16 +68,18 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, Any]) -> int:
     """Learn, with messages and exit codes."""
+    from fide_plugins.experiments.run.signals import Interrupted, Interrupts
     from fide_plugins.learning import learn
 
     who = "fide learn"
     try:
-        model = learn(**arguments, on_progress=_Lines())
-    except KeyboardInterrupt:
+        with Interrupts() as interrupts, interrupts.stoppable():  # each file is written at once
+            model = learn(**arguments, on_progress=_Lines())
+    except Interrupted as stop:
         words = command if "--resume" in command else [*command, "--resume"]
-        note(f"{who}: stopped; what was rendered is kept in {plain(args.out)}.renders")
+        note(f"{who}: {stop}; what was rendered and learned is kept in {plain(args.out)}.renders")
         note(f"continue with: {plain(shlex.join(words))}")
-        return 130
+        return 128 + stop.signum
     except (OptionError, ImportError) as error:
         return complain(who, error)
     except (FideError, OSError) as error:
@@ -118,7 +120,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
     from fide_plugins.fitting.durations import seconds_of
-    from fide_plugins.renderers.function import is_reference
+    from fide_plugins.runtime.reference import is_reference
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")

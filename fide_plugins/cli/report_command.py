@@ -5,7 +5,7 @@
 
 The command writes one self-contained page, which needs no network. The same folder gets report.md,
 results.csv, curves.csv and figures/ (PNG and SVG). If the page is called comparison.html, the files
-are comparison.md, comparison-results.csv, and so on.
+are comparison.md, comparison-results.csv, and so on. The page of a suite has performance profiles.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 
 from fide_plugins.cli.arguments import thresholds
 from fide_plugins.cli.messages import complain, note, plain
+from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute", "make"]
 
@@ -45,7 +46,15 @@ def make(directory: Path, page: Path | None, threshold: dict[str, float], who: s
         for stored in results.runs:
             if stored.status == "damaged":
                 note(f"{stored.key} is damaged and left out: {plain(stored.why)}")
-        written = report.write(results, page or directory / "report.html", threshold)
+        path = page or directory / "report.html"
+        if "suite" in results.settings["task_options"]:
+            from fide_plugins.experiments.suite import page as suite_page
+
+            if threshold:
+                raise OptionError("a suite has its own thresholds; leave --threshold out")
+            written = suite_page.write(results, path)
+        else:
+            written = report.write(results, path, threshold)
     except USAGE_ERRORS as error:
         return complain(who, error)
     print(written.overview)

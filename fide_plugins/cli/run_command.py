@@ -1,4 +1,4 @@
-"""Fit a built-in task or a test of your own renderer, and write a run directory with the result.
+r"""Fit a built-in task or a test of your own renderer, and write a run directory with the result.
 
     fide run voronoi --size 112 --budget 4000
     fide run spline --optimizer cma --set popsize=50 --out runs/mine
@@ -6,9 +6,11 @@
     fide run beads --size 112 --spp 16 --loss perceptual --task-set variant=llvm
     fide run san_miguel --size 112 --spp 16 --least-spp 1
     fide run scene.py:render --space space.toml --task-seed 3
+    fide run --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
 
 TASK is a name, or FILE.py:NAME (or module:NAME) for a function of your own that maps parameters to
-an image. Its target is the image of random parameters. To fit a picture, see: fide fit --help
+an image; --command is a program of your own. The target is the image of random parameters, or
+--target. To fit a picture with many workers, see: fide fit --help
 
 The directory holds summary.png, best.png, curve.csv, run.json and the checkpoint for --resume.
 """
@@ -20,19 +22,22 @@ from typing import Any
 
 from fide_plugins.cli.arguments import (
     add_run_arguments,
-    add_space_argument,
     free_directory,
     optimizer_options,
     setting,
     whole,
 )
+from fide_plugins.cli.messages import complain
+from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
+from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide run``."""
-    parser.add_argument("task", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
+    parser.add_argument("task", nargs="?", metavar="TASK",
+                        help="see: fide list tasks; or FILE.py:NAME")  # fmt: skip
     add_run_arguments(parser, size="side of the image")
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
@@ -44,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
     add("--learned", metavar="MODEL", help="model of: fide learn")
-    add_space_argument(parser)
+    add_own_task(parser)
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -52,9 +57,14 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.cli.running import execute_run
     from fide_plugins.experiments import run as harness
 
+    try:
+        task = _task(args)
+    except OptionError as error:
+        return complain("fide run", error)
+
     def prepare() -> harness.Run:
         return harness.prepare(
-            args.task,
+            task,
             args.optimizer,
             args.loss,
             args.budget,
@@ -63,12 +73,18 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             task_seed=args.task_seed,
             task_options=_task_options(args),
             options=_learned(args) | optimizer_options(args),
-            out=free_directory(args, args.task),
+            out=free_directory(args, task),
             resume=args.resume,
             command=command,
         )
 
-    return execute_run(args, command, prepare, args.task)
+    return execute_run(args, command, prepare, task)
+
+
+def _task(args: argparse.Namespace) -> str:
+    if args.template is None and args.task is None:
+        raise OptionError("name a TASK, or give --command; see: fide run --help")
+    return task_of(args) if args.task is None or args.template is not None else str(args.task)
 
 
 def _learned(args: argparse.Namespace) -> dict[str, Any]:
@@ -77,5 +93,6 @@ def _learned(args: argparse.Namespace) -> dict[str, Any]:
 
 def _task_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the task from --task-set and from the flags that are options of tasks."""
-    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers", "space")}
-    return {**{k: v for k, v in flags.items() if v is not None}, **dict(args.task_set)}
+    flags = {name: getattr(args, name) for name in ("spp", "least_spp", "workers")}
+    given = {k: v for k, v in flags.items() if v is not None} | options_of(args)
+    return {**given, **dict(args.task_set)}

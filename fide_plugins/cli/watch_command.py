@@ -13,6 +13,7 @@ import argparse
 import threading
 from pathlib import Path
 
+from fide_plugins.cli.live import open_page
 from fide_plugins.cli.messages import complain, plain
 
 __all__ = ["add_arguments", "execute"]
@@ -38,9 +39,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         return complain("fide watch", f"cannot serve on port {args.port}: {plain(error)}")
     print(f"{url} shows {plain(args.directory)}; Ctrl-C ends it", flush=True)
     if not args.no_browser:
-        import webbrowser
-
-        webbrowser.open(url)
+        open_page(url)
     try:
         threading.Event().wait()
     finally:

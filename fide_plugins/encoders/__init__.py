@@ -51,6 +51,8 @@ def make(name: str, *, device: str | torch.device = "cpu", **options: object) ->
 
     The name may be followed by a variant, ``"vgg19:relu4_1"`` or ``"dinov3:FOLDER"``.
 
+    options: arguments of the encoder's class.
+
     Raises `UnknownNameError`, which lists the known names, `DeviceError`, or what the encoder
     itself raises, such as `WeightsNotFoundError`.
     """
@@ -73,7 +75,10 @@ def name_of(encoder: Any) -> str | None:
 
 
 def uses_network(name: str) -> bool:
-    """Whether a GPU makes that encoder faster: its class says so; of a function it is assumed."""
+    """Whether a GPU makes the encoder of that `name` faster.
+
+    Its class says so; of a function it is assumed.  Raises `UnknownNameError`.
+    """
     factory = _REGISTRY.resolve(name.partition(":")[0])
     return bool(getattr(factory, "uses_network", True))
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -22,11 +24,11 @@ from fide_plugins.experiments.run.signals import Interrupts
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
 from fide_plugins.fitting.failures import Failures, GivenUpError
-from fide_plugins.fitting.pictures import as_told, shown
+from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Task, Workers
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float64
 
 __all__ = ["Loop"]
 
@@ -122,8 +124,8 @@ class Loop:
                 self.whole = False
                 self._waiting.append(self.optimizer.ask(1)[0])
                 self.whole = True
-            with self._interrupts.stoppable():
-                task = self.workers.submit(self._waiting[0])
+            with self._waiting_for_renders(), self._interrupts.stoppable():
+                task = self.workers.submit(self._waiting[0])  # in this process it renders
             self._running[task] = self._waiting.popleft()
             task.add_done_callback(self._arrived.put)
 
@@ -138,15 +140,21 @@ class Loop:
         late = self._late()
         if late is not None:
             return late
-        start = time.perf_counter()
         try:
-            with self._interrupts.stoppable():
+            with self._waiting_for_renders(), self._interrupts.stoppable():
                 task = self._arrived.get(timeout=self._patience())
         except Empty:
             return None
+        return task if task in self._running else None  # or it was abandoned
+
+    @contextmanager
+    def _waiting_for_renders(self) -> Iterator[None]:
+        """Count this block as time of rendering: in it the fit does nothing else."""
+        start = time.perf_counter()
+        try:
+            yield
         finally:
             self.record.times["render"] += time.perf_counter() - start
-        return task if task in self._running else None  # or it was abandoned
 
     def _patience(self) -> float | None:
         """Seconds to wait at most."""
@@ -185,15 +193,14 @@ class Loop:
             return False
         self.render_seconds += outcome.seconds
         try:
-            images = as_told(self.optimizer, outcome.image)
-            loss = self._tell(x, images)
+            loss = self._tell(x, as_told(self.optimizer, outcome.image))
         except ImageError as error:  # raised before anything changes
             self.whole = True
             self._fail(x, Failed(f"render returned no image that fits: {error}"))
             return False
-        improved = self._note(x, images, loss)
+        improved = self._note(x, outcome.image, loss)
         if self._callbacks:
-            self._call_back(x, images, loss, improved)
+            self._call_back(x, outcome.image, loss, improved)
         return improved
 
     def _tell(self, x: Float64, images: Any) -> float:
@@ -210,12 +217,12 @@ class Loop:
         times["search"] += max(0.0, elapsed)
         return float(losses[0])
 
-    def _note(self, x: Float64, images: Any, loss: float) -> bool:
+    def _note(self, x: Float64, image: Any, loss: float) -> bool:
         """Enter an evaluated candidate in the record; returns whether it is the best so far."""
         self._tick()
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
-            r.first_image = self._canonical(images)[0]
+            r.first_image = canonical(self.optimizer, image)
         improved = loss < r.best_loss and best is not None
         if improved and best is not None:
             r.best_loss, r.best_evaluation = loss, r.evaluations
@@ -227,14 +234,14 @@ class Loop:
         self.failures.note_image()
         return improved
 
-    def _call_back(self, x: Float64, images: Any, loss: float, improved: bool) -> None:
+    def _call_back(self, x: Float64, image: Any, loss: float, improved: bool) -> None:
         r = self.record
         event = Event(
             evaluation=r.evaluations - 1,
             x=x,
             loss=loss,
             best_loss=r.best_loss,
-            image=shown(self.optimizer, self._canonical(images)[0]),
+            image=shown(self.optimizer, canonical(self.optimizer, image)),
             seconds=r.wall_s,
             busy=self.busy,
             failures=self.failures.count,
@@ -243,12 +250,6 @@ class Loop:
         stops = self._callbacks.call("on_evaluation", event)
         stops |= improved and self._callbacks.call("on_improvement", event)
         self.stopped_by_callback |= stops
-
-    def _canonical(self, images: Any) -> Float32:
-        """Batch (1, H, W, 3) of images that were told; the optimizer has warned of clipped ones."""
-        batch = self.optimizer.evaluator.as_batch(1, images, None, None, lambda message: None)
-        assert batch is not None
-        return batch
 
     def _fail(self, x: Float64, failed: Failed) -> None:
         """Withdraw x (d,) and count it; raises GivenUpError if it is time for that."""

@@ -14,9 +14,10 @@ from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.saved_run import SavedRun, seed_there, settings_of
+from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
 
@@ -164,7 +165,8 @@ def prepare(
     options = dict(options or {})
     if resume and out is not None and seed is None:
         seed = seed_there(out)
-    optimizer = FIDE(space, target, seed=seed, **options)
+    model = {"learned": model_for(options.get("learned"), render)}
+    optimizer = FIDE(space, target, seed=seed, **{**options, **model})
     renderer = Renderer(render, optimizer.space)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
@@ -172,10 +174,10 @@ def prepare(
     record, saved = None, None
     if out is not None:
         settings = settings_of(name_of(render), optimizer, options)
-        saved = SavedRun(out, settings, stopping.record(), resume=resume, command=command)
-        restored = saved.restore(options.get("loss"))
-        if restored is not None:
-            record, optimizer = restored
+        own = callable(options.get("encoder"))  # others are known by name and version
+        facts = {"features": features_of(optimizer)} if own else None
+        saved = SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)
+        record = saved.restore(optimizer)
         saved.begin(optimizer)
     return Fitting(
         optimizer,

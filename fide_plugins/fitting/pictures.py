@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,24 +12,41 @@ from fide_plugins.types import Float32
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["as_told", "picture", "shown", "side_by_side"]
+__all__ = ["as_told", "canonical", "picture", "shown", "side_by_side"]
 
 
 def as_told(optimizer: FIDE, image: Any) -> Any:
     """What `FIDE.tell` takes for one candidate; image: as the user's function returned it.
+
+    For several views that is a list or a tuple with one image for each.
 
     Raises ImageError (a ValueError) if there is not one image for each view.
     """
     target: Any = optimizer.target
     if not isinstance(target, list):
         return [image]
-    several = isinstance(image, Sequence) and not isinstance(image, str)
+    several = isinstance(image, list | tuple)
     if not several or len(image) != len(target):
         got = f"{len(image)} images" if several else type(image).__name__
         raise ImageError(
             f"render must return a list of {len(target)} images, one for each view, not {got}"
         )
     return [[one] for one in image]
+
+
+def canonical(optimizer: FIDE, image: Any) -> Float32:
+    """Image (H, W, 3) that the optimizer makes of what the user's function returned.
+
+    Several views are packed, see `shown`.  Values outside [0, 1] are clipped without a warning:
+    `FIDE.tell` has given one, or will.
+
+    Raises ImageError (a ValueError) for whatever `FIDE.tell` refuses.
+    """
+    told = as_told(optimizer, image)
+    batch = optimizer.evaluator.as_batch(1, told, None, None, lambda message: None)
+    assert batch is not None, "images were given"
+    packed: Float32 = batch[0]
+    return packed
 
 
 def shown(optimizer: FIDE, image: Float32) -> Any:

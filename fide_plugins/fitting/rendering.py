@@ -88,7 +88,7 @@ class Portable:
     payload: bytes
 
     @classmethod
-    def of(cls, renderer: Renderer) -> Portable:
+    def of(cls, renderer: Callable[[Any], Outcome]) -> Portable:
         """Pickle the renderer; raises whatever an object raises that cannot be pickled."""
         import cloudpickle
 
@@ -104,9 +104,9 @@ class Portable:
 
 
 @lru_cache(maxsize=4)
-def restored(payload: bytes) -> Renderer:
+def restored(payload: bytes) -> Callable[[Any], Outcome]:
     """Renderer of a `Portable`; once for each process."""
-    renderer: Renderer = pickle.loads(payload)
+    renderer: Callable[[Any], Outcome] = pickle.loads(payload)
     return renderer
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.run.directory import RunDirectory, read_run
+from fide_plugins.experiments.run.directory import RunDirectory, RunDirectoryError, read_run
 from fide_plugins.experiments.run.judge import Verdict
 from fide_plugins.experiments.run.outcome import result_of
 from fide_plugins.experiments.run.record import Record
@@ -21,7 +21,10 @@ from fide_plugins.experiments.run.task import name_of
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
 
-__all__ = ["SavedRun", "seed_there", "settings_of"]
+__all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]
+
+_RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
+_CONTENTS = ("mask", "weights")  # options that are recorded by what they are, not as they are given
 
 
 class SavedRun:
@@ -36,20 +39,49 @@ class SavedRun:
         out: str | os.PathLike[str],
         settings: dict[str, Any],
         limits: dict[str, Any],
+        facts: dict[str, Any] | None = None,
         *,
         resume: bool,
         command: Sequence[str] | None,
     ) -> None:
         words = None if command is None else list(command)
-        self._directory = RunDirectory(out, settings, resume=resume, command=words, limits=limits)
+        self._directory = RunDirectory(
+            out, settings, resume=resume, command=words, limits=limits, facts=facts
+        )
         self.path = self._directory.path
         self._budget: int | None = limits.get("budget")
 
-    def restore(self, loss: object) -> tuple[Record, FIDE] | None:
-        """State that was saved; None without.  Raises CheckpointError (a ValueError)."""
-        own = loss if callable(loss) else None
-        restored: Any = self._directory.restore(loss=own)
-        return restored  # type: ignore[no-any-return]
+    def restore(self, optimizer: FIDE) -> Record | None:
+        """Put the optimizer into the state that was saved; None without one.
+
+        Raises CheckpointError (a ValueError); RunDirectoryError (a FileExistsError) if a loss or an
+        encoder of the user's own gives other values than it did, as far as that shows: that of the
+        best image, and of the target.
+        """
+        there = self._directory.facts.get("features", [])
+        if there and not np.allclose(there, features_of(optimizer), rtol=_RELATIVE, atol=_ABSOLUTE):
+            raise RunDirectoryError(
+                f"{self.path} holds a run with another encoder: its features of the target differ; "
+                "give the same one, or name another directory"
+            )
+        restored = self._directory.restore(optimizer)
+        if restored is None:
+            return None
+        record, _ = restored
+        self._check_loss(optimizer, record)
+        return record
+
+    def _check_loss(self, optimizer: FIDE, record: Record) -> None:
+        best = optimizer.state.best
+        image = None if best is None else best.solution.image
+        if best is None or image is None or optimizer.evaluator.loss_name is not None:
+            return
+        there, here = best.solution.loss, float(optimizer.evaluator.loss.compute(image[None])[0])
+        if not np.isclose(here, there, rtol=_RELATIVE, atol=_ABSOLUTE):
+            raise RunDirectoryError(
+                f"{self.path} holds a run with another loss: it was {there:.6g} for the best "
+                f"image, and is {here:.6g} now; give the same one, or name another directory"
+            )
 
     def begin(self, optimizer: FIDE) -> None:
         """Write what is known before the first render."""
@@ -83,7 +115,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
-    their digest.
+    their digest, mask and weights by that of their product, in whatever form they were given.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -96,10 +128,24 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "target": _digest(target),
         "space": None if space is None else space.to_dict(),
         "optimizer": "fide",
-        "options": {key: _recorded(value) for key, value in options.items() if key != "loss"},
+        "options": {
+            key: _recorded(value)
+            for key, value in options.items()
+            if key not in ("loss", *_CONTENTS)
+        },
+        "weights": _recorded(optimizer.weights),
         "loss": optimizer.evaluator.loss.name,
         "seed": optimizer.seed,
     }
+
+
+def features_of(optimizer: FIDE) -> list[float]:
+    """Numbers by which an encoder of the user's own is known again: of its features of the target.
+
+    Mean, standard deviation, least and largest.
+    """
+    tokens = optimizer.target_tokens.double().cpu().numpy()
+    return [float(value) for value in (tokens.mean(), tokens.std(), tokens.min(), tokens.max())]
 
 
 def seed_there(out: str | os.PathLike[str]) -> int | None:

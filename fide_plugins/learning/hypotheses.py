@@ -7,13 +7,14 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError
+from fide_plugins.renderers.fingerprint import changed, fingerprint_of
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
 
-__all__ = ["hypotheses_of"]
+__all__ = ["hypotheses_of", "model_for"]
 
 _DRAWN = 512
 
@@ -53,6 +54,26 @@ def hypotheses_of(
         )
         return None
     return learned.sample(target, _DRAWN, seed % 2**32)
+
+
+def model_for(learned: Any, render: object) -> Any:
+    """Model of a file, or what else is given as `learned`; warns if it is of another renderer.
+
+    Raises OSError or CheckpointError for a file that is no model.
+    """
+    if learned is None:
+        return None
+    from fide_plugins.learning.model import Model
+
+    model = Model.load(learned) if isinstance(learned, str | os.PathLike) else learned
+    if isinstance(model, Model) and changed(model.fingerprint, fingerprint_of(render)):
+        warnings.warn(
+            f"the model has learned {model.renderer!r}, and that is not what renders here, or it "
+            "was changed since; learn it again if its images are others now",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+    return model
 
 
 def _only(target: Any) -> Any:

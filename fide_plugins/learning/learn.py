@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import CheckpointError, OptionError, UnknownNameError
+from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
-from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.rendering import check_picklable, fill
 from fide_plugins.learning.report import Distance, Report, judge
-from fide_plugins.learning.store import RenderStore
+from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -122,14 +123,18 @@ def learn(
         version, *_kind(renderer, groups, head), time, clock.monotonic(),
         on_progress or (lambda progress: None),
     )  # fmt: skip
+    if workers > 1:
+        check_picklable(renderer)
+    check_room(plan.settings, renders, store_limit * 2**30)
     with ExitStack() as stack:
         if out is None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fide-renders-")))
         else:
+            if Path(out).is_dir():
+                raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
             check_writable(Path(out).absolute().parent)
             folder = Path(f"{os.fspath(out)}.renders")
-        store = RenderStore(folder, plan.settings, store_limit * 2**30)
-        store.check_room(renders)
+        store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source))
         model = plan.model(store)
     if out is not None:
         model.save(out)
@@ -177,7 +182,7 @@ class _Plan:
 
     def model(self, store: RenderStore) -> Model:
         """Render, train and judge."""
-        failed = fill(
+        fill(
             store,
             self.renderer,
             self.renders,
@@ -186,12 +191,14 @@ class _Plan:
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )
         x, images = store.read(self.renders)
+        failed = store.failed(self.renders)
         if len(x) < _FEWEST:
-            raise OptionError(f"{len(x)} renders are too few to learn from; allow more time")
+            store.remove([*failed])  # so that a renderer that was mended renders them
+            raise _too_few(len(x), sum(failed.values()), self.renders)
         network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
         training = self._train(network, x, images, store.folder / "training")
         network.eval()
-        return self._judged(network, x, images, failed, training)
+        return self._judged(network, x, images, sum(failed.values()), training)
 
     def _train(self, network: Network, x: Float64, images: Pixels, file: Path) -> Training:
         left = None
@@ -236,7 +243,7 @@ class _Plan:
         )
         return Model(
             network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
-            self.periodic, self.blocks, familiarity, report,
+            self.periodic, self.blocks, familiarity, report, fingerprint_of(self.renderer.source),
         )  # fmt: skip
 
     @property
@@ -246,6 +253,17 @@ class _Plan:
         if space is None:
             return [f"x[{i}]" for i in range(self.renderer.dim)]
         return [name for name, axes in space.axes.items() for _ in axes]
+
+
+def _too_few(there: int, failed: int, renders: int) -> Exception:
+    """Error that names what is missing: renders that succeed, renders at all, or time for them."""
+    few = f"{there} renders are too few to learn from (at least {_FEWEST})"
+    if failed == 0:
+        return OptionError(f"{few}; allow more time")
+    return RenderError(
+        f"{few}: {failed} of {there + failed} failed; mend the renderer, make the ranges of its "
+        f"parameters smaller, or ask for more than {renders} renders"
+    )
 
 
 def _check(

@@ -49,6 +49,7 @@ _SCHEMA: Schema = {
     "size": row(whole(1, 4096), whole(1, 4096)),
     "renderer": text,
     "version": maybe(text),
+    "fingerprint": maybe(text),
     "head": text,
     "periodic": each(flag),
     "blocks": each(each(whole())),
@@ -70,6 +71,7 @@ class Model:
     space: names of the parameters; None: they have none.
     shape: height and width of the renders that were given.
     renderer, version: name of the renderer, and the version that the user stated.
+    fingerprint: of the renderer's source or command line; None where that is not known.
     head: kind of density, see `heads`.  blocks: exchangeable blocks of axes.
     familiarity: of features.
     report: how good it is.
@@ -85,6 +87,7 @@ class Model:
     blocks: tuple[tuple[int, ...], ...]
     familiarity: Familiarity
     report: Report
+    fingerprint: str | None = None
 
     @property
     def dim(self) -> int:
@@ -181,6 +184,7 @@ class Model:
             "size": list(self.size),
             "renderer": self.renderer,
             "version": self.version,
+            "fingerprint": self.fingerprint,
             "head": self.head,
             "periodic": list(self.periodic),
             "blocks": [list(block) for block in self.blocks],
@@ -205,6 +209,7 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
+        state = {"fingerprint": None, **state}  # files of earlier versions have none
         check(state, _SCHEMA, {}, "model")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
@@ -224,4 +229,5 @@ class Model:
             blocks,
             Familiarity.from_state(state["familiarity"]),
             Report.from_state(state["report"]),
+            state["fingerprint"],
         )

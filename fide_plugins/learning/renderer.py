@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from inspect import signature
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -16,9 +18,11 @@ from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Pixels", "Renderer", "as_renderer", "resized", "small_size"]
+__all__ = ["Pixels", "Renderer", "Small", "as_renderer", "resized", "small_size"]
 
 Pixels = npt.NDArray[np.uint8]
+Small: TypeAlias = "Pixels | str"
+"""An image (H, W, 3) as a store has it, or why there is none."""
 
 
 @dataclass(frozen=True)
@@ -36,26 +40,30 @@ class Renderer:
     dim: int
     name: str
 
-    def images(self, X: Float64) -> list[Any]:
-        """Images of the points X (n, d), as the source gives them; None for one that failed.
+    def images(self, X: Float64, seeds: Sequence[int]) -> list[Any]:
+        """Images of the points X (n, d), as the source gives them; of one that failed a `Lost`.
 
+        seeds: (n,), of the noise of each, for a source whose `render` takes them.
         A batch that fails as a whole is rendered point by point.
         """
-        if hasattr(self.source, "render"):
-            try:
-                return list(self.source.render(X))
-            except Exception:
-                return [self._attempt(lambda x: self.source.render(x[None])[0], x) for x in X]
-        return [self._attempt(self._one, x) for x in X]
+        if not hasattr(self.source, "render"):
+            return [_attempt(partial(self._one, x)) for x in X]
+        try:
+            return list(self._batch(X, seeds))
+        except Exception:
+            points = zip(X, seeds, strict=True)
+            return [_attempt(partial(self._single, x, seed)) for x, seed in points]
+
+    def _single(self, x: Float64, seed: int) -> Any:
+        return self._batch(x[None], [seed])[0]
+
+    def _batch(self, X: Float64, seeds: Sequence[int]) -> Any:
+        if "seed" in signature(self.source.render).parameters:
+            return self.source.render(X, seed=list(seeds))
+        return self.source.render(X)
 
     def _one(self, x: Float64) -> Any:
         return self.source(x if self.space is None else self.space.decode(x))
-
-    def _attempt(self, render: Callable[[Float64], Any], x: Float64) -> Any:
-        try:
-            return render(x)
-        except Exception:
-            return None
 
     def first(self) -> npt.NDArray[np.float32]:
         """Image (H, W, 3) of the middle of the cube, to know its shape.
@@ -71,9 +79,26 @@ class Renderer:
             raise RenderError(f"{self.name} failed in the middle of the space: {why}") from error
         return as_target(image)
 
-    def small(self, X: Float64, size: tuple[int, int]) -> list[Pixels | None]:
-        """Images of the points X (n, d), resized to (height, width); None for one that failed."""
-        return [None if image is None else _pixels(image, size) for image in self.images(X)]
+    def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
+        """Images of the points X (n, d), resized to (height, width).
+
+        seeds: see `images`.  Of one that failed the reason, a text.
+        """
+        return [_pixels(image, size) for image in self.images(X, seeds)]
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A render that failed, and why."""
+
+    reason: str
+
+
+def _attempt(render: Callable[[], Any]) -> Any:
+    try:
+        return render()
+    except (Exception, SystemExit) as error:  # scripts end by sys.exit
+        return Lost(f"{type(error).__name__}: {error}")
 
 
 def as_renderer(render: Any, space: Space | int | None) -> Renderer:
@@ -112,9 +137,11 @@ def resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArra
     return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
 
 
-def _pixels(image: Any, size: tuple[int, int]) -> Pixels | None:
+def _pixels(image: Any, size: tuple[int, int]) -> Small:
+    if isinstance(image, Lost):
+        return image.reason
     try:
         small = resized(as_target(image), size)
-    except ImageError:
-        return None
+    except ImageError as error:
+        return str(error)
     return np.rint(np.clip(small, 0.0, 1.0) * 255).astype(np.uint8)

@@ -10,6 +10,7 @@ store is the same whatever the number of workers, and whatever was interrupted.
 from __future__ import annotations
 
 import os
+import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,12 +19,13 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
-from fide_plugins.learning.renderer import Pixels
+from fide_plugins.learning.renderer import Pixels, Small
+from fide_plugins.renderers.fingerprint import changed
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, remove_leftovers
 from fide_plugins.types import Float64
 
-__all__ = ["SHARD", "RenderStore"]
+__all__ = ["SHARD", "RenderStore", "check_room"]
 
 SHARD = 100
 """Renders of a shard: what a kill loses, at most, for each worker."""
@@ -36,39 +38,43 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
-    limit: bytes that the images may take.
+    fingerprint: of the renderer, see `renderers.fingerprint`; None where nothing is known.
 
+    Warns if the renderer was changed since the first renders were made: they stay.
     Raises OptionError if the folder holds other renders, naming the difference; OSError if it
     cannot be written.
     """
 
     def __init__(
-        self, folder: str | os.PathLike[str], settings: Mapping[str, Any], limit: float
+        self,
+        folder: str | os.PathLike[str],
+        settings: Mapping[str, Any],
+        fingerprint: str | None = None,
     ) -> None:
-        self.folder, self.settings, self.limit = Path(folder), dict(settings), limit
+        self.folder, self.settings = Path(folder), dict(settings)
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
         file = self.folder / "settings"
-        if file.exists():
-            _check_same(self.folder, checkpoint.read(file, _KIND), self.settings)
-        else:
-            checkpoint.write(file, _KIND, self.settings)
+        if not file.exists():
+            checkpoint.write(file, _KIND, {**self.settings, "fingerprint": fingerprint})
+            return
+        there = checkpoint.read(file, _KIND)
+        known = there.pop("fingerprint", None)
+        _check_same(self.folder, there, self.settings)
+        if changed(known, fingerprint) and any(self.folder.glob("*.npz")):
+            warnings.warn(
+                f"the renderer {self.settings.get('renderer')} was changed since {self.folder} was "
+                "begun, and renders from before are learned, too; delete that folder if their "
+                "images would be others now",
+                RuntimeWarning,
+                stacklevel=3,
+            )
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the images."""
         height, width = self.settings["size"]
         return height, width
-
-    def check_room(self, renders: int) -> None:
-        """Raise OptionError if so many renders would exceed the limit."""
-        bytes_ = renders * self.size[0] * self.size[1] * 3
-        if bytes_ > self.limit:
-            raise OptionError(
-                f"{renders:,} renders of {self.size[1]} x {self.size[0]} pixels take "
-                f"{bytes_ / 2**30:.1f} GiB, and the limit is {self.limit / 2**30:.1f} GiB: "
-                "take fewer renders or a smaller size, or raise store_limit"
-            )
 
     def parameters(self, shard: int) -> Float64:
         """Parameters (SHARD, d) of a shard, uniform in the unit cube."""
@@ -79,22 +85,42 @@ class RenderStore:
         """Numbers of the shards that are not there yet, for so many renders."""
         return [i for i in range(-(-renders // SHARD)) if not self._path(i).exists()]
 
-    def write(self, shard: int, images: Sequence[Pixels | None]) -> int:
-        """Write a shard; returns how many of its renders failed."""
-        good = np.array([image is not None for image in images], bool)
-        kept = [image for image in images if image is not None]
+    def noise_seeds(self, shard: int) -> list[int]:
+        """Seeds (SHARD,) of the noise of its renders: others than those of any run's renders."""
+        first = 2**80 + self.settings["seed"] * 2**40 + shard * SHARD
+        return [first + i for i in range(SHARD)]
+
+    def write(self, shard: int, images: Sequence[Small]) -> int:
+        """Write a shard, where a text stands for a render that failed; returns how many did."""
+        kept = [image for image in images if not isinstance(image, str)]
+        good = np.array([not isinstance(image, str) for image in images], bool)
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=pixels)
         return int((~good).sum())
+
+    def remove(self, shards: Sequence[int]) -> None:
+        """Remove shards, so that they are missing."""
+        for shard in shards:
+            self._path(shard).unlink(missing_ok=True)
+
+    def failed(self, renders: int) -> dict[int, int]:
+        """How many renders have failed, in whatever call, of each shard where some have.
+
+        Raises CheckpointError for a shard that is damaged.
+        """
+        found = {i: SHARD - len(self._load(i, "x")["x"]) for i in self._there(renders)}
+        return {i: number for i, number in found.items() if number}
+
+    def _there(self, renders: int) -> list[int]:
+        return [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
 
     def read(self, renders: int) -> tuple[Float64, Pixels]:
         """Parameters (n, d) and images (n, H, W, 3) of the shards that are there.
 
         Raises CheckpointError for a shard that is damaged.
         """
-        there = [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
-        parts = [self._read(i) for i in there]
+        parts = [self._read(i) for i in self._there(renders)]
         x = np.concatenate([x for x, _ in parts]) if parts else np.empty((0, self.settings["dim"]))
         images = np.empty((len(x), *self.size, 3), np.uint8)
         start = 0
@@ -105,20 +131,38 @@ class RenderStore:
         return x[:renders], images[:renders]
 
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
+        arrays = self._load(shard, "x", "images")
+        x, images = arrays["x"], arrays["images"]
+        if x.shape != (len(x), self.settings["dim"]) or images.shape != (len(x), *self.size, 3):
+            path = self._path(shard)
+            raise CheckpointError(f"{path}: of another space or size; delete it to render again")
+        return x, images
+
+    def _load(self, shard: int, *names: str) -> dict[str, Any]:
+        """Arrays of a shard by name; raises CheckpointError."""
         path = self._path(shard)
         try:
             with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-                x, images = file["x"], file["images"]
+                return {name: file[name] for name in names}
         except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
             raise CheckpointError(
                 f"{path}: damaged ({error}); delete it to render again"
             ) from error
-        if x.shape != (len(x), self.settings["dim"]) or images.shape != (len(x), *self.size, 3):
-            raise CheckpointError(f"{path}: of another space or size; delete it to render again")
-        return x, images
 
     def _path(self, shard: int) -> Path:
         return self.folder / f"{shard:06d}.npz"
+
+
+def check_room(settings: Mapping[str, Any], renders: int, limit: float) -> None:
+    """Raise OptionError if so many renders would exceed a limit, bytes."""
+    height, width = settings["size"]
+    size = renders * height * width * 3
+    if size > limit:
+        raise OptionError(
+            f"{renders:,} renders of {width} x {height} pixels take {size / 2**30:.1f} GiB, and "
+            f"the limit is {limit / 2**30:.1f} GiB: take fewer renders or a smaller size, or raise "
+            "store_limit"
+        )
 
 
 def _check_same(folder: Path, there: Mapping[str, Any], asked: Mapping[str, Any]) -> None:

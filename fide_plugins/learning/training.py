@@ -34,7 +34,10 @@ _CLIP = 5.0  # norm of a gradient
 _BATCH_OF_TEST = 500
 
 Curve = list[list[float]]
-"""Of each pass: renders seen so far, training and held-out negative log-likelihood in nats."""
+"""Of each pass: renders seen so far, training and held-out negative log-likelihood in nats.
+
+The last pass is unfinished where the time was up.
+"""
 
 
 @dataclass(frozen=True)
@@ -95,13 +98,16 @@ class Training:
 
         on_pass: called after every pass.  save: called with `state_dict()` after every pass.
         """
+        n = len(self._train)
+        if not self.over and self.curve and self.curve[-1][0] > self.passed * n:
+            self.curve.pop()  # the unfinished pass begins again
         while not self.over:
             start = time.monotonic()
-            loss = self._pass(start)
+            loss, seen = self._pass(start)
             test = self.test()
-            self.passed += 1
+            self.curve.append([float(self.passed * n + seen), loss, test])
+            self.passed += seen == n
             self.spent += time.monotonic() - start
-            self.curve.append([float(self.passed * len(self._train)), loss, test])
             if test < self._best:
                 self._best, self._best_weights = test, _copy(self.network)
             if save is not None:
@@ -122,26 +128,32 @@ class Training:
         """Pass, from 1, that was the best on held-out renders; 0 before the first."""
         if not self.curve:
             return 0
-        return 1 + int(np.argmin([row[2] for row in self.curve]))
+        best = min(self.curve, key=lambda row: row[2])
+        return math.ceil(best[0] / len(self._train))
 
-    def _late(self) -> bool:
-        return self.seconds is not None and self.spent >= self.seconds
+    def _late(self, more: float = 0.0) -> bool:
+        return self.seconds is not None and self.spent + more >= self.seconds
 
-    def _pass(self, start: float) -> float:
-        """See every training render once; returns the mean loss."""
+    def _pass(self, start: float) -> tuple[float, int]:
+        """See every training render once; returns the mean loss, and how many were seen.
+
+        They are fewer than all if the time is up: the rate is zero from then on.
+        """
         rng = np.random.default_rng((self.seed, 2, self.passed))
         generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
         order = rng.permutation(self._train)
-        total = 0.0
+        total, seen = 0.0, 0
         for first in range(0, len(order), self.batch):
+            if first and self._late(time.monotonic() - start):
+                break
             some = np.sort(order[first : first + self.batch])
             self._set_rate(first, start)
             images = augmented(as_input(self.images[some]), generator)
             u = torch.from_numpy(self.x[some].astype(np.float32))
             loss = -self.network.log_prob(images, u).mean()
             self._step(loss)
-            total += float(loss.detach()) * len(some)
-        return total / max(1, len(order))
+            total, seen = total + float(loss.detach()) * len(some), seen + len(some)
+        return total / max(1, seen), seen
 
     def _step(self, loss: Tensor) -> None:
         self._optimizer.zero_grad(set_to_none=True)

@@ -62,6 +62,8 @@ def make(name: str, target: object, **options: object) -> LossOfTarget:
 
     The name may end with a variant, ``"lpips:vgg"``.
 
+    options: arguments of the loss's class, such as `device`.
+
     Raises `UnknownNameError`, which lists the known names, `ImageError`, or what the loss itself
     raises, such as `WeightsNotFoundError`.
     """

@@ -7,15 +7,17 @@
 Both are called with a dictionary of parameters and return an image.  Both can be sent to other
 processes.
 
-===========  ===================================================================================
-file         idea
-===========  ===================================================================================
-`function`   ``FILE.py:NAME`` or ``module:NAME``: finds the function, and the space beside it
-`command`    runs a program once for each image
-`template`   the command line of a program, with placeholders for parameters
-`naming`     parameters by flat names, and as a line of text
-`child`      a program that is run to its end, with a time limit and captured output
-===========  ===================================================================================
+=============  ===================================================================================
+file           idea
+=============  ===================================================================================
+`function`     ``FILE.py:NAME`` or ``module:NAME``: finds the function, and the space beside it
+`command`      runs a program once for each image
+`template`     the command line of a program, with placeholders for parameters
+`naming`       parameters by flat names, and as a line of text
+`child`        a program that is run to its end, with a time limit and captured output
+`fingerprint`  by what a renderer is known again
+`scratch`      where the files of one render are while it goes on
+=============  ===================================================================================
 """
 
 from fide_plugins.renderers.command import CommandRenderer

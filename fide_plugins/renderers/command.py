@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,9 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.renderers.child import run, tail_of
+from fide_plugins.renderers.fingerprint import digest
 from fide_plugins.renderers.naming import described
+from fide_plugins.renderers.scratch import folder_of_a_render
 from fide_plugins.renderers.template import Template
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
@@ -28,7 +30,8 @@ class CommandRenderer:
     templates: command line of the program, see `template`; or one for each view, then the images
         are a list.
     space: the parameters.
-    timeout: seconds until a program is stopped; None waits for ever.
+    timeout: seconds that a render may take, all views together, until its program is stopped; None
+        waits for ever.
 
     The program runs in the current folder.  The image and the file of parameters are in a temporary
     folder of their own, which is removed afterwards.
@@ -55,13 +58,19 @@ class CommandRenderer:
 
     def __call__(self, params: Mapping[str, Any]) -> Float32 | list[Float32]:
         """Image (H, W, 3) of the parameters, or one for each view."""
-        pictures = [self._render(template, params) for template in self.templates]
+        until = None if self.timeout is None else time.monotonic() + self.timeout
+        pictures = [self._render(template, params, until) for template in self.templates]
         return pictures[0] if self._one_view else pictures
 
     @property
     def name(self) -> str:
         """Name of the program."""
         return Path(self.templates[0].words[0]).name
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the command lines."""
+        return digest("command", "\0".join(each.text for each in self.templates).encode())
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = [template.text for template in self.templates]
@@ -79,9 +88,10 @@ class CommandRenderer:
                 f"{{{unused[0]}}} where the program expects it, or take it out of the space"
             )
 
-    def _render(self, template: Template, params: Mapping[str, Any]) -> Float32:
-        with tempfile.TemporaryDirectory(prefix="fide-", ignore_cleanup_errors=True) as name:
-            folder = Path(name)
+    def _render(
+        self, template: Template, params: Mapping[str, Any], until: float | None
+    ) -> Float32:
+        with folder_of_a_render() as folder:
             written = folder / "image"
             written.mkdir()
             parameters = folder / "params.json"
@@ -90,20 +100,22 @@ class CommandRenderer:
             out = written / f"out{template.suffix}"
             command = template.command(params, str(out), str(parameters))
             try:
-                self._run(command, folder / "output.txt")
+                self._run(command, folder / "output.txt", until)
                 return _read(out, folder / "output.txt")
             except _Failed as failed:
                 shown = template.command(params, f"out{template.suffix}", "params.json")
                 raise RenderError(_message(failed, shown, params)) from None
 
-    def _run(self, command: list[str], log: Path) -> None:
+    def _run(self, command: list[str], log: Path, until: float | None) -> None:
+        left = None if until is None else max(0.0, until - time.monotonic())
         try:
-            ended = run(command, log, self.timeout)
+            ended = run(command, log, left)
         except OSError as error:
             raise _Failed(f"cannot be started: {error}") from error
         if ended.code is None:
             remedy = "give it more time (--timeout), or make it faster"
-            raise _Failed(f"did not end within {self.timeout:g} s; {remedy}", ended.tail)
+            together = "" if self._one_view else " for all views together"
+            raise _Failed(f"did not end within {self.timeout:g} s{together}; {remedy}", ended.tail)
         if ended.code < 0:
             raise _Failed(f"was ended by signal {-ended.code}", ended.tail)
         if ended.code > 0:

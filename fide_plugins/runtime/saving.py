@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, ClassVar, Self
 
+import numpy as np
+
 from fide_plugins import losses
 from fide_plugins.errors import CheckpointError, LossError, UnknownNameError
 from fide_plugins.runtime import checkpoint
@@ -120,6 +122,33 @@ class Saved(Locked, ABC):
         given = None if loss is None else cls.resolve_loss(loss, settings, device)
         with _possible(path):
             return cls.restore(saved, given, device)
+
+    @one_at_a_time
+    @one_thread
+    def continue_from(self, path: str | os.PathLike[str]) -> None:
+        """Go on in the state that an optimizer with the same arguments saved at `path`.
+
+        Unlike `load` it needs no names: loss and encoder are those of this optimizer.
+
+        Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged or of
+        another optimizer, or if its arguments were others; nothing changes then.
+        """
+        saved = checkpoint.read(path, self.name)
+        with _possible(path):
+            there, here = saved["settings"], self.settings()
+            other = [name for name in here if not _same(there.get(name), here[name])]
+            if other:
+                raise ValueError(f"it was saved with another {', '.join(other)}")
+            self.load_state_dict(saved["state"])
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two values of a setting are the same; a tuple comes back from a file as a list."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    return bool(np.array_equal(one, other))
 
 
 @contextmanager

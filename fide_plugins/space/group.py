@@ -20,7 +20,10 @@ class Group:
     """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
 
     ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
-    dictionaries when decoded.  A group may hold groups.  Names may also come as one dictionary.
+    dictionaries when decoded.  A group may hold groups.
+
+    named: a kind of parameter for each name, as for `Space`.
+    members: the same as one dictionary.
 
     Raises SpaceError (a ValueError).
     """

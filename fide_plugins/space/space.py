@@ -43,8 +43,10 @@ class Space:
     >>> space.encode({"azimuth": 30, "columns": 3, "beads": [{"x": 0}, {"x": 1}]})
     array([0.75      , 0.08333333, 0.        , 1.        ])
 
-    Names may also come as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.  A space cannot
-    be changed; spaces of the same parameters in the same order are equal.
+    named: a `Float`, `Int`, `Choice`, `Group` or repeated `Group` for each name.
+    members: the same as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.
+
+    A space cannot be changed; spaces of the same parameters in the same order are equal.
 
     Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
     or nothing is left to search.

@@ -91,7 +91,9 @@ def as_target(target: object, *, what: str = "the target", size: Size | None = N
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
-    """Alpha channel (H, W) in [0, 1] of any input of `as_target`.
+    """Alpha channel (H, W) float32 in [0, 1] of `image`, any input of `as_target`.
+
+    what: how an error calls it.
 
     Raises ImageError if it has none.
     """
@@ -114,7 +116,7 @@ def is_image(value: object) -> bool:
 
 
 def warn_clipped(message: str) -> None:
-    """Issue a RuntimeWarning; the default of `as_batch(on_clip=...)`."""
+    """Issue `message` as a RuntimeWarning; the default of `as_batch(on_clip=...)`."""
     warnings.warn(message, RuntimeWarning, stacklevel=3)
 
 
@@ -170,7 +172,9 @@ def as_batch(
 
 
 def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float32:
-    """Canonical image read from a file, reduced by box averaging to at most `max_side` pixels.
+    """Canonical image (H, W, 3) float32 in [0, 1], read from the file `path`.
+
+    max_side: the image is reduced by box averaging to at most so many pixels; None: not at all.
 
     An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`.
     """

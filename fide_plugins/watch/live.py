@@ -25,6 +25,7 @@ class LiveFile:
     """Callback of `fit` that writes `live.json` and `best.png` into its run directory.
 
     every: seconds between two of them, at least.
+    clock: seconds now, for tests.
 
     Without a run directory it does nothing.  A disk that is full does not end the fit.
     """
@@ -36,7 +37,7 @@ class LiveFile:
         self._improvements: list[tuple[int, float]] = []
         self._written = -float("inf")
         self._new_best = True  # since best.png was written
-        self._last: dict[str, Any] = {}
+        self._newest: Event | None = None
 
     def on_start(self, run: Run) -> None:
         """Remember where to write."""
@@ -51,12 +52,19 @@ class LiveFile:
             if len(self._improvements) > _MOST:
                 half = _MOST // 2
                 self._improvements[:half] = self._improvements[:half:2]
-        now = self._clock()
-        if self._out is None or now < self._written + self._every:
-            return
-        self._written = now
+        self._newest, now = event, self._clock()
+        if now >= self._written + self._every:
+            self._written = now
+            self._write(event, event.busy)
+
+    def on_end(self, result: Any) -> None:
+        """Write the end of it, and that no worker is busy."""
+        if self._newest is not None:
+            self._write(self._newest, 0)
+
+    def _state(self, event: Event, busy: int) -> dict[str, Any]:
         best = event.optimizer.best
-        self._last = {
+        return {
             "evaluations": event.evaluation + 1,
             "budget": self._budget,
             "seconds": event.seconds,
@@ -64,30 +72,24 @@ class LiveFile:
             "improvements": self._improvements,
             "parameters": [] if best is None else listed(event.optimizer.space, best.x),
             "workers": self._workers,
-            "busy": event.busy,
+            "busy": busy,
             "failures": event.failures,
             "sentence": str(event.optimizer.status),
         }
-        self._write(event.optimizer)
 
-    def on_end(self, result: Any) -> None:
-        """Write that no worker is busy."""
-        if self._last:
-            self._last["busy"] = 0
-            self._write(None)
-
-    def _write(self, optimizer: Any) -> None:
-        assert self._out is not None
+    def _write(self, event: Event, busy: int) -> None:
+        if self._out is None:
+            return
         with suppress(OSError):
-            best = optimizer.state.best if self._new_best and optimizer is not None else None
+            best = event.optimizer.state.best if self._new_best else None
             if best is not None and best.solution.image is not None:
                 from fide_plugins.experiments.run.figures import as_png
                 from fide_plugins.fitting.pictures import picture
 
-                image = as_png(picture(optimizer, best.solution.image))
+                image = as_png(picture(event.optimizer, best.solution.image))
                 files.write_bytes(self._out / "best.png", image)
                 self._new_best = False
-            files.write_text(self._out / LIVE, json.dumps(self._last))
+            files.write_text(self._out / LIVE, json.dumps(self._state(event, busy)))
 
 
 def listed(space: Any, x: Any) -> list[list[str]]:

@@ -175,9 +175,13 @@ def _whole(value: Any) -> int:
 
 
 def _checked(live: dict[str, Any]) -> dict[str, Any]:
-    """Entries of `live.json` that have the right type, and are finite."""
+    """Entries of `live.json` that have the right type, and are numbers that a page can show."""
     right = {k: live[k] for k, types in _KNOWN.items() if type(live.get(k)) in types}
-    return {k: v for k, v in right.items() if not isinstance(v, float) or math.isfinite(v)}
+    return {k: v for k, v in right.items() if isinstance(v, str) or _is_usual(v)}
+
+
+def _is_usual(value: float) -> bool:
+    return math.isfinite(value) if isinstance(value, float) else abs(value) < 2**53
 
 
 def _points(value: Any) -> list[list[float]]:
@@ -186,7 +190,7 @@ def _points(value: Any) -> list[list[float]]:
         return []
     try:
         pairs = [[float(a), float(b)] for a, b in value]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return []
     finite = [pair for pair in pairs if all(map(math.isfinite, pair))]
     step = 1 + len(finite) // _MOST_POINTS

@@ -28,10 +28,13 @@ _RESERVED = 2**100  # first noise seed of `reference` and `noise_level`
 class Parameter(NamedTuple):
     """One coordinate of x, mapped linearly from [0, 1] to the physical range [low, high].
 
+    group: what it belongs to, such as "cell 1" or "joint 3".
+    name, unit: for people.
+    low, high: range, in that unit.
     periodic: whether both ends give the same image, as of an angle all around.
     """
 
-    group: str  # what it belongs to: "cell 1", "joint 3"
+    group: str
     name: str
     unit: str
     low: float

@@ -11,7 +11,7 @@ import numpy as np
 import optuna
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "reference"
 
 
 def run(page: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""A renderer of a user: a disk of a color, with an integer and a choice."""
+"""The command as a user types it, and a renderer of theirs: a disk, an integer and a choice."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+
+from fide_plugins.cli import main
+
+KEYS = [
+    "task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations", "best_loss",
+    "mse", "wall_s", "render_s", "overhead_s", "x_best",
+]  # fmt: skip
 
 SCENE = """
 import numpy as np
@@ -38,6 +45,19 @@ def fails(p):
 
 render_x.space = 2
 """
+
+
+def fide(*words: object) -> int:
+    """Exit code of ``fide WORDS``."""
+    return main([str(word) for word in words])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of standard error, with nothing on standard output."""
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    return captured.err
 
 
 @pytest.fixture

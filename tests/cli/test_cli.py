@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -14,19 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import fide_plugins
 import fide_tasks
 from fide_plugins.cli import main
 from fide_plugins.cli.arguments import setting
 from fide_plugins.cli.messages import duration, plain
-from fide_plugins.errors import OptionError
 
-KEYS = [
-    "task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations", "best_loss",
-    "mse", "wall_s", "render_s", "overhead_s", "x_best",
-]  # fmt: skip
+from .conftest import KEYS, fide, one_line
 
 SMALL = ["--optimizer", "cma", "--size", "24"]
 
@@ -34,17 +28,6 @@ SMALL = ["--optimizer", "cma", "--size", "24"]
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
-
-
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    return captured.err
 
 
 def test_json_is_the_last_line_of_standard_output_with_these_keys(
@@ -129,7 +112,7 @@ def test_settings_are_typed(text: str, value: object) -> None:
             "not enough memory .*PiB.*; use smaller images",
         ),
         (["run", "voronoi", "--seed"], "expected one argument"),
-        (["run"], "arguments are required: TASK"),
+        (["run"], "name a TASK, or give --command"),
         (["fit", "none.png", "--model", "voronoi"], "none.png"),
         (["fit", "none.png"], "--renderer --command --model is required"),
         (["fit", "none.png", "--model", "ellipses"], "invalid choice: 'ellipses'"),
@@ -244,87 +227,6 @@ def test_doctor_is_short_and_imports_nothing_heavy() -> None:
     assert any(line.startswith("encoders: dense, dinov3, patch") for line in lines)
 
 
-# -- a picture of one's own ------------------------------------------------------------------------
-
-
-def picture(path: str, mode: str, size: tuple[int, int]) -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, (*size[::-1], len(mode)), np.uint8)
-    Image.fromarray(pixels[..., 0] if mode == "L" else pixels).save(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "mode", "size", "fitted"),
-    [
-        ("photo.jpg", "RGB", (300, 200), (32, 21)),
-        ("tall.png", "RGBA", (40, 160), (8, 32)),
-        ("gray.png", "L", (20, 12), (20, 12)),  # small enough as it is
-    ],
-)
-def test_fit_takes_pictures_of_any_size(
-    name: str, mode: str, size: tuple[int, int], fitted: tuple[int, int],
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    picture(name, mode, size)
-    words = ["fit", name, "--optimizer", "cma", "--size", 32, "--budget", 12, "--json"]
-    assert fide(*words, "--model", "voronoi", "--cells", 60) == 0
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert list(result) == [*KEYS, "params", "status"]
-    assert result["task"] == "voronoi" and result["dim"] == 300
-    with Image.open(f"runs/{Path(name).stem}-voronoi-cma-mse-seed0/best.png") as png:
-        assert abs(png.width - fitted[0]) <= 1 and abs(png.height - fitted[1]) <= 1
-    assert fide(*words, "--model", "spline", "--control-points", 4) == 0
-    assert json.loads(capsys.readouterr().out.splitlines()[-1])["dim"] == 9
-
-
-def test_fit_begins_at_the_picture(capsys: pytest.CaptureFixture[str]) -> None:
-    picture("photo.png", "RGB", (12, 12))
-    words = ["fit", "photo.png", "--model", "voronoi", "--cells", 9, "--budget", 12]
-    assert fide(*words, "--set", "sigma0=0.1", "--out", "fit") == 0
-    capsys.readouterr()
-    options = json.loads(Path("fit", "run.json").read_text())["settings"]["options"]
-    with Image.open("photo.png") as png:
-        target = np.asarray(png, np.float32) / 255
-    x0 = fide_tasks.make("voronoi", target=target, cells=9).start()
-    assert x0 is not None
-    np.testing.assert_allclose(options["x0"], x0, atol=1e-6)
-    assert options["sigma0"] == 0.1
-    assert fide(*words, "--optimizer", "cma", "--start", "picture") == 2
-    assert "--start picture is for the optimizer fide; cma" in one_line(capsys)
-
-
-def test_fit_begins_at_the_center_where_it_must() -> None:
-    from fide_plugins.cli import fit_command, fit_model
-
-    parser = argparse.ArgumentParser()
-    fit_command.add_arguments(parser)
-    known = fide_tasks.make("voronoi", 8, cells=2)
-    blank = fide_tasks.make("spline", target=np.ones((8, 8, 3), np.float32))
-    words = ["photo.png", "--model", "voronoi"]
-    assert "x0" in fit_model._start_options(parser.parse_args(words), known)
-    assert not fit_model._start_options(parser.parse_args(words), blank)
-    assert not fit_model._start_options(parser.parse_args([*words, "--start", "center"]), known)
-    assert not fit_model._start_options(parser.parse_args([*words, "--optimizer", "cma"]), known)
-    with pytest.raises(OptionError, match="no start"):
-        fit_model._start_options(parser.parse_args([*words, "--start", "picture"]), blank)
-
-
-def test_transparent_pixels_are_white(capsys: pytest.CaptureFixture[str]) -> None:
-    Image.new("RGBA", (16, 16), (0, 0, 0, 0)).save("clear.png")
-    assert fide("fit", "clear.png", "--model", "voronoi", "--cells", 1, "--optimizer", "cma",
-                "--budget", 300, "--json") == 0  # fmt: skip
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert result["mse"] < 1e-3 and min(result["x_best"][2:]) > 0.9
-
-
-def test_pictures_that_are_none(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("text.png").write_text("not a picture\x1b[31m")
-    Path("evil\x1b[31m\n.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    os.mkdir("folder.png")
-    for name in ("text.png", "evil\x1b[31m\n.png", "folder.png"):
-        assert fide("fit", name, "--model", "voronoi") == 2
-        assert "\x1b" not in one_line(capsys)
-
-
 # -- interruption ----------------------------------------------------------------------------------
 
 
@@ -378,7 +280,6 @@ def test_a_run_that_fails_is_exit_code_1(
         raise MemoryError("no more")
 
     monkeypatch.setattr(Voronoi, "_render", broken)
-    import fide_tasks
 
     target = np.zeros((8, 8, 3))
     task = fide_tasks.make("voronoi", target=target)

@@ -17,6 +17,8 @@ from fide_plugins.cli import main, report_command
 from fide_plugins.experiments import compare
 from fide_plugins.experiments.run import machine
 
+from .conftest import fide
+
 SMALL = ["--optimizers", "cma,random", "--seeds", "2", "--budget", "40", "--size", "16"]
 SMALL += ["--task-set", "cells=2"]
 
@@ -24,10 +26,6 @@ SMALL += ["--task-set", "cells=2"]
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixture[str]) -> None:

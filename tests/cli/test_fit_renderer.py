@@ -8,9 +8,12 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,10 +21,15 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Space
-from fide_plugins.cli import main
 from fide_plugins.cli.extra_renders import check_first
+from fide_plugins.cli.fit_renderer import _keep_pictures
 from fide_plugins.errors import ImageError
+from fide_plugins.experiments.solutions import pictures as stored
+from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.types import Float64
+
+from .conftest import fide
 
 PROGRAM = """
 import sys
@@ -50,10 +58,6 @@ type = "int"
 low = 1
 high = 4
 """
-
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
 
 
 def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -185,7 +189,7 @@ def test_live_shows_the_fit_while_it_goes_on(
         with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
             seen.append({"url": url, **json.load(answer)})
 
-    monkeypatch.setattr("webbrowser.open", visit)
+    monkeypatch.setattr("fide_plugins.cli.live.open_page", visit)
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen
@@ -194,6 +198,23 @@ def test_live_shows_the_fit_while_it_goes_on(
     assert Path("out/live.json").exists() == ("--renderer" in what)
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(page["url"], timeout=20)
+
+
+def test_a_browser_that_blocks_does_not_hold_the_fit(
+    target: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    called, over = threading.Event(), threading.Event()
+
+    def block(url: str) -> None:
+        called.set()
+        over.wait(120)
+
+    monkeypatch.setattr("webbrowser.open", block)
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 20, "--live", "--json"]
+    assert fide("fit", target, *words) == 0
+    assert summary(capsys)["evaluations"] == 20
+    assert called.wait(60) and not over.is_set()
+    over.set()
 
 
 # -- wrong usage -----------------------------------------------------------------------------------
@@ -295,13 +316,36 @@ def test_the_picture_of_a_fit_is_that_of_its_parameters(
 
 def test_views_need_one_image_each() -> None:
     target = np.zeros((8, 8, 3), np.float32)
-    optimizer = FIDE(2, target)
     both = [target, target]
-    with pytest.raises(ImageError, match="2 targets, and the renderer gives 1 images; .* a list"):
+    optimizer = FIDE(2, both)
+    with pytest.raises(ImageError, match="must return a list of 2 images, one for each view"):
         check_first(lambda x: target, optimizer, both, ["a", "b"], 0, None)
+    with pytest.raises(ImageError, match="a list of 2 images, .* not 3 images"):
+        check_first(lambda x: [*both, target], optimizer, both, ["a", "b"], 0, None)
     check_first(lambda x: both, optimizer, both, ["a", "b"], 0, None)
+    check_first(lambda x: tuple(both), optimizer, both, ["a", "b"], 0, None)
     with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):
         check_first(lambda x: [target, target[:4]], optimizer, both, ["a", "b"], 0, None)
+
+
+@pytest.mark.parametrize("views", [1, 2])
+def test_the_first_render_obeys_the_rule_of_tell(views: int) -> None:
+    """A render may overshoot [0, 1], which is clipped; it may not be NaN, or in [0, 255]."""
+    pictures = [np.zeros((8, 8, 3), np.float32)] * views
+    names, target = ["a", "b"][:views], pictures if views > 1 else pictures[0]
+    optimizer = FIDE(2, target)
+
+    def check(*values: float) -> None:
+        images = [np.full((8, 8, 3), value) for value in values]
+        given = images if views > 1 else images[0]
+        check_first(lambda x: given, optimizer, pictures, names, 0, None)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check(*[1.5] * views)
+    for value in (np.nan, 200.0):
+        with pytest.raises(ImageError, match="gave no image that fits: .*(finite|255)"):
+            check(*[0.5] * (views - 1), value)
 
 
 # -- views and masks -------------------------------------------------------------------------------
@@ -349,7 +393,7 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
         losses.append(summary(capsys)["best_loss"])
     assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
-    assert "target.png must have an alpha channel" in one_line(capsys)
+    assert "target.png must have an alpha channel" in last_line(capsys)
 
 
 @pytest.fixture
@@ -372,13 +416,41 @@ def test_several_targets_are_views_of_one_render(capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.usefixtures("views")
+@pytest.mark.filterwarnings("always:.*clipped")
+def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Those of which the second render gives no image stay without."""
+    Path("hdr.py").write_text(
+        "from scene import render as draw, space\n"
+        "def render(p):\n    image = 0.7 + draw(p)\n    return image, image[::2, ::2]\n"
+    )
+    words = ["--renderer", "hdr.py:render", "--workers", 0, "--budget", 60, "--out", "out"]
+    assert fide("fit", "target.png", "small.png", *words, "--seed", 0, "--json") == 0
+    assert "clipped" in capsys.readouterr().err
+    result = SimpleNamespace(optimizer=FIDE.load(next(Path("out").glob("optimizer-*.ckpt"))))
+    points = [np.full(4, value) for value in (0.2, 0.4, 0.6)]
+    result.solutions = [SimpleNamespace(x=x) for x in points]
+    render = FunctionRenderer("hdr.py:render")
+
+    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
+        params = {"x": 0.0, "gray": 0.5, "rows": 2, "shape": "disk"}
+        return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
+
+    _keep_pictures(again, result, Path("out"))
+    ((x, image),) = stored.read(Path("out"))
+    np.testing.assert_array_equal(x, points[1])
+    assert image.shape == (12, 24, 3) and image.max() == 1.0
+
+
+@pytest.mark.usefixtures("views")
 def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--renderer", "views.py:render", "--workers", 0]
     assert fide("fit", "small.png", "target.png", *words) == 2
-    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in one_line(capsys)
+    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
     assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets; give --mask once for each" in one_line(capsys)
+    assert "1 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def last_line(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err.splitlines()[-1]

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fide_plugins import FIDE, Choice, Float, Int, Space
-from fide_plugins.cli import main
 from fide_plugins.experiments.run.renderer_task import make
 
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
+from .conftest import fide
 
 
 @pytest.mark.usefixtures("scene")
 def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
     first, again, other = (make("scene.py:render", seed, {}) for seed in (3, 3, 4))
+    assert first.x_star is not None and other.x_star is not None
     assert first.target.shape == (12, 16, 3)
     np.testing.assert_array_equal(first.target, again.target)
     assert not np.array_equal(first.x_star, other.x_star)
@@ -37,6 +37,7 @@ def test_a_renderer_may_change_what_it_gets(tmp_path: Path) -> None:
         "def render(x):\n    x *= 100\n    return np.full((4, 4, 3), x[0] / 100)\n"
     )
     task = make(f"{scene}:render", 0, {})
+    assert task.x_star is not None
     x_star, X = task.x_star.copy(), np.full((3, 2), 0.5)
     assert task.target.shape == (4, 4, 3)
     task.render(X)
@@ -87,6 +88,75 @@ def test_compare_takes_a_renderer_as_a_task(capsys: pytest.CaptureFixture[str]) 
     assert len(list(Path("out/cells").glob("scene.py+render/mse/*/seed-0/run.json"))) == 2
     assert "scene.py:render" in Path("out/report.md").read_text()
     assert "scene.py:render mse cma seed 0" in capsys.readouterr().err
+
+
+DRAW = """
+import sys
+import numpy as np
+from PIL import Image
+from scene import render
+x, gray, rows, shape, out = sys.argv[1:]
+image = render({"x": float(x), "gray": float(gray), "rows": int(rows), "shape": shape})
+Image.fromarray(np.rint(image * 255).astype(np.uint8)).save(out)
+"""
+COMMAND = f"{sys.executable} draw.py {{x:.6f}} {{gray}} {{rows}} {{shape}} {{out}}"
+
+
+@pytest.fixture
+def program(scene: Path) -> Path:
+    """``draw.py``, a program with the image of ``scene.py``, and its ``space.toml``."""
+    space = Space(
+        x=Float(-1, 1), gray=Float(0.01, 1), rows=Int(1, 4), shape=Choice("disk", "square")
+    )
+    space.write("space.toml")
+    (scene.parent / "draw.py").write_text(DRAW)
+    return scene.parent
+
+
+@pytest.mark.usefixtures("program")
+def test_run_takes_a_program(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--command", COMMAND, "--space", "space.toml", "--timeout", "2m", "--budget", 5]
+    assert fide("run", *words, "--optimizer", "random", "--task-seed", 2, "--json") == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    name = Path(sys.executable).name
+    assert (result["task"], result["dim"], result["evaluations"]) == (name, 4, 5)
+    (record,) = Path("runs").glob("*/run.json")
+    options = json.loads(record.read_text())["settings"]["task_options"]
+    assert options == {"space": "space.toml", "command": COMMAND, "timeout": 120.0}
+
+
+@pytest.mark.usefixtures("program")
+def test_compare_takes_a_program_and_a_picture(target: Path) -> None:
+    words = ["--command", COMMAND, "--space", "space.toml", "--target", target.name]
+    words += ["--optimizers", "cma,random", "--seeds", "1", "--budget", "8", "--out", "out"]
+    assert fide("compare", *words) == 0
+    runs = list(Path("out/cells").glob("*/mse/*/seed-0/run.json"))
+    assert len(runs) == 2
+    (kept,) = Path("out/targets").glob("*.png")
+    here, there = (np.asarray(Image.open(path).convert("RGB")) for path in (kept, target))
+    np.testing.assert_array_equal(here, there)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run"], "name a TASK, or give --command"),
+        (["compare", "--out", "out"], "name a TASK, or give --command or --suite"),
+        (["run", "voronoi", "--command", "ls {out}"], "a TASK or --command, not both"),
+        (["run", "voronoi", "--timeout", "3"], "--timeout is of --command; leave it out"),
+        (["run", "--command", COMMAND], r"needs a space \(--space FILE.toml\)"),
+        (["run", "--command", "", "--space", "space.toml"], "the command is empty"),
+        (["run", "--command", "ls {out} {y}", "--space", "space.toml"], "{y} in the command is no"),
+        (["compare", "--command", "lsx {out}", "--space", "space.toml", "--out", "out"],
+         "{x} where the program expects it|no program 'lsx'"),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("program")
+def test_wrong_commands(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide(*words) == 2
+    error = capsys.readouterr().err
+    assert re.search(message, error), error
+    assert error.count("\n") == 1 and not Path("out").exists()
 
 
 @pytest.mark.parametrize(

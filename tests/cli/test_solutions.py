@@ -6,21 +6,19 @@ import json
 import re
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from fide_plugins import FIDE, Solution, images
-from fide_plugins.cli import main
 from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.solutions import figure, pictures, read
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
 
-
-def fide(*words: object) -> int:
-    return main([str(word) for word in words])
+from .conftest import fide
 
 
 def two(optimizer: FIDE, k: int = 5) -> list[Solution]:
@@ -74,6 +72,28 @@ def test_a_fit_of_python_shows_the_best_image_and_says_what_is_not_stored(run: P
     assert found.images[0] is not None and found.images[1] is None
     with Image.open(BytesIO(figure(found))) as picture:
         assert picture.format == "PNG"
+
+
+def test_a_checkpoint_that_is_replaced_meanwhile_is_read_again(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load, before = FIDE.load, {path.name for path in run.glob("optimizer-*.ckpt")}
+    words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--out", run]
+
+    def late(path: Path, **options: Any) -> FIDE:
+        monkeypatch.setattr(FIDE, "load", load)
+        assert fide(*words, "--budget", 30, "--resume") == 0
+        assert not path.exists()
+        return load(path, **options)
+
+    monkeypatch.setattr(FIDE, "load", late)
+    found = read(run)
+    after = {path.name for path in run.glob("optimizer-*.ckpt")}
+    assert len(found.solutions) == 2 and not before & after
+    for path in run.glob("optimizer-*.ckpt"):
+        path.unlink()
+    with pytest.raises(FileNotFoundError, match="optimizer-30"):
+        read(run)
 
 
 def test_nothing_in_the_directory_is_executed(run: Path) -> None:

@@ -1,4 +1,4 @@
-"""What docs/fit.md shows works as it is written there."""
+"""What docs/reference/fit.md shows works as it is written there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.fitting import durations
 from fide_plugins.fitting.durations import seconds_of
 
-PAGE = Path(__file__).parents[2] / "docs" / "fit.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fit.md"
 
 
 def test_the_example_of_the_page() -> None:

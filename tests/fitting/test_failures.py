@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import shlex
+import subprocess
 import sys
+import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fide_plugins import fit
+from fide_plugins import Float, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.failures import (
     CallbackError,
@@ -22,9 +27,14 @@ from fide_plugins.fitting.failures import (
     GivenUpError,
     RenderFailedWarning,
 )
+from fide_plugins.fitting.rendering import Rendered, Renderer
+from fide_plugins.fitting.workers.executors import OfExecutor
+from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.renderers import CommandRenderer
 
 from .scene import SPACE, disk, target
 
+GRAY = Space(gray=Float(0, 1))
 WIDE: dict[str, Any] = {"seed": 0, "sigma0": 0.4}  # so that some candidates are unlucky
 
 
@@ -139,6 +149,94 @@ def test_threads_that_hang_are_missed_and_when_all_do_it_gives_up() -> None:
         arguments: dict[str, Any] = {"workers": 2, "executor": executor, "timeout": 0.1}
         with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="2 workers hang"):
             fit(render, target(), SPACE, **arguments, **WIDE)
+
+
+def test_a_killed_worker_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "files"))
+    (tmp_path / "files").mkdir()
+    log = tmp_path / "log"
+    program = (
+        "import os, sys, signal\n"
+        "open(sys.argv[2], 'a').write(sys.argv[1] + '\\n')\n"
+        "os.kill(os.getppid(), signal.SIGKILL)"
+    )
+    words = [sys.executable, "-I", "-S", "-c", program]
+    render = CommandRenderer(f"{shlex.join(words)} {{out}} {shlex.quote(str(log))} {{gray}}", GRAY)
+    with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
+        fit(render, np.zeros((8, 8)), GRAY, workers=2, seed=0)
+    written = [Path(line) for line in log.read_text().splitlines()]
+    assert len(written) >= 8 and all(tmp_path / "files" in each.parents for each in written)
+    assert not list((tmp_path / "files").iterdir())
+
+
+HANGS = """
+import itertools, threading
+import numpy as np
+from fide_plugins import fit
+
+number = itertools.count()
+
+def render(x):
+    if next(number) == 4:
+        threading.Event().wait()
+    return np.full((8, 8), x.mean())
+
+result = fit(render, np.zeros((8, 8)), 3, budget=9, workers=3, executor="threads", timeout=2,
+             seed=0)
+print(result.evaluations, result.failures, threading.active_count() > 1)
+"""
+
+
+def test_a_thread_that_hangs_does_not_keep_the_script_alive() -> None:
+    command = [sys.executable, "-W", "ignore", "-c", HANGS]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert ended.stdout.split() == ["9", "1", "True"], ended.stderr
+    assert ended.returncode == 0
+
+
+def gated(gate: Path) -> Callable[[Any], Any]:
+    """Function that waits until a file is there."""
+    name = str(gate)
+
+    def render(x: Any) -> Any:
+        import os
+        import time
+
+        while not os.path.exists(name):
+            time.sleep(0.01)
+        return x
+
+    return render
+
+
+@pytest.mark.parametrize("pool", [ThreadPoolExecutor, ProcessPoolExecutor, DaemonThreads])
+def test_waiting_in_the_queue_of_an_executor_is_no_time_of_a_render(
+    pool: Any, tmp_path: Path
+) -> None:
+    context = {"mp_context": get_context("spawn")} if pool is ProcessPoolExecutor else {}
+    with pool(1, **context) as executor:
+        gate = tmp_path / "gate"
+        workers = OfExecutor(executor, Renderer(gated(gate), None), 3, own=False)
+        first, *_, last = [workers.submit(np.zeros(2)) for _ in range(3)]
+        while (began := workers.began(first)) is None or not first.running():
+            time.sleep(0.01)
+        assert began <= time.monotonic()
+        time.sleep(0.2)
+        opened = time.monotonic()
+        gate.touch()
+        last.result(60)
+        assert isinstance(workers.outcome(first), Rendered)
+        late = workers.began(last)
+        assert late is not None and late >= opened
+
+
+def test_an_executor_whose_workers_all_hang_is_given_up(tmp_path: Path) -> None:
+    render = gated(tmp_path / "gate")
+    with ThreadPoolExecutor(2) as executor:
+        arguments: dict[str, Any] = {"workers": 8, "executor": executor, "timeout": 0.1}
+        with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="first 8"):
+            fit(render, target(), SPACE, seed=0, **arguments)
+        (tmp_path / "gate").touch()
 
 
 def test_an_exception_of_a_callback_loses_nothing() -> None:

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fide_plugins import fit
 from fide_plugins.errors import CheckpointError, FideError
@@ -58,6 +60,21 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
     assert [float(row.split(",")[2]) for row in rows] == whole.curve[:, 1].tolist()
     again = fit(disk(), target(), SPACE, budget=60, **arguments)
     assert same(again, whole)  # nothing was left to be done
+
+
+def test_time_of_rendering_is_known_without_workers(tmp_path: Path) -> None:
+    spent: list[float] = []
+
+    def render(params: dict[str, float]) -> Any:
+        start = time.perf_counter()
+        time.sleep(0.01)
+        image = disk()(params)
+        spent.append(time.perf_counter() - start)
+        return image
+
+    fit(render, target(), SPACE, budget=20, workers=0, seed=5, out=tmp_path)
+    totals = json.loads((tmp_path / "run.json").read_text())["totals"]
+    assert sum(spent) <= totals["render_s"] <= totals["wall_s"]
 
 
 def test_ctrl_c_saves_and_the_rest_is_that_of_the_uninterrupted_fit(
@@ -106,6 +123,55 @@ def test_a_loss_of_one_s_own_is_given_again(tmp_path: Path) -> None:
     )
 
 
+def means(size: int) -> Callable[[Float32], Any]:
+    """An encoder: means of squares of so many pixels."""
+
+    def encode(images: Float32) -> Any:
+        n, height, width, _ = images.shape
+        blocks = images.reshape(n, height // size, size, width // size, size, 3)
+        return blocks.mean(axis=(2, 4)).reshape(n, -1, 3)
+
+    return encode
+
+
+def test_an_encoder_of_one_s_own_goes_on_and_another_is_refused(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5}
+    expected = fit(disk(), target(), SPACE, budget=40, encoder=means(4), **arguments)
+    arguments["out"] = tmp_path
+    fit(disk(), target(), SPACE, budget=20, encoder=means(4), **arguments)
+    with pytest.raises(RunDirectoryError, match="another encoder: its features of the target"):
+        fit(disk(), target(), SPACE, budget=40, encoder=means(2), resume=True, **arguments)
+    again = fit(disk(), target(), SPACE, budget=40, encoder=means(4), resume=True, **arguments)
+    assert same(again, expected)
+
+
+def test_another_loss_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    picture = np.repeat(target()[..., None], 3, axis=-1)
+
+    def power(p: float) -> Callable[[Float32], Any]:
+        return lambda images: (np.abs(images - picture) ** p).mean(axis=(1, 2, 3))
+
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path}
+    fit(disk(), target(), SPACE, budget=20, loss=power(1), **arguments)
+    with pytest.raises(RunDirectoryError, match="another loss: it was .* for the best image"):
+        fit(disk(), target(), SPACE, budget=40, loss=power(1.5), resume=True, **arguments)
+
+
+def test_a_mask_is_the_same_in_any_form_and_another_is_refused(tmp_path: Path) -> None:
+    pixels = np.zeros((16, 16), np.uint8)
+    pixels[:, :8] = 255
+    Image.fromarray(pixels).save(tmp_path / "mask.png")
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path / "run"}
+    fit(disk(), target(), SPACE, budget=10, mask=Image.fromarray(pixels), **arguments)
+    arguments |= {"budget": 20, "resume": True}
+    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+        fit(disk(), target(), SPACE, mask=Image.fromarray(255 - pixels), **arguments)
+    assert fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments).evaluations == 20
+    Image.fromarray(255 - pixels).save(tmp_path / "mask.png")
+    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+        fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments)
+
+
 def test_a_directory_of_another_run_is_refused(tmp_path: Path) -> None:
     arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path}
     fit(disk(), target(), SPACE, budget=10, **arguments)
@@ -151,19 +217,24 @@ def test_workers_end_with_their_parent_and_need_no_main_guard(
     script, log = tmp_path / "script.py", tmp_path / "pids"
     script.write_text(textwrap.dedent(SCRIPT))
     command = [sys.executable, str(script), str(tmp_path / "run"), str(log)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    folder = tmp_path / "files"
+    folder.mkdir()
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(folder)}
+    )
     deadline = time.monotonic() + 60
     while time.monotonic() < deadline and process.poll() is None:
         if log.exists() and len(log.read_text().splitlines()) > 20:
             break
         time.sleep(0.1)
+    assert len(list(folder.iterdir())) == 2, "a folder for each worker"
     process.send_signal(signum)
     _, errors = process.communicate(timeout=30)
     pids = {int(line) for line in log.read_text().splitlines()}
     assert len(pids) == 2 and process.pid not in pids, errors
     while any(map(alive, pids)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not any(map(alive, pids))
+    assert not any(map(alive, pids)) and not list(folder.iterdir())
     if signum is signal.SIGTERM:
         assert "FitInterrupted: stopped by SIGTERM" in errors
         assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"

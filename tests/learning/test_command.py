@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from fide_plugins.cli import main
 from fide_plugins.learning import Model
@@ -76,3 +82,46 @@ def test_wrong_usage_is_one_line(
     assert fide("learn", *words, "--out", "m.fide") == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+@pytest.mark.filterwarnings("always:the model has learned", "ignore:the model of")
+def test_a_model_of_another_state_of_the_file_is_noticed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("gradient.py").write_text(SCENE)
+    learn = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
+    assert fide(*learn, "--renders", 100) == 0
+    Image.new("L", (16, 16), 100).save("t.png")
+    words = ("--renderer", "gradient.py:render", "--workers", 0, "--budget", 5)
+    capsys.readouterr()
+    assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
+    assert "is not what renders here" not in capsys.readouterr().err
+    Path("other").mkdir()
+    Path("other/gradient.py").write_text(SCENE + "# mended\n")
+    words = ("--renderer", "other/gradient.py:render", *words[2:])
+    assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
+    assert "learned 'gradient.py:render', and that is not what" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_keeps_what_is_there_and_resume_goes_on(
+    signum: signal.Signals, tmp_path: Path
+) -> None:
+    Path("gradient.py").write_text(SCENE)
+    words = ("gradient.py:render", "--size", "16", "--out", "m.fide", "--passes", "100000")
+    command = [sys.executable, "-m", "fide_plugins", "learn", *words, "--renders", "300"]
+    heard = partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # as in a terminal
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heard) as process:
+        assert process.stderr is not None
+        while not (line := process.stderr.readline()).startswith("pass "):
+            assert line, "it has ended"
+        process.send_signal(signum)
+        errors = process.stderr.read()
+        assert process.wait(60) == 128 + signum
+    assert f"stopped by {signum.name}; what was rendered and learned is kept" in errors
+    assert "--resume" in errors and "Traceback" not in errors
+    assert {path.name for path in Path("m.fide.renders").iterdir()} == {
+        *("settings", "training", "000000.npz", "000001.npz", "000002.npz")
+    }
+    assert fide("learn", *words[:-1], 1, "--renders", 300, "--resume") == 0

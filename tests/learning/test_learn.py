@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+from fide_plugins import fit
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
 from fide_plugins.learning import LearnProgress, Model, learn
 from fide_plugins.learning.renderer import as_renderer
@@ -52,6 +56,26 @@ def test_an_interrupted_call_goes_on_bit_for_bit(tmp_path: Path) -> None:
         torch.testing.assert_close(resumed.network.state_dict()[name], value, rtol=0, atol=0)
 
 
+@pytest.mark.filterwarnings("ignore:the model of")  # little was learned
+def test_a_renderer_that_was_changed_is_noticed(tmp_path: Path) -> None:
+    def gradient(x: Float64) -> Float64:
+        return plain(x)
+
+    def changed(x: Float64) -> Float64:
+        return plain(x[::-1])
+
+    arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
+    model = learn(gradient, 2, renders=100, **arguments)
+    picture = gradient(np.array([0.3, 0.8]))
+    found = fit(gradient, picture, 2, budget=5, workers=0, seed=0, learned=tmp_path / "m")
+    assert found.evaluations == 5
+    changed.__name__ = "gradient"
+    with pytest.warns(RuntimeWarning, match="learned 'gradient', and that is not what renders"):
+        fit(changed, picture, 2, budget=5, workers=0, seed=0, learned=model)
+    with pytest.warns(RuntimeWarning, match="the renderer gradient was changed since"):
+        learn(changed, 2, renders=200, **arguments)
+
+
 def test_what_was_rendered_is_not_rendered_again(tmp_path: Path) -> None:
     calls = []
 
@@ -77,7 +101,7 @@ def test_workers_render_the_same(tmp_path: Path) -> None:
     import fide_tasks
 
     renderer = as_renderer(fide_tasks.make("voronoi", SIDE, cells=2), None)
-    stores = [RenderStore(tmp_path / name, settings(10), 1e9) for name in ("one", "two")]
+    stores = [RenderStore(tmp_path / name, settings(10)) for name in ("one", "two")]
     fill(stores[0], renderer, 200)
     fill(stores[1], renderer, 200, workers=2)
     for one, two in zip(stores[0].read(200), stores[1].read(200), strict=True):
@@ -90,7 +114,7 @@ def test_failed_renders_are_left_out(tmp_path: Path) -> None:
             raise ValueError("no such thing")
         return plain(x)
 
-    store = RenderStore(tmp_path, settings(), 1e9)
+    store = RenderStore(tmp_path, settings())
     failed = fill(store, as_renderer(fragile, 2), 300)
     x, images = store.read(300)
     assert len(x) == len(images) == 300 - failed
@@ -105,13 +129,104 @@ def test_a_renderer_that_mostly_fails_is_given_up(tmp_path: Path) -> None:
         learn(broken, 2, renders=2000, size=SIDE, out=tmp_path / "m")
 
 
-def test_the_limit_of_the_store_is_kept(tmp_path: Path) -> None:
+def test_what_was_given_up_is_rendered_when_the_renderer_is_mended(tmp_path: Path) -> None:
+    mended: list[bool] = []
+
+    def fragile(x: Float64) -> Float64:
+        if x[0] != 0.5 and not mended:
+            raise ValueError("no light")
+        return plain(x)
+
+    arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
+    with pytest.raises(RenderError, match="500 of 500.*the first one: ValueError: no light"):
+        learn(fragile, 2, renders=600, **arguments)
+    with pytest.raises(RenderError, match="0 renders are too few.*100 of 100 failed; mend"):
+        learn(fragile, 2, renders=100, **arguments)
+    mended.append(True)
+    report = learn(fragile, 2, renders=600, **arguments).report
+    assert (report.renders + report.held_out, report.failed) == (600, 0)
+
+
+def test_failed_renders_of_earlier_calls_are_counted(tmp_path: Path) -> None:
+    def fragile(x: Float64) -> Float64:
+        if x[0] < 0.1:
+            raise ValueError("no such thing")
+        return plain(x)
+
+    arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
+    first = learn(fragile, 2, renders=200, **arguments).report
+    assert first.failed > 0
+    assert learn(fragile, 2, renders=200, **arguments).report.failed == first.failed
+    assert learn(fragile, 2, renders=300, **arguments).report.failed > first.failed
+
+
+def deadly(x: Float64) -> Float64:
+    """Ends its process for small x; a function of this file travels by name."""
+    if x[0] < 0.02:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return plain(x)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_render_that_ends_its_worker_is_one_that_failed(tmp_path: Path) -> None:
+    store = RenderStore(tmp_path, settings())
+    failed = fill(store, as_renderer(deadly, 2), 300, workers=2)
+    x = np.concatenate([store.parameters(shard) for shard in range(3)])
+    kept, images = store.read(300)
+    np.testing.assert_array_equal(kept, x[x[:, 0] >= 0.02])
+    assert failed == (x[:, 0] < 0.02).sum() > 0
+    np.testing.assert_array_equal(images, as_renderer(plain, 2).small(kept, [0] * 300, store.size))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_renderer_that_always_ends_its_worker_is_given_up(tmp_path: Path) -> None:
+    def always(x: Float64) -> None:
+        os._exit(3)
+
+    store = RenderStore(tmp_path, settings())
+    with pytest.raises(RenderError, match="10 times in a row.*died with exit code 3"):
+        fill(store, as_renderer(always, 2), 300, workers=2)
+    assert store.missing(300) == [0, 1, 2]
+
+
+class Noisy:
+    """Renders nothing but noise, by the seeds that it gets."""
+
+    dim, name = 2, "noisy"
+
+    def render(self, X: Float64, seed: Any = None) -> list[Float64]:
+        return [np.random.default_rng(s).random((SIDE, SIDE)) for s in seed]
+
+
+def test_each_render_has_noise_of_its_own_whoever_renders_it(tmp_path: Path) -> None:
+    stores = [RenderStore(tmp_path / name, settings()) for name in ("one", "two")]
+    fill(stores[0], as_renderer(Noisy(), 2), 200)
+    fill(stores[1], as_renderer(Noisy(), 2), 200, workers=2)
+    (_, one), (_, two) = (store.read(200) for store in stores)
+    np.testing.assert_array_equal(one, two)
+    assert len(np.unique(one.reshape(200, -1), axis=0)) == 200
+
+
+def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="raise store_limit"):
         learn(plain, 2, renders=10_000, size=64, out=tmp_path / "m", store_limit=0.01)
+    lock = threading.Lock()
+    with pytest.raises(OptionError, match="cannot be sent to other processes .*lock"):
+        learn(lambda x: plain(x) if lock else x, 2, size=SIDE, out=tmp_path / "m", workers=2)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "m").mkdir()
+    with pytest.raises(IsADirectoryError, match="name a file for the model"):
+        learn(plain, 2, size=SIDE, out=tmp_path / "m")
+    assert [path.name for path in tmp_path.iterdir()] == ["m"]
+
+
+def test_too_little_time_is_said() -> None:
+    with pytest.raises(OptionError, match="0 renders are too few.*allow more time"):
+        learn(plain, 2, size=SIDE, time=1e-9)
 
 
 def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
-    store = RenderStore(tmp_path, settings(), 1e9)
+    store = RenderStore(tmp_path, settings())
     fill(store, as_renderer(plain, 2), 200)
     (tmp_path / "000001.npz").write_bytes(b"PK\x03\x04 and nothing")
     with pytest.raises(CheckpointError, match="000001.npz"):

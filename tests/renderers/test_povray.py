@@ -39,8 +39,8 @@ def _in_the_folder_of_the_example(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def documented() -> list[str]:
-    """Arguments of the command in docs/own_renderer.md, at 32 x 32 pixels."""
-    text = (ROOT / "docs" / "own_renderer.md").read_text("utf-8")
+    """Arguments of the command in docs/reference/own_renderer.md, at 32 x 32 pixels."""
+    text = (ROOT / "docs" / "reference" / "own_renderer.md").read_text("utf-8")
     found = re.search(r"^    fide (fit target\.png .*?)\n\n", text, re.MULTILINE | re.DOTALL)
     assert found is not None
     return shlex.split(found[1])

@@ -1,11 +1,11 @@
-"""What docs/space.md shows works as it is written there."""
+"""What docs/reference/space.md shows works as it is written there."""
 
 from __future__ import annotations
 
 import doctest
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "space.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "space.md"
 
 
 def test_the_examples_of_the_page() -> None:

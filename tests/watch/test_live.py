@@ -84,6 +84,10 @@ def test_it_writes_no_more_often_than_it_says(tmp_path: Path) -> None:
         budget=9, workers=0, seed=0, out=tmp_path / "run", callbacks=[live, look],
     )  # fmt: skip
     assert written == [1, 1, 1, 4, 4, 4, 7, 7, 7]
+    end = json.loads((tmp_path / "run/live.json").read_text())
+    assert end["evaluations"] == 9 and end["busy"] == 0
+    rows = (tmp_path / "run/curve.csv").read_text().splitlines()
+    assert end["best_loss"] == float(rows[-1].split(",")[2])
 
 
 def test_without_a_run_directory_nothing_is_written(tmp_path: Path) -> None:

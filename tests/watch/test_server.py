@@ -138,6 +138,9 @@ def test_links_and_other_contents_are_not_served(server: Server, directory: Path
         b"\xff\xfe",
         b'{"evaluations": "many", "improvements": [[1], 2], "parameters": {"a": 1}}',
         b'{"evaluations": 1e400, "best_loss": NaN, "improvements": [[NaN, 1], [2, 0.5]]}',
+        b'{"evaluations": 1e999, "seconds": 1e999, "improvements": [[1, 1e999], [-1e999, 2]]}',
+        b'{"evaluations": 1%s, "budget": 1%s, "improvements": [[1, 2%s]]}' % ((b"0" * 400,) * 3),
+        b"best_loss,seconds\n1e999,1e999\n0.5,1%s\n" % (b"0" * 400),
         b"[" * 100_000,
     ],
 )
@@ -154,6 +157,7 @@ def test_damaged_files_are_not_shown(
     state = json.loads(body, parse_constant=refuse)
     assert status == 200
     assert all(len(point) == 2 for point in state["improvements"])
+    assert all(abs(value) < 2**53 for value in state.values() if isinstance(value, int | float))
 
 
 def test_an_empty_directory_and_none(tmp_path: Path) -> None:

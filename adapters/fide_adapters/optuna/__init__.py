@@ -13,7 +13,7 @@
     study.optimize(objective, n_trials=1000)
 
 Any number of processes may work on one study.  Each makes its own sampler with the same settings;
-they share nothing but Optuna's storage.  `docs/optuna.md` explains how they agree.
+they share nothing but Optuna's storage.  `docs/reference/optuna.md` explains how they agree.
 """
 
 from __future__ import annotations

@@ -28,7 +28,13 @@ OnProgress = Callable[[RunKey, Progress], None]
 
 
 def run(plan: Plan, out: str | os.PathLike[str], **settings: Any) -> list[Outcome]:
-    """Execute the missing runs of `plan` in the directory `out`; arguments as in `prepare`."""
+    """Execute the missing runs of `plan` in the directory `out`.
+
+    settings: jobs (processes, at most one a core), dask (address of a scheduler, in their place),
+        resume (whether `out` may hold runs of this plan) and command (a command line to record).
+
+    Raises OptionError (a ValueError), RunDirectoryError (a FileExistsError) or OSError.
+    """
     return prepare(plan, out, **settings).execute()
 
 

@@ -51,6 +51,7 @@ class State:
 class Outcome:
     """Outcome of one run.
 
+    key: which run.
     kind: "done" now; "kept", finished before; "failed"; "interrupted", and saved; "busy", locked by
         another process.
     note: what failed, or why the run was repeated.

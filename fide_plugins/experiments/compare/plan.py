@@ -20,7 +20,12 @@ __all__ = ["Checked", "Plan", "RunKey"]
 
 
 class RunKey(NamedTuple):
-    """Identity of one run within a comparison; configuration: its label."""
+    """Identity of one run within a comparison.
+
+    task, loss: their names.
+    configuration: label of the optimizer and its options.
+    seed: of the optimizer.
+    """
 
     task: str
     loss: str
@@ -121,15 +126,16 @@ class Plan:
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             target = targets[name] = target_of(task)
-            for loss in {*self.losses, *self.metrics}:
+            mine = [key for key in self.runs() if key.task == name]
+            for loss in {*(key.loss for key in mine), *self.metrics}:
                 losses_module.make(loss, target)
-            for key in self.runs():
-                if key.task != name:
-                    continue
+            seen = set()
+            for key in mine:
                 configuration = self.configuration(key.configuration)
                 options = self.options_of(configuration)
                 budget = configuration.budget or self.budget
-                if key.seed == 0:
+                if (key.loss, key.configuration) not in seen:
+                    seen.add((key.loss, key.configuration))
                     _check_budget(configuration, budget, task.dim, target, key.loss, options)
                 known = settings_of(
                     task, target, configuration.name, key.loss, budget, key.seed,

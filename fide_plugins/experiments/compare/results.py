@@ -62,6 +62,7 @@ class Curve:
 class StoredRun:
     """One run of a comparison as its directory holds it.
 
+    key: which run; folder: its run directory.
     status: "finished", "failed", "unfinished", "missing" or "damaged"; why: what went wrong.
     run: contents of `run.json`.
     curve: None unless the run is finished.
@@ -89,7 +90,14 @@ class StoredRun:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All runs of a comparison, in the order of its plan, and its record."""
+    """All runs of a comparison, in the order of its plan, and its record.
+
+    path: folder of the comparison.
+    settings: what all runs share: image size, budget, targets, options, metrics.
+    calls: each call of the command: command line, time, versions, machine.
+    versions, machine: those of the last call.
+    runs: one entry for each task, loss, configuration and seed.
+    """
 
     path: Path
     settings: dict[str, Any]

@@ -29,6 +29,7 @@ __all__ = [
     "PART_COLORS",
     "Style",
     "convergence",
+    "profile",
     "style",
     "times",
     "tradeoff",
@@ -165,6 +166,36 @@ def tradeoff(
         _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.02))
     else:
         _legend(axes, loc="lower left")
+    return figure
+
+
+def profile(
+    x: Float64,
+    shares: Float64,
+    names: Sequence[str],
+    axis: str,
+    legend: bool = True,
+    marks: Sequence[float] = (),
+) -> Figure:
+    """Shares of problems, in percent, as step functions along a logarithmic axis.
+
+    x: (m,), increasing, positive.  shares: (m, S) in [0, 1], S curves called `names`.
+    marks: vertical lines.
+    """
+    room = 0.5 + 0.062 * max(map(len, names)) if legend else 0.1
+    figure, axes = _canvas(5.1 + room, 3.6, left=0.62, top=0.26, right=room)
+    for mark in marks:
+        axes.axvline(mark, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+    for index, name in enumerate(names):
+        look = style(index)
+        axes.step(x, 100 * shares[:, index], where="post", color=look.color, linestyle=look.dash,
+                  linewidth=1.8, label=plain(fitted(name, _LONGEST)))  # fmt: skip
+    _scale(axes, "x", x)
+    axes.set_ylim(-2, 102)
+    axes.set_xlabel(axis, fontsize=10, color=INK)
+    axes.set_title("problems solved, %", fontsize=10, color=INK, loc="left", pad=5)
+    if legend:
+        _legend(axes, loc="upper left", bbox_to_anchor=(1.0, 1.02))
     return figure
 
 

@@ -42,6 +42,7 @@ from fide_plugins.experiments.run.record import Record, RunResult
 from fide_plugins.experiments.run.record_schema import check_record
 from fide_plugins.experiments.run.user_optimizer import complete
 from fide_plugins.runtime import checkpoint, files
+from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import IMPOSSIBLE
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class RunDirectory:
     resume: whether an existing run may be continued.
     command: command line to record.
     limits: when the run stops, where that is no setting: to be recorded, and changed by resuming.
+    facts: what else is known at the first call, recorded once: `facts` has what is recorded.
 
     Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
     """
@@ -79,6 +81,7 @@ class RunDirectory:
         resume: bool,
         command: list[str] | None = None,
         limits: dict[str, Any] | None = None,
+        facts: dict[str, Any] | None = None,
     ) -> None:
         self.path = Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
@@ -90,6 +93,7 @@ class RunDirectory:
             "command": None if command is None else shlex.join(command),
             "started": now(),
             "resumed": [],
+            **({} if facts is None else {"facts": facts}),
         }
         before = read_run(self.path)
         if before is not None:
@@ -100,12 +104,19 @@ class RunDirectory:
             self._run["limits"] = limits
         files.remove_leftovers(self.path)
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What was recorded at the first call."""
+        facts = self._run.get("facts")
+        return facts if isinstance(facts, dict) else {}
+
     # -- reading -----------------------------------------------------------------------------------
 
-    def restore(self, loss: object = None) -> tuple[Record, Optimizer] | None:
+    def restore(self, fresh: Saved | None = None) -> tuple[Record, Optimizer] | None:
         """State of the saved run; None if it never saved one.
 
-        loss: a user's own, which a checkpoint cannot hold; None: it holds its name.
+        fresh: an optimizer of the same arguments, which goes on; None: all that it needs is in its
+            file, by name.
 
         Raises CheckpointError (a ValueError) if it is damaged.
         """
@@ -121,10 +132,12 @@ class RunDirectory:
             record = Record.from_state(state["record"])
         except IMPOSSIBLE as error:
             raise CheckpointError(f"{path}: impossible contents ({error})") from error
-        device = self.settings["options"].get("device")
-        loaded = optimizers.load(
-            self.settings["optimizer"], self.path / name, device=device, loss=loss
-        )
+        loaded: Any = fresh
+        if fresh is not None:
+            fresh.continue_from(self.path / name)
+        else:
+            device = self.settings["options"].get("device")
+            loaded = optimizers.load(self.settings["optimizer"], self.path / name, device=device)
         optimizer = complete(loaded, self.settings["dim"])
         if optimizer.dim != self.settings["dim"]:
             raise CheckpointError(f"{self.path / name}: an optimizer of {optimizer.dim} parameters")

@@ -44,7 +44,17 @@ _SAVE_INTERVAL = 20  # least time between two checkpoints, in times of writing o
 
 
 class Run:
-    """A run that is ready to start or to continue; made by :func:`prepare.prepare`."""
+    """A run that is ready to start or to continue; made by `prepare`, which checks everything.
+
+    task, target: scene, and the picture to find (H, W, 3).
+    optimizer, loss: what asks for candidates, and what judges their images.
+    settings: what defines the run, as `run.json` records it.
+    record: history so far.
+    directory: run directory, or None.
+    checkpoint_every: seconds between checkpoints.
+    keep, metrics: what to record beside the loss, and the losses that this needs, by name.
+    fidelity: numbers of samples per pixel that rise; None where they stay.
+    """
 
     def __init__(
         self,

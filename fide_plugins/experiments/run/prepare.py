@@ -16,6 +16,7 @@ from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.task import Task, TaskInfo, name_of
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
@@ -33,7 +34,13 @@ def run(
     on_progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> RunResult:
-    """Fit `task` with `optimizer`; arguments and errors as in :func:`prepare` and `Run.execute`."""
+    """Fit `task` with `optimizer`, and return the result.
+
+    loss, budget, seed, settings: arguments of `prepare`, which raises their errors.
+    on_progress: called after each piece of a generation.
+
+    Raises also what `Run.execute` raises.
+    """
     return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
 
 
@@ -59,16 +66,17 @@ def prepare(
     Parameters
     ----------
     task
-        name in `fide_tasks`; ``FILE.py:NAME`` for a user's renderer, see `renderer_task`; or a
-        `Task`.
+        name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
+        renderer, see `renderer_task.make`; or a `Task`.
     size, task_seed, task_options
         arguments of a task that is given by name; a user's renderer has its own size.  The option
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
         `pixel_samples`.
     optimizer
-        name in `fide_plugins.optimizers`, or a callable that is called as a class of one would be:
-        (dim, target, loss=, seed=, **options).  What it makes needs `ask` and `tell`; all else is
-        optional, see `user_optimizer.UserOptimizer`.
+        name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
+        `baselines.own`; or a callable that is called as a class of one would be:
+        ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
+        else is optional, see `user_optimizer.UserOptimizer`.
     loss
         name in `fide_plugins.losses`, or a callable images -> (n,).
     budget
@@ -98,6 +106,8 @@ def prepare(
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
+    if isinstance(optimizer, str):
+        optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
@@ -107,6 +117,8 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
+    if "learned" in options:
+        options["learned"] = model_for(options["learned"], task)
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
     record, directory = Record(), None
     if out is not None:
@@ -144,11 +156,15 @@ def _restored(
 def make_task(
     name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
 ) -> Task:
-    """Make the task `name` of `fide_tasks`, or that of a user's renderer.
+    """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
 
     Its option `spp` is the largest number of samples.
     """
-    if renderer_task.is_reference(name):
+    if "suite" in options:
+        from fide_plugins.experiments import suite
+
+        return suite.make(suite.read(options["suite"]), name)
+    if renderer_task.is_own(name, options):
         return renderer_task.make(name, seed, options)
     import fide_tasks
 

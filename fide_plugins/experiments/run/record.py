@@ -64,11 +64,16 @@ class RunResult:
     `judge_s` is the time of the noise-free evaluation after the run, `watch_s` that of metrics and
     film; no other time includes them.
 
+    task, optimizer, loss: their names.
+    seed, task_seed: of the optimizer, and of the target; None for a picture of the user's.
+    dim: number of parameters.
+    budget, evaluations: renders that were allowed, and done.
     losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
-    best_loss: lowest loss; biased low for a noisy task.
+    best_loss: lowest loss; biased low for a noisy task.  best_evaluation: its index, from 0.
     reference_loss, mse: loss and mean squared error of the reference image of the best candidate;
         of `image` if the task has no reference.
     recommended_loss: loss of the reference image of the recommended candidate; NaN without one.
+    wall_s: of the whole run.  times: by `PARTS`.
     x_best, x_recommended: (dim,); image: (H, W, 3), render of x_best during the run;
         reference: (H, W, 3), noise-free image of x_best.  They are None if no candidate had a
         finite loss.

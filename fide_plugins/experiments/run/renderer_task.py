@@ -1,4 +1,7 @@
-"""A user's renderer as a task: what is to be found are random parameters of its own."""
+"""A user's renderer as a task: a function, or a program.
+
+What is to be found are random parameters of its own, or the parameters of a given picture.
+"""
 
 from __future__ import annotations
 
@@ -8,44 +11,61 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.renderers.function import is_reference
+from fide_plugins.renderers import CommandRenderer, FunctionRenderer
+from fide_plugins.renderers.fingerprint import fingerprint_of
+from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
 
-__all__ = ["RendererTask", "is_reference", "make"]
+__all__ = ["RendererTask", "is_own", "make"]
 
-_OPTIONS = ("space",)
+_OF_BOTH = ("space", "target")
+_OF_COMMAND = (*_OF_BOTH, "command", "timeout")
+_TIMEOUT = 60.0  # seconds of a program, where none are given
 
 
 class RendererTask:
-    """Task whose target is the image of random parameters.
+    """Task whose target is the image of random parameters, or a picture.
 
     name: of the task.
     renderer: function of a dictionary of parameters that returns an image (H, W, C) or (H, W); of
         x, (dim,) in [0, 1], where `space` is a number.
     space: the parameters; or their number.
     seed: chooses the parameters, which are uniform in the unit cube.
+    picture: target instead of that of random parameters, as `validation.images.as_target` takes it.
 
     search_space: `space`, for optimizers that handle integers and choices as such.
-    x_star: (dim,), the parameters of the target; integers and choices in the middle of their cells.
+    x_star: (dim,), the parameters of the target, integers and choices in the middle of their cells;
+        None for a picture.
     """
 
     def __init__(
-        self, name: str, renderer: Callable[[Any], Any], space: Space | int, seed: int = 0
+        self,
+        name: str,
+        renderer: Callable[[Any], Any],
+        space: Space | int,
+        seed: int = 0,
+        picture: object = None,
     ) -> None:
         self.name, self.seed, self._render = name, seed, renderer
         self.search_space = space if isinstance(space, Space) else None
         self.dim = space.dim if isinstance(space, Space) else space
         x = np.random.default_rng(seed).random(self.dim)
-        self.x_star: Float64 = x if self.search_space is None else self.search_space.snap(x)
-        self._target: Float32 | None = None
+        x = x if self.search_space is None else self.search_space.snap(x)
+        self.x_star: Float64 | None = x if picture is None else None
+        self._target: Float32 | None = None if picture is None else as_target(picture)
+
+    @property
+    def fingerprint(self) -> str | None:
+        """That of the renderer."""
+        return fingerprint_of(self._render)
 
     @property
     def target(self) -> Float32:
-        """Image (H, W, 3) of `x_star`, rendered once; its size is the renderer's."""
+        """Picture (H, W, 3); or the image of `x_star`, rendered once, in the renderer's size."""
         if self._target is None:
+            assert self.x_star is not None, "without a picture there are parameters"
             self._target = as_target(self._render(self.decode(self.x_star)))
         return self._target
 
@@ -58,16 +78,31 @@ class RendererTask:
         return x.copy() if self.search_space is None else self.search_space.decode(x)
 
 
-def make(reference: str, seed: int, options: Mapping[str, Any]) -> RendererTask:
-    """Task of the function ``FILE.py:NAME`` or ``module:NAME``.
+def is_own(name: str, options: Mapping[str, Any]) -> bool:
+    """Whether a task of this name and these options is a user's renderer."""
+    return "command" in options or is_reference(name)
+
+
+def make(name: str, seed: int, options: Mapping[str, Any]) -> RendererTask:
+    """Task of the function ``FILE.py:NAME`` or ``module:NAME``; or of the program in `options`.
 
     options: `space` is the path of a TOML file; without it the space is beside the function.
+        `target` is the path of a picture.  `command` is the template of a command line, see
+        `renderers.template`, and `timeout` the seconds until it is stopped; then the space is
+        required, and `name` is only a name.
 
-    Raises OptionError and SpaceError (ValueErrors), OSError if the file cannot be read.
+    Raises OptionError, SpaceError and ImageError (ValueErrors), OSError if a file cannot be read.
     """
+    known = _OF_COMMAND if "command" in options else _OF_BOTH
     for option in options:
-        if option not in _OPTIONS:
-            raise OptionError(f"{reference} has no option {option!r}; it has space")
-    renderer = FunctionRenderer(reference)
+        if option not in known:
+            raise OptionError(f"{name} has no option {option!r}; it has {', '.join(known)}")
     given = Space.read(options["space"]) if "space" in options else None
-    return RendererTask(reference, renderer, renderer.space_or(given), seed)
+    if "command" not in options:
+        function = FunctionRenderer(name)
+        space = function.space_or(given)
+        return RendererTask(name, function, space, seed, options.get("target"))
+    if given is None:
+        raise OptionError("a command needs a space (--space FILE.toml), its parameters and ranges")
+    program = CommandRenderer(options["command"], given, options.get("timeout", _TIMEOUT))
+    return RendererTask(name, program, given, seed, options.get("target"))

@@ -75,11 +75,25 @@ def _optimizer(path: Path) -> FIDE:
         raise RunDirectoryError(
             f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
         )
+    name = _file_of(path)
+    while True:
+        try:
+            loaded = FIDE.load(path / name, loss=_no_loss)
+        except FileNotFoundError:
+            newer = _file_of(path)
+            if newer == name:
+                raise
+            name = newer  # the fit goes on, and has replaced its checkpoint
+        else:
+            return loaded
+
+
+def _file_of(path: Path) -> str:
+    """Name of the optimizer's file; raises CheckpointError."""
     name: Any = checkpoint.read(path / "run.ckpt", "run").get("optimizer")
     if not isinstance(name, str) or os.path.basename(name) != name:
         raise CheckpointError(f"{path / 'run.ckpt'} names no optimizer's file, but {name!r}")
-    loaded = FIDE.load(path / name, loss=_no_loss)
-    return loaded
+    return name
 
 
 def _no_loss(images: Any) -> Any:

@@ -88,6 +88,8 @@ class Event:
 class Callbacks:
     """Several callbacks as one.
 
+    given: a callback, or a list or tuple of them.
+
     Raises OptionError (a ValueError) for one that is neither callable nor has any of the methods.
     """
 

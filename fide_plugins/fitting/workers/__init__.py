@@ -5,6 +5,7 @@
 `here`         this process, one render after the other
 `processes`    processes of our own, each killed and replaced by itself
 `executors`    threads, any executor of `concurrent.futures`, Dask
+`threads`      threads that do not keep the process alive where a render hangs
 `choice`       which of them `fit` takes
 =============  =================================================================
 """

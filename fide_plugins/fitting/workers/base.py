@@ -31,7 +31,10 @@ class Workers(Protocol):
         """What a task that is done has given; never raises what went wrong."""
 
     def began(self, task: Task) -> float | None:
-        """Time of `time.monotonic` when the render began; None if it waits for its worker."""
+        """Time of `time.monotonic` when the render began; None if it waits for its worker.
+
+        Waiting in a queue is no time of a render.
+        """
 
     def abandon(self, task: Task) -> None:
         """Stop a render that takes too long; where that is impossible, forget it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.rendering import Renderer
@@ -11,6 +11,7 @@ from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.executors import OfExecutor
 from fide_plugins.fitting.workers.here import Here
 from fide_plugins.fitting.workers.processes import Processes
+from fide_plugins.fitting.workers.threads import DaemonThreads
 
 __all__ = ["workers_for"]
 
@@ -67,8 +68,7 @@ def _processes(renderer: Renderer, number: int) -> Workers:
 
 
 def _threads(renderer: Renderer, number: int) -> Workers:
-    executor = ThreadPoolExecutor(number, thread_name_prefix="fide-render")
-    return OfExecutor(executor, renderer, number, own=True)
+    return OfExecutor(DaemonThreads(number), renderer, number, own=True)
 
 
 def _as_executor(executor: object) -> Executor:

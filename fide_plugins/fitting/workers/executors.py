@@ -8,6 +8,7 @@ from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 
 from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Renderer, unpack
 from fide_plugins.fitting.workers.base import Task
+from fide_plugins.fitting.workers.threads import DaemonThreads
 from fide_plugins.types import Float64
 
 __all__ = ["OfExecutor"]
@@ -24,11 +25,15 @@ class OfExecutor:
     """
 
     def __init__(self, executor: Executor, renderer: Renderer, number: int, own: bool) -> None:
-        threads = isinstance(executor, ThreadPoolExecutor)
         self.number = number
         self._executor, self._own = executor, own
-        self._render: Callable[[Float64], Outcome] = renderer if threads else Portable.of(renderer)
-        self._began: dict[Task, float] = {}
+        self._threads = isinstance(executor, ThreadPoolExecutor | DaemonThreads)
+        self._renderer = renderer if self._threads else Portable.of(renderer)
+        self._clocks: dict[Task, _Clock] = {}
+        self._tells = self._threads
+        """Whether the executor tells when a render begins."""
+        self._alive = 0.0
+        """When a render began or ended last, as far as is known."""
         self._hanging: list[Task] = []
 
     @property
@@ -39,13 +44,18 @@ class OfExecutor:
 
     def submit(self, x: Float64) -> Task:
         """Render the point x (d,)."""
-        task: Task = self._executor.submit(self._render, x)
-        self._began[task] = time.monotonic()
+        clock = _Clock()
+        if self._threads:
+            task: Task = self._executor.submit(_noting, clock, self._renderer, x)
+        else:
+            task = self._executor.submit(self._renderer, x)
+        self._clocks[task] = clock
         return task
 
     def outcome(self, task: Task) -> Outcome:
         """Image, or what went wrong."""
-        self._began.pop(task, None)
+        self._clocks.pop(task, None)
+        self._alive = time.monotonic()
         try:
             made = task.result()
         except CancelledError as error:
@@ -53,21 +63,48 @@ class OfExecutor:
         except Exception as error:  # of the executor; those of the renderer are outcomes
             return Failed.by(error)
         # from a thread comes what the user's function returned, and bytes of it are no pickle
-        return unpack(made) if isinstance(self._render, Portable) else made
+        return made if self._threads else unpack(made)
 
     def began(self, task: Task) -> float | None:
-        """Time at which it was submitted: no more are than there are workers."""
-        return self._began.get(task)
+        """Time at which it began, not that of waiting in the executor's queue.
+
+        The clock of one that has not begun starts anew whenever another one begins or ends: it runs
+        out where all workers of the executor hang.  A `ProcessPoolExecutor` takes one render more
+        than it has processes for begun.  Some executors (Dask's) never tell what has begun: there
+        it is the time at which it was submitted.
+        """
+        clock = self._clocks.get(task)
+        if clock is None:
+            return None
+        if clock.began is None and task.running():
+            clock.began, self._tells = time.monotonic(), True
+        if clock.began is not None:
+            self._alive = max(self._alive, clock.began)
+            return clock.began
+        return max(clock.asked, self._alive) if self._tells else clock.asked
 
     def abandon(self, task: Task) -> None:
         """Cancel it, which helps if it has not begun."""
-        self._began.pop(task, None)
+        self._clocks.pop(task, None)
         if not task.cancel():
             self._hanging.append(task)
 
     def close(self) -> None:
         """Cancel what has not begun; do not wait for what has."""
-        for task in self._began:
+        for task in self._clocks:
             task.cancel()
         if self._own:
             self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+class _Clock:
+    """When a render was asked for, and when it began (`time.monotonic`); None: not known."""
+
+    def __init__(self) -> None:
+        self.asked = time.monotonic()
+        self.began: float | None = None
+
+
+def _noting(clock: _Clock, render: Callable[[Float64], Outcome], x: Float64) -> Outcome:
+    clock.began = time.monotonic()
+    return render(x)

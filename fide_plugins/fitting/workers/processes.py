@@ -9,15 +9,20 @@ a worker that is killed while it holds the lock (out of memory, say) would stop 
 - Each is a process group of its own: what its render has started (a program, say) is killed with
   it, and Ctrl-C in a terminal reaches this process alone, which saves and stops them.
 - They end when this process does, however it ends.
+- Each has a folder for its files (`renderers.scratch`), which this process removes after its end,
+  and the worker where this process is killed.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing import parent_process
@@ -25,9 +30,9 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any
 
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Renderer, restored, unpack
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, restored, unpack
 from fide_plugins.fitting.workers.base import Task
-from fide_plugins.types import Float64
+from fide_plugins.renderers import scratch
 
 __all__ = ["Processes"]
 
@@ -41,14 +46,14 @@ class Processes:
     Raises what the renderer raises if it cannot be pickled.
     """
 
-    def __init__(self, renderer: Renderer, number: int) -> None:
+    def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
         self.number = self.usable = number
         self._portable = Portable.of(renderer)
         self._workers: list[_Worker] = []
         self._of: dict[Task, _Worker] = {}
 
-    def submit(self, x: Float64) -> Task:
-        """Render the point x (d,) in a free worker."""
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes, in a free worker."""
         worker = self._free()
         try:
             task = worker.submit(x)
@@ -103,8 +108,9 @@ class _Worker:
 
     def __init__(self, portable: Portable) -> None:
         self._context = _Context()
+        self._folder = tempfile.mkdtemp(prefix="fide-worker-")
         self._executor = ProcessPoolExecutor(
-            1, mp_context=self._context, initializer=_begin, initargs=(portable,)
+            1, mp_context=self._context, initializer=_begin, initargs=(portable, self._folder)
         )
         self._ready_at: float | None = None
         self._asked_at = time.monotonic()
@@ -113,7 +119,7 @@ class _Worker:
     def _note_ready(self, _: object) -> None:
         self._ready_at = time.monotonic()
 
-    def submit(self, x: Float64) -> Task:
+    def submit(self, x: Any) -> Task:
         self._asked_at = time.monotonic()
         return self._executor.submit(_render, x)
 
@@ -138,7 +144,7 @@ class _Worker:
         return f" with exit code {code}"
 
     def kill(self) -> None:
-        """Kill the process, and all that it has started."""
+        """Kill the process and all that it has started, and remove its folder."""
         process = self._context.started
         if process is not None:
             with suppress(ProcessLookupError, PermissionError):
@@ -146,6 +152,7 @@ class _Worker:
                     os.killpg(process.pid, signal.SIGKILL)
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 class _Context(SpawnContext):
@@ -186,19 +193,21 @@ def _block_interrupts() -> set[Any] | None:
 _PORTABLE: list[Portable] = []
 
 
-def _begin(portable: Portable) -> None:
+def _begin(portable: Portable, folder: str) -> None:
     """Prepare the worker."""
     _PORTABLE.append(portable)
+    scratch.use(folder)
     if hasattr(os, "setsid"):  # a group of its own
         with suppress(PermissionError):
             os.setsid()
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(folder: str) -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
+        shutil.rmtree(folder, ignore_errors=True)
         if hasattr(os, "killpg"):
             os.killpg(os.getpgrp(), signal.SIGKILL)
         os._exit(1)
@@ -210,5 +219,5 @@ def _ready() -> None:
         restored(_PORTABLE[0].payload)
 
 
-def _render(x: Float64) -> Outcome:
+def _render(x: Any) -> Outcome:
     return _PORTABLE[0](x)

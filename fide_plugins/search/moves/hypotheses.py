@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
-from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.types import Float64
 
 __all__ = ["Hypotheses"]
@@ -72,19 +72,22 @@ class Hypotheses:
         self._waiting = np.array(chosen)
         self.typical = float(np.median([loss for loss, _ in found])) if found else None
 
-    def next(self) -> Start:
+    def next(self, known: Known) -> Start:
         """Begin at the next one; there must be one."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
-        return Start(x, self._spread(x))
+        return Start(x, self._spread(x, known))
 
-    def _spread(self, x: Float64) -> Float64:
+    def _spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
 
-        They are narrow in what the picture shows well, and wide in the rest.
+        They are narrow in what the picture shows well, and wide in the rest.  Exchangeable blocks
+        are in the order nearest to x, and periodic axes are differences the shorter way around.
         """
-        distance = np.square(self.x - x).sum(axis=1)
-        nearest = self.x[np.argsort(distance)[: max(2, int(_NEAREST * len(self.x)))]]
-        spread = np.sqrt(np.square(nearest - x).mean(axis=0))
+        others = np.stack([known.exchangeability.aligned(one, x) for one in self.x])
+        squares = np.square(known.axes.difference(others, x))  # (n, d)
+        order = np.argsort(squares.sum(axis=1), kind="stable")
+        nearest = squares[order[: max(2, int(_NEAREST * len(self.x)))]]
+        spread = np.sqrt(nearest.mean(axis=0))
         return np.asarray(np.clip(spread, _NARROWEST, _WIDEST), np.float64)
 
     def forget(self) -> None:

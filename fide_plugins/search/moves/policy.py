@@ -194,7 +194,7 @@ class MovePolicy:
         ]
 
     def _begin_at_hypothesis(self) -> Stage:
-        self.move, self.start = Hypotheses.name, self.hypotheses.next()
+        self.move, self.start = Hypotheses.name, self.hypotheses.next(self.known)
         return self._go(Stage.SEARCH)
 
     def _go(self, stage: Stage) -> Stage:

@@ -18,7 +18,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning"),
 ]
 
-MARGIN = 1.1  # ratio of the geometric means of losses, see docs/nevergrad.md
+MARGIN = 1.1  # ratio of the geometric means of losses, see docs/reference/nevergrad.md
 
 
 PICTURES: dict[str, Callable[[Any, np.random.Generator], Any]] = {

@@ -1,0 +1,70 @@
+"""How Sphinx builds the site: `make docs`.
+
+Everything is read from this repository.  Nothing is fetched, and nothing is executed but the
+imports of the packages, so the build needs no renderer, no weights and no network.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+for folder in (ROOT, ROOT / "adapters", ROOT / "tasks", ROOT / "docs" / "extensions"):
+    sys.path.insert(0, str(folder))
+
+import fide_plugins  # noqa: E402
+
+project = "FIDE"
+author = "FIDE contributors"
+copyright = "FIDE contributors"
+version = release = fide_plugins.__version__
+root_doc = "index"
+exclude_patterns = ["extensions"]
+
+extensions = [
+    "myst_parser",
+    "sphinx_design",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "command_line",
+    "field_lists",
+    "public_names",
+    "repository_links",
+]
+
+# -- Markdown --------------------------------------------------------------------------------------
+myst_enable_extensions = ["colon_fence", "deflist"]
+smartquotes = False  # "--resume" is no dash
+myst_heading_anchors = 4  # [a section](page.md#section) resolves, or the build fails
+suppress_warnings = [
+    "myst.header",  # a table of measurements may have a small heading
+    "ref.python",  # two classes are called Run; either is a fair goal
+]
+
+# -- the API ---------------------------------------------------------------------------------------
+default_role = "py:obj"  # `fit` in a docstring is a link if the reference has it, else plain code
+autosummary_generate = False  # tables only: what they list is written on the same page
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True, "show-inheritance": False}
+add_module_names = False
+maximum_signature_line_length = 88
+python_use_unqualified_type_names = True
+nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: the build has no network
+
+# -- pages -----------------------------------------------------------------------------------------
+html_theme = "furo"
+html_title = "FIDE"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#0b6e99", "color-brand-content": "#0b6e99"},
+    "dark_css_variables": {"color-brand-primary": "#6cc7ee", "color-brand-content": "#6cc7ee"},
+}
+pygments_style = "friendly"
+pygments_dark_style = "monokai"

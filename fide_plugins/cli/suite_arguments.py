@@ -1,0 +1,52 @@
+"""`fide compare --suite NAME`: arguments that choose a part of a suite, and its plan."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from fide_plugins.cli.arguments import names, whole
+from fide_plugins.cli.messages import note, plain
+from fide_plugins.errors import OptionError
+
+__all__ = ["add_suite_arguments", "suite_plan"]
+
+_FIXED = (
+    "tasks", "template", "space", "target", "timeout", "losses", "metrics", "size", "seeds",
+    "task_seed", "task_set", "options", "threshold",
+)  # fmt: skip
+"""Arguments that a suite does not leave open."""
+_FLAGS = {"tasks": "a TASK", "template": "--command", "options": "--set"}
+
+
+def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add --suite, and what chooses a part of it."""
+    suite = parser.add_argument_group("a suite")
+    add = suite.add_argument
+    add("--suite", metavar="NAME", help="fixed set of problems, such as image-fitting-v1")
+    add("--scenes", type=names, metavar="A,B", help="scenes of the suite (all)")
+    add("--targets", type=whole(1), metavar="N", help="its first N targets of each scene (all)")
+
+
+def suite_plan(args: argparse.Namespace) -> Any:
+    """Plan of the chosen part; scenes that cannot be rendered here are left out, with a line.
+
+    Raises OptionError for arguments that a suite does not leave open, and if no scene is left.
+    """
+    from fide_plugins.experiments import suite as suites
+    from fide_plugins.experiments.compare import Configuration
+
+    for name in _FIXED:
+        if getattr(args, name):
+            flag = _FLAGS.get(name, "--" + name.replace("_", "-"))
+            raise OptionError(f"{flag} has no meaning with --suite, which is fixed; leave it out")
+    suite = suites.read(args.suite)
+    scenes, targets = suite.chosen(args.scenes, args.targets)
+    missing = suites.unavailable(suite, scenes)
+    for scene, why in missing.items():
+        note(f"{scene} of {suite.name} is left out, it cannot be rendered here: {plain(why)}")
+    left = [scene for scene in scenes if scene not in missing]
+    if not left:
+        raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
+    configurations = [Configuration.parse(text) for text in args.optimizers]
+    return suites.plan(suite, configurations, left, targets, args.budget)

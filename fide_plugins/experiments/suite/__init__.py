@@ -1,0 +1,17 @@
+"""A fixed set of problems that any optimizer can enter, and the page of its results.
+
+    fide compare --suite image-fitting-v1 --optimizers fide,cma,mine.py:Search --out runs/suite
+
+============  ====================================================================
+`definition`  a suite as data, read from NAME.toml; `scenes/` has its files
+`problems`    problems as tasks, and the plan of a comparison that runs them
+`profiles`    data profiles and performance profiles
+`scores`      renders to solve each problem, of a comparison's results
+`page`        the page, its figures and tables
+============  ====================================================================
+"""
+
+from fide_plugins.experiments.suite.definition import Scene, Suite, names, read
+from fide_plugins.experiments.suite.problems import SuitePlan, make, plan, unavailable
+
+__all__ = ["Scene", "Suite", "SuitePlan", "make", "names", "plan", "read", "unavailable"]

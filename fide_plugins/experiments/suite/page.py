@@ -1,0 +1,184 @@
+"""The page of a suite: profiles, and tables of solved problems."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.experiments.compare.results import Results
+from fide_plugins.experiments.report import Written, page as report_page, plots, sentences, svg
+from fide_plugins.experiments.report.labels import short_names
+from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
+from fide_plugins.experiments.suite import profiles
+from fide_plugins.experiments.suite.scores import Scores, scores
+from fide_plugins.experiments.suite.tables import by_scene, totals
+from fide_plugins.runtime import files
+
+__all__ = ["write"]
+
+_METHOD = (
+    "A problem is a scene and a target. It is solved by the first render whose loss is at most the "
+    "threshold of its scene, as the optimizer received the loss.",
+    "One run of the largest budget is read at each smaller one, so budgets that an optimizer knows "
+    "beforehand are the largest.",
+    "The data profile (Moré and Wild 2009; COCO) shows the share of problems solved within so many "
+    "renders.",
+    "The performance profile of a budget (Dolan and Moré 2002) shows the share of problems solved "
+    "within the budget and within tau times the renders of the fastest optimizer of that problem. "
+    "At tau = 1 it is the share of problems on which an optimizer is fastest, at the right end the "
+    "share that it solves.",
+    "p is that of the exact McNemar test (a sign test of the problems that one of two optimizers "
+    "solves and the other does not) against the optimizer that solves most, adjusted for all "
+    "rivals (Benjamini and Hochberg).",
+    "Only problems that every optimizer has finished count.",
+)
+
+
+def write(results: Results, page: str | os.PathLike[str]) -> Written:
+    """Write the page, report.md, solved.csv and figures/ into one folder.
+
+    page: path of report.html.
+
+    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all, DependencyError
+    (an ImportError) without Jinja2, OSError if a file cannot be written.
+    """
+    path = Path(page)
+    found = scores(results)
+    env = report_page.environment()
+    names = list(short_names(found.labels).values())
+    tables = [totals(found, names), by_scene(found, names), _thresholds(found)]
+    (path.parent / "figures").mkdir(parents=True, exist_ok=True)
+    charts = []
+    for stem, title, figure in _figures(found, names, legend=True):
+        files.write_bytes(path.parent / "figures" / f"{stem}.png", svg.png(figure))
+        charts.append((stem, title))
+    plain = [svg.as_file(figure) for _, _, figure in _figures(found, names, legend=False)]
+    files.write_text(path.parent / "solved.csv", _csv(found))
+    files.write_text(path.with_suffix(".md"), _markdown(results, found, tables, charts))
+    html: str = env.get_template("suite.html").render(
+        title=f"Suite {found.suite.name}",
+        facts=_facts(found),
+        part=_part(found),
+        tables=tables,
+        charts=[
+            (title, _markup(file, stem, title))
+            for (stem, title), file in zip(charts, plain, strict=True)
+        ],
+        names=names,
+        calls=[sentences.command(call) for call in results.calls],
+        machine=results.machine,
+        versions=results.versions,
+        method=_METHOD,
+    )
+    files.write_text(path, html)
+    shown = "\n\n".join(markdown(table) for table in tables[:2])
+    return Written(path, f"{_part(found)}\n\n{shown}\n")
+
+
+def _figures(found: Scores, names: list[str], legend: bool) -> list[tuple[str, str, Any]]:
+    """File name, title and figure of the data profile, and of a performance profile a budget."""
+    t = found.t
+    solved = t[np.isfinite(t)].tolist()
+    begin = 0.5 * min([*solved, found.budgets[0]])
+    at = np.unique([begin, *solved, float(found.budgets[-1])])
+    figures = [
+        (
+            "data-profile",
+            "Share of problems solved within so many renders",
+            plots.profile(at, profiles.data_profile(t, at), names, "renders", legend,
+                          found.budgets),
+        )
+    ]  # fmt: skip
+    for budget in found.budgets:
+        limited = profiles.within(t, budget)
+        ratios = profiles.performance_ratios(limited)
+        tau = np.unique([1.0, *ratios[np.isfinite(ratios)]])
+        tau = np.append(tau, max(2.0, 1.3 * tau[-1]))
+        shares = profiles.performance_profile(limited, tau)
+        title = (
+            f"Share solved within tau times the renders of the fastest, {number(budget)} renders"
+        )
+        axis = "tau, renders over those of the fastest"
+        figures.append(
+            (f"performance-{budget}", title, plots.profile(tau, shares, names, axis, legend))
+        )
+    return figures
+
+
+def _thresholds(found: Scores) -> Table:
+    columns = (
+        ("scene", "name in the suite"),
+        ("group", "kind of scene"),
+        ("loss", "that is minimized"),
+        ("solved at", "the loss from which on a problem counts as solved"),
+    )
+    scenes = [found.suite.scenes[name] for name in found.scenes]
+    rows = (
+        (Entry(s.name, s.name), Entry(s.group, s.group), Entry(s.loss, s.loss),
+         Entry(f"{s.solved:g}", s.solved))
+        for s in scenes
+    )  # fmt: skip
+    return Table("What counts as solved", columns, tuple(rows))
+
+
+def _facts(found: Scores) -> str:
+    return (
+        f"{len(found.labels)} optimizers, {len(found.problems)} problems of {len(found.scenes)} "
+        f"scenes, read at {', '.join(number(b) for b in found.budgets)} renders"
+    )
+
+
+def _part(found: Scores) -> str:
+    """What part of the suite this is."""
+    suite = found.suite
+    whole, scenes = len(suite.scenes) * len(suite.targets), len(suite.scenes)
+    if len(found.problems) == whole and found.budgets == suite.budgets:
+        return f"This is the whole suite {suite.name}."
+    here, all_of_it = (", ".join(map(number, b)) for b in (found.budgets, suite.budgets))
+    budget = "" if here == all_of_it else f"; read at {here} renders, not at {all_of_it}"
+    left_out = [name for name in suite.scenes if name not in found.scenes]
+    without = f"; without {', '.join(left_out)}" if left_out else ""
+    return (
+        f"This is a part of the suite {suite.name}: {len(found.problems)} of {whole} problems, "
+        f"{len(found.scenes)} of {scenes} scenes{without}{budget}."
+    )
+
+
+def _csv(found: Scores) -> str:
+    """One line for each problem and optimizer."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(
+        ["problem", "target", "optimizer", "solved_at", *(f"loss_{b}" for b in found.budgets)]
+    )
+    for p, problem in enumerate(found.problems):
+        for s, label in enumerate(found.labels):
+            at = found.t[p, s]
+            losses = [f"{loss:.6g}" for loss in found.losses[:, p, s]]
+            text = f"{at:.0f}" if np.isfinite(at) else ""
+            writer.writerow([problem, found.suite.problem(problem)[1], label, text, *losses])
+    return buffer.getvalue()
+
+
+def _markdown(
+    results: Results, found: Scores, tables: list[Table], charts: list[tuple[str, str]]
+) -> str:
+    calls = (f"    {sentences.command(call)}" for call in results.calls)
+    parts = [f"# Suite {found.suite.name}", *calls, _part(found), f"{_facts(found)}."]
+    parts += [f"![{escaped(title)}](figures/{stem}.png)" for stem, title in charts[:1]]
+    for table in tables:
+        parts += [f"## {table.caption}", markdown(table)]
+    parts += [f"![{escaped(title)}](figures/{stem}.png)" for stem, title in charts[1:]]
+    parts += ["## How to read it", *_METHOD]
+    return "\n\n".join(parts) + "\n"
+
+
+def _markup(file: bytes, name: str, description: str) -> Any:
+    from markupsafe import Markup
+
+    return Markup(svg.in_page(file, name, description))

@@ -1,0 +1,79 @@
+"""The problems of a suite as tasks, and the plan that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.experiments.compare.configuration import Configuration
+from fide_plugins.experiments.compare.plan import Plan, RunKey
+from fide_plugins.experiments.run import Keep
+from fide_plugins.experiments.run.prepare import make_task, target_of
+from fide_plugins.experiments.suite.definition import Suite
+
+if TYPE_CHECKING:
+    from fide_plugins.experiments.run.task import Task
+
+__all__ = ["SuitePlan", "plan", "unavailable"]
+
+
+@dataclass(frozen=True)
+class SuitePlan(Plan):
+    """The runs of a suite: one for each problem and configuration.
+
+    The number of a target is the seed of the optimizer.  `size` and `task_seed` have no meaning.
+    """
+
+    suite: Suite | None = None
+
+    @property
+    def keep(self) -> Keep:
+        """What every run records: its curve."""
+        return Keep(film=False, summary=False, checkpoint=False)
+
+    def runs(self) -> Iterator[RunKey]:
+        """All runs, targets outermost, so that finished problems can be compared at any time."""
+        assert self.suite is not None
+        for problem in self.tasks:
+            scene, _ = self.suite.problem(problem)
+            for configuration in self.configurations:
+                number = int(problem.rpartition("-")[2])
+                yield RunKey(problem, scene.loss, configuration.label, number)
+
+
+def plan(
+    suite: Suite,
+    configurations: Iterable[Configuration],
+    scenes: list[str],
+    targets: int,
+    budget: int | None = None,
+) -> SuitePlan:
+    """Plan of these scenes with their first `targets` targets; budget: None for the suite's."""
+    return SuitePlan(
+        tasks=tuple(f"{scene}-{k}" for k in range(targets) for scene in scenes),
+        configurations=tuple(configurations),
+        losses=tuple(dict.fromkeys(suite.scenes[scene].loss for scene in scenes)),
+        seeds=targets,
+        budget=budget or suite.budgets[-1],
+        task_options={"suite": suite.name},
+        suite=suite,
+    )
+
+
+def unavailable(suite: Suite, scenes: Iterable[str]) -> dict[str, str]:
+    """Those of the scenes that cannot be rendered on this machine, and why."""
+    why: dict[str, str] = {}
+    for scene in scenes:
+        try:
+            target_of(make_task(f"{scene}-0", 0, 0, {"suite": suite.name}))
+        except (ImportError, OSError, RuntimeError, ValueError) as error:
+            why[scene] = str(error)
+    return why
+
+
+def make(suite: Suite, problem: str) -> Task:
+    """Task of a problem; raises what its task raises."""
+    scene, seed = suite.problem(problem)
+    options: dict[str, Any] = dict(scene.options)
+    return make_task(scene.task or scene.name, scene.size, seed, options)

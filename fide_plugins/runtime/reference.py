@@ -1,0 +1,156 @@
+"""An attribute of a user's file or module, by reference: ``FILE.py:NAME`` or ``module:NAME``."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import traceback
+from collections.abc import Callable
+from difflib import get_close_matches
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from fide_plugins.errors import OptionError
+
+__all__ = ["Kind", "attribute", "is_reference", "load", "shown_traceback", "split"]
+
+
+class Kind(NamedTuple):
+    """What a reference is to: words for errors.
+
+    name: such as "renderer"; word, plural: what it is in Python, such as "function".
+    rule: what it must be.
+    form: how to write a reference, with an example.
+    """
+
+    name: str
+    word: str
+    rule: str
+    plural: str
+    form: str
+
+
+def is_reference(text: str) -> bool:
+    """Whether a text has the form of a reference to a function, rather than a name."""
+    return ":" in text or text.endswith(".py")
+
+
+def split(reference: str, kind: Kind) -> tuple[str, str]:
+    """File or module, and name; OptionError (a ValueError) unless both are there."""
+    place, _, name = reference.rpartition(":")
+    if place and name.isidentifier():
+        return place, name
+    if os.path.isfile(reference):
+        raise OptionError(
+            f"{reference} is a file, not a {kind.word}; {_names(load(reference, kind), kind)}"
+        )
+    raise OptionError(f"no {kind.name} {reference!r}; {kind.form}")
+
+
+def load(place: str, kind: Kind) -> ModuleType:
+    """Module in a file, or by its name; loaded once a process.
+
+    The folder of a file becomes the first in the search path for modules, as by ``python FILE.py``.
+    Modules are also searched in the current folder.
+
+    Raises OptionError (a ValueError) if there is none, or if it raises an exception, whose
+    traceback the error shows.
+    """
+    if not place.endswith(".py"):
+        return _import(place, kind)
+    path = os.path.abspath(place)
+    name = f"{Path(path).stem}_{hashlib.sha256(path.encode()).hexdigest()[:8]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    if not os.path.isfile(path):
+        raise OptionError(f"no file {place!r}{_similar_files(path)}; {kind.form}")
+    spec = spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None, "a file that ends with .py"
+    module = module_from_spec(spec)
+    _search_in(os.path.dirname(path), first=True)
+    sys.modules[name] = module  # before it is executed: dataclasses look themselves up
+    try:
+        spec.loader.exec_module(module)
+    except BaseException as error:
+        del sys.modules[name]
+        raise _unusable(place, error) from error
+    return module
+
+
+def _import(name: str, kind: Kind) -> ModuleType:
+    """Module by name, also from the current folder."""
+    _search_in(os.getcwd(), first=False)
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
+            raise OptionError(f"no module {name!r}; {kind.form}") from None
+        raise _unusable(name, error) from error
+    except Exception as error:
+        raise _unusable(name, error) from error
+
+
+def _search_in(folder: str, *, first: bool) -> None:
+    if folder not in sys.path:
+        sys.path.insert(0 if first else len(sys.path), folder)
+
+
+def _unusable(place: str, error: BaseException) -> BaseException:
+    """Error for a file that raised one; Ctrl-C stays what it is."""
+    if isinstance(error, KeyboardInterrupt):
+        return error
+    return OptionError(
+        f"{place} cannot be imported; mend this error in it:\n{shown_traceback(error)}"
+    )
+
+
+def shown_traceback(error: BaseException, caller: str = __file__) -> str:
+    """Traceback of an error, from the user's first line; caller: our file that called the user."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [
+        f for f in frames if f.filename not in (__file__, caller) and "importlib" not in f.filename
+    ]
+    shown = traceback.format_list(own) + traceback.format_exception_only(error)
+    return "".join(shown).rstrip()
+
+
+def attribute(module: ModuleType, place: str, name: str, kind: Kind) -> Callable[..., Any]:
+    """Callable `name` of a module at `place`; OptionError (a ValueError) without."""
+    if not hasattr(module, name):
+        close = get_close_matches(name, _functions(module), n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        raise OptionError(f"{place} has no {name!r}; {_names(module, kind)}{hint}")
+    found = getattr(module, name)
+    if not callable(found):
+        raise OptionError(
+            f"{name!r} in {place} is {type(found).__name__}, not {kind.rule}; "
+            f"{_names(module, kind)}"
+        )
+    return found  # type: ignore[no-any-return]
+
+
+def _functions(module: ModuleType) -> list[str]:
+    """Names of the functions that were written in the module."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and callable(value)
+        and getattr(value, "__module__", None) == module.__name__
+    ]
+
+
+def _names(module: ModuleType, kind: Kind) -> str:
+    names = _functions(module)
+    return f"its {kind.plural}: {', '.join(names)}" if names else f"it has no {kind.plural}"
+
+
+def _similar_files(path: str) -> str:
+    folder = os.path.dirname(path)
+    files = [p.name for p in Path(folder).glob("*.py")] if os.path.isdir(folder) else []
+    close = get_close_matches(os.path.basename(path), files, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""

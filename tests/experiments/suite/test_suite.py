@@ -1,0 +1,111 @@
+"""The suite: its definition, its problems, and a tiny part of it from the command line."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fide_plugins import losses
+from fide_plugins.cli import main
+from fide_plugins.experiments import suite as suites
+
+SUITE = suites.read("image-fitting-v1")
+NOISY = ("san_miguel", "beads")
+NEEDS = {"robot": "mujoco", "san_miguel": "mitsuba", "beads": "mitsuba"}
+
+
+def fide(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_the_definition() -> None:
+    assert suites.names() == ["image-fitting-v1"]
+    assert SUITE.budgets == (500, 2000, 10_000)
+    assert len(set(SUITE.targets)) == 10
+    groups = [scene.group for scene in SUITE.scenes.values()]
+    assert [groups.count(g) for g in ("paper", "folding", "exchangeable", "external")] == [
+        5, 3, 2, 1,
+    ]  # fmt: skip
+    assert {scene.loss for scene in SUITE.scenes.values()} <= set(losses.names())
+    assert pickle.loads(pickle.dumps(SUITE)).scenes.keys() == SUITE.scenes.keys()
+
+
+@pytest.mark.parametrize("name", SUITE.scenes)
+def test_every_scene_builds_and_its_truth_solves_it(name: str) -> None:
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    if name == "povray" and shutil.which("povray") is None:
+        pytest.skip("needs the program povray")
+    scene, task = SUITE.scenes[name], suites.make(SUITE, f"{name}-3")
+    x = getattr(task, "x_star", None)
+    assert x is not None and x.shape == (task.dim,)
+    if name in NOISY:  # the target alone takes seconds; it is made in the tests of tasks
+        return
+    loss = losses.make(scene.loss, task.target)
+    truth, start = loss(task.render(np.stack([x, np.full(task.dim, 0.5)])))
+    assert truth <= scene.solved < 0.5 * start
+
+
+def test_targets_differ_and_are_fixed() -> None:
+    first, other, again = (suites.make(SUITE, f"lamps-{k}") for k in (0, 1, 0))
+    assert not np.array_equal(first.target, other.target)
+    np.testing.assert_array_equal(first.target, again.target)
+
+
+@pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
+def test_unknown_problems(name: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(f"unknown problem {name!r} of image-fitting")):
+        suites.make(SUITE, name)
+
+
+def test_what_cannot_be_rendered_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    why = suites.unavailable(SUITE, ["povray", "arm"])
+    assert list(why) == ["povray"] and "no program 'povray' on the PATH" in why["povray"]
+
+
+def test_a_part_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    out = tmp_path / "out"
+    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "povray,lamps", "--out", out]
+    words += ["--targets", 1, "--budget", 40]
+    assert fide(*words, "--optimizers", "cma,random") == 0
+    printed = capsys.readouterr()
+    assert "povray of image-fitting-v1 is left out, it cannot be rendered" in printed.err
+    assert "This is a part of the suite image-fitting-v1: 1 of 110 problems" in printed.out
+    assert fide(*words, "--optimizers", "cma,eki:popsize=20", "--resume") == 0
+    lines = (out / "solved.csv").read_text().splitlines()
+    assert lines[0] == "problem,target,optimizer,solved_at,loss_40"
+    assert [line.split(",")[:3] for line in lines[1:]] == [
+        ["lamps-0", "1000", name] for name in ("cma", "random", "eki:popsize=20")
+    ]
+    page = (out / "report.html").read_text()
+    assert page.count("<svg role=") == 2 and "1 of 110 problems" in page
+    assert (out / "figures" / "data-profile.png").is_file()
+    assert "fide compare --suite" in (out / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["voronoi"], "a TASK has no meaning with --suite"),
+        (["--losses", "mse"], "--losses has no meaning with --suite"),
+        (["--scenes", "lamp"], "unknown scene of image-fitting-v1 'lamp'.*did you mean 'lamps'"),
+        (["--targets", "11"], "has 10 targets, not 11"),
+        (["--suite", "image-fitting"], "unknown suite 'image-fitting'.*image-fitting-v1"),
+    ],
+)
+def test_wrong_usage(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert fide("compare", "--suite", "image-fitting-v1", *words, "--out", out) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert not out.exists()

@@ -1,0 +1,103 @@
+"""The check of the site finds what it is there to find; docstrings become lists as they should."""
+
+from __future__ import annotations
+
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def load(name: str) -> ModuleType:
+    spec = spec_from_file_location(Path(name).stem, DOCS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def check_site() -> ModuleType:
+    return load("check_site")
+
+
+def site(folder: Path, **pages: str) -> Path:
+    for name, text in pages.items():
+        path = folder / f"{name.replace('__', '/')}.html"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(f"<html><body><article>{text}</article></body></html>", "utf-8")
+    return folder.resolve()
+
+
+def test_a_link_to_no_file_or_no_place_is_broken(check_site: ModuleType, tmp_path: Path) -> None:
+    there = '<a href="other.html#here">x</a> <a href="#top">x</a> <a href="https://x.org/a">x</a>'
+    folder = site(tmp_path, index=f'<p id="top">{there}</p>', other='<p id="here">x</p>')
+    assert check_site.broken(check_site.read(folder)) == []
+    site(tmp_path, index='<a href="none.html">x</a> <a href="other.html#there">x</a>')
+    first, second = check_site.broken(check_site.read(folder))
+    assert "none.html leads to no file" in first and "other.html#there leads to no place" in second
+
+
+def test_nothing_is_loaded_from_elsewhere(check_site: ModuleType, tmp_path: Path) -> None:
+    folder = site(tmp_path, index='<script src="https://cdn.example/x.js"></script>')
+    (wrong,) = check_site.broken(check_site.read(folder))
+    assert "loads https://cdn.example/x.js from elsewhere" in wrong
+    site(tmp_path, index='<link rel="stylesheet" href="//cdn.example/x.css">')
+    assert len(check_site.broken(check_site.read(folder))) == 1
+
+
+def test_an_answer_that_is_three_clicks_away(check_site: ModuleType, tmp_path: Path) -> None:
+    folder = site(
+        tmp_path,
+        index='<a href="howto/index.html">x</a>',
+        howto__index='<a href="near.html">x</a>',
+        howto__near='<a href="far.html">x</a>',
+        howto__far="x",
+    )
+    (wrong,) = check_site.distant(check_site.read(folder), folder)
+    assert "far.html" in wrong
+
+
+def test_lists_of_a_docstring() -> None:
+    lines = [
+        "x, y: places in [0, 1],",
+        "    in m.  size: in pixels.",
+        "a, b: of it.  c: of them.",
+        "",
+    ]
+    load("extensions/field_lists")._process(None, "", "", None, None, lines)
+    assert lines == [
+        "``x``, ``y``", "    places in [0, 1],", "    in m.  size: in pixels.",
+        "``a``, ``b``", "    of it.", "``c``", "    of them.", "",
+    ]  # fmt: skip
+    lines = [
+        "Parameters",
+        "----------",
+        "x",
+        "    a place",
+        "",
+        "Raises",
+        "------",
+        "ValueError",
+        "",
+    ]
+    load("extensions/field_lists")._process(None, "", "", None, None, lines)
+    assert lines == [
+        ".. rubric:: Parameters", "", "``x``", "    a place", "",
+        ".. rubric:: Raises", "", "ValueError", "",
+    ]  # fmt: skip
+    lines = ["Note: this is prose, and", "it goes on here.", ""]
+    before = list(lines)
+    load("extensions/field_lists")._process(None, "", "", None, None, lines)
+    assert lines == before
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "measurements").glob("*.md")), ids=lambda p: p.stem)
+def test_a_page_of_measurements_begins_with_its_answer(page: Path) -> None:
+    _, answer, *_ = page.read_text("utf-8").split("\n\n")
+    assert not answer.startswith(("    ", "|", "#", "```", "![")) and len(answer.split()) <= 65
