@@ -120,6 +120,14 @@ class State:
         """What the candidates of the present generation are for."""
         return self.moves.stage
 
+    @property
+    def needs_its_own(self) -> bool:
+        """Whether the present generation needs just the candidates that were drawn for it.
+
+        That is so of tests.  Of a search, and of most restarts, any candidates will do.
+        """
+        return self.stage is not Stage.SEARCH and not self.moves.has_more
+
     def record(
         self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
     ) -> None:
