@@ -34,7 +34,7 @@ from fide_plugins import encoders
 from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Makers, Population
-from fide_plugins.preview import make_next
+from fide_plugins.population.preview import make_next
 from fide_plugins.proposers import make_proposer
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order

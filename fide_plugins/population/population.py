@@ -31,11 +31,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.candidate import Candidate, form_of, pack, unpack
+from fide_plugins.population.candidate import Candidate, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, array, check, whole
 from fide_plugins.types import Float64
 
-__all__ = ["Candidate", "Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
+__all__ = ["Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
 
 Makers: TypeAlias = npt.NDArray[np.int64]
 Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64, Makers]]

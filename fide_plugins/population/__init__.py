@@ -1,0 +1,21 @@
+"""The book of candidates, which FIDE and all baselines keep.
+
+============  ============================================================
+`population`  which were drawn, which are pending, which were evaluated
+`candidate`   one of them
+`preview`     candidates of the next generation, while results are pending
+============  ============================================================
+"""
+
+from __future__ import annotations
+
+from fide_plugins.population.candidate import Candidate
+from fide_plugins.population.population import (
+    Makers,
+    Population,
+    Propose,
+    mirrored_pair,
+    search_columns,
+)
+
+__all__ = ["Candidate", "Makers", "Population", "Propose", "mirrored_pair", "search_columns"]

@@ -1,0 +1,33 @@
+"""Populations, and what is drawn for them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.population import Makers, Population
+from fide_plugins.types import Float64
+
+PROPOSED = 2  # of each generation, the last ones
+
+
+def drawn(popsize: int, seed: int = 0, population: Population | None = None) -> Population:
+    population = population or Population()
+    x = np.random.default_rng(seed).random((popsize, 2))
+    n = popsize - PROPOSED
+    population.draw(x[:n], x[:n] + 2.0, x[n:])
+    population.propose_by(lambda samples: made_of(samples, samples + 2.0), singly=False)
+    return population
+
+
+def index_of(population: Population, x: Float64, loss: float) -> int | None:
+    """Enter a result; the index of its candidate, None if it is injected."""
+    candidate = population.record(x, loss)
+    return None if candidate is None else candidate.index
+
+
+def made_of(x: Float64, z: Float64) -> tuple[Float64, Float64, Makers]:
+    return x, z, np.full(len(x), 7)
+
+
+def hand_out(population: Population, n: int) -> list[Float64]:
+    return [population.hand_out().x for _ in range(n)]
