@@ -12,12 +12,16 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from importlib.util import find_spec
+from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from fide_plugins import Float, Space, fit, images
 
@@ -94,23 +98,23 @@ def render(p: dict[str, Any]) -> NDArray[np.float32]:
     return images.load(file)
 
 
-def target(p: dict[str, Any]) -> NDArray[np.float32]:
+def write_target(file: Path) -> None:
     """Mean of 16 renders, with little noise."""
-    return np.asarray(np.mean([render(p) for _ in range(16)], axis=0), np.float32)
+    mean = np.mean([render(TRUTH) for _ in range(16)], axis=0)
+    Image.fromarray(np.rint(255 * mean).astype(np.uint8)).save(file)
 
 
 def main(budget: int) -> None:
     if find_spec("bpy") is None:
         print("no Blender here: pip install bpy")
         return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        picture = pool.submit(target, TRUTH).result()
-    out = f"runs/blender-{budget}"
-    options = {"workers": 2, "seed": 0, "preset": "accurate", "out": out, "resume": True}
-    result = fit(render, picture, SPACE, budget=budget, **options)
+    picture, out = Path("runs/blender-target.png"), f"runs/blender-{budget}"
+    if not picture.exists():
+        picture.parent.mkdir(exist_ok=True)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            pool.submit(write_target, picture).result()
+    how: dict[str, Any] = {"workers": 2, "seed": 0, "preset": "accurate", "resume": True}
+    result = fit(render, picture, SPACE, budget=budget, out=out, **how)
     print(result)
     for name, true in TRUTH.items():
         print(f"{name:11} {true:>6}  {result.params[name]:.3g}")

@@ -34,7 +34,7 @@ T = np.linspace(0, 5, 200)
 def render(p: dict[str, Any]) -> NDArray[np.uint8]:
     """The plot, (96, 128, 3)."""
     figure = Figure(figsize=(1.28, 0.96), dpi=100)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     axes = figure.add_axes(
         (0.08, 0.08, 0.88, 0.88), xticks=[], yticks=[], xlim=(0, 5), ylim=(-1, 1)
     )

@@ -99,6 +99,8 @@ class Film:
             self.frames.append(Image.fromarray(pair).resize((4 * SIDE, 2 * SIDE)))
 
     def save(self, path: Path) -> None:
+        if not self.frames:  # the run was there already
+            return
         first, *others = self.frames
         times = [100] * len(others) + [2000]  # ms
         first.save(path, save_all=True, append_images=others, duration=times, loop=0, quality=70)
@@ -113,7 +115,8 @@ def main(budget: int) -> None:
         return
     target, out = render(TRUTH), Path(f"runs/shader-{budget}")
     film = Film(target)
-    result = fit(render, target, SPACE, budget=budget, workers=0, seed=0, callbacks=[film], out=out)
+    how: dict[str, Any] = {"workers": 0, "seed": 0, "out": out, "resume": True}
+    result = fit(render, target, SPACE, budget=budget, callbacks=[film], **how)
     print(result)
     for name, true in TRUTH.items():
         print(f"{name:9} {true:>6}  {result.params[name]:.3g}")
