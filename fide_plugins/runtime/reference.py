@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import OptionError, UnknownNameError
 
 __all__ = ["Kind", "attribute", "is_reference", "load", "shown_traceback", "split"]
 
@@ -88,7 +88,7 @@ def _import(name: str, kind: Kind) -> ModuleType:
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
-            raise OptionError(f"no module {name!r}; {kind.form}") from None
+            raise UnknownNameError(f"no module {name!r}; {kind.form}") from None
         raise _unusable(name, error) from error
     except Exception as error:
         raise _unusable(name, error) from error
