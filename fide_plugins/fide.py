@@ -34,6 +34,7 @@ from fide_plugins import encoders
 from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Makers, Population
+from fide_plugins.preview import make_next
 from fide_plugins.proposers import make_proposer
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
@@ -182,10 +183,10 @@ class FIDE(Retargeting):
     def ask(self, n: int | None = None) -> Float64:
         """Candidates to render, float64 (n, dim) in [0, 1].
 
-        None: what is left of the present generation, or, if all of it is pending, another of its
-        size from the same distribution, for users with more workers than that.
-        A generation has `popsize` candidates.  After a search has stalled there may be one of
-        sensitivity samples and the like (see `search.moves`) and one of restart candidates.
+        None: what is left of the present generation, or, if all of it is pending, as many again,
+        for users with more workers than that.  As soon as what is pending will complete the
+        generation, candidates are drawn for the next one, see `preview`.  Generations have
+        `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
         """
         n = None if n is None else whole_number("n", n, 1)
         population = self.state.population
@@ -196,12 +197,12 @@ class FIDE(Retargeting):
             population.expect(n)
             if n > population.remaining - population.unmade:
                 self._train_early()
-                population.make_proposals(n)  # which may fail, before anything is handed out
+            make_next(self.state, n, self._propose)  # which may fail, before anything is handed out
             X = np.empty((n, self.dim))
             for i, row in enumerate(X):
                 if not population.remaining:
                     self.draw_generation()
-                    population.make_proposals(n - i)
+                    make_next(self.state, n - i, self._propose)
                 row[:] = population.hand_out().x
         return X
 
@@ -301,17 +302,25 @@ class FIDE(Retargeting):
     def draw_generation(self) -> None:
         """Sample candidates (line 4), and say which become proposals (line 5)."""
         state = self.state
-        self.draw(state.population, state.rng)
+        extra = state.population.pending > 0 and state.needs_its_own
+        self.draw(state.population, state.rng, extra=extra)
         if state.proposer is None or not state.proposer.background:
             state.population.settle()
 
-    def draw(self, population: Population, rng: np.random.Generator) -> None:
-        """Draw a generation of the present stage into a population; changes nothing else."""
+    def draw(
+        self, population: Population, rng: np.random.Generator, *, extra: bool = False
+    ) -> None:
+        """Draw a generation of the present stage into a population; changes nothing else.
+
+        extra: whether the population waits for just those that are out; others are drawn.
+        """
         state = self.state
+        if extra:
+            x, _ = state.descent.sample(population.size, rng)
+            population.draw(x, x, extra=True)
+            return
         if state.stage is not Stage.SEARCH:
             x = state.descent.place(state.moves.draw(rng))
-            if state.population.pending:  # they are out already, and some are always the same
-                x, _ = state.descent.sample(len(x), rng)
             population.draw(x, x)
             return
         k = state.descent.popsize

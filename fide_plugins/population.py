@@ -6,6 +6,9 @@ sorted in the order in which they were asked, so that the result does not depend
 telling.
 
 - Asking for more than is left of a generation draws more from the same distribution.
+- A test or a restart needs its own candidates, and what is asked beyond these is *extra*: it does
+  not count towards the generation, unless own candidates were withdrawn, in whose place it counts,
+  or so many extra ones were told that the own ones are lost.
 - A candidate told after its generation was completed counts for the generation in which it
   arrives, marked as late: it is not of that generation's distribution.
 - A candidate that was asked before a restart, told twice, or never asked at all is *injected*: it
@@ -21,13 +24,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from fide_plugins.candidate import Candidate, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, array, check, whole
 from fide_plugins.types import Float64
 
@@ -39,29 +43,8 @@ Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64, Makers]]
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
+_LOST = 2  # generations' worth of extra candidates told, after which own ones count as lost
 _MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A point of the cube on its way to the user and back.
-
-    index: its number among all candidates ever drawn.
-    x: (d,), what is rendered.
-    z: (d,), what the search distribution learns from; into(z) = x.
-    proposed: whether a proposer made it, and not the search distribution.
-    late: whether it was told after its own generation was complete.
-    maker: which of several proposers made it, from 1; 0 where there is one, or none.
-    mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
-    """
-
-    index: int
-    x: Float64
-    z: Float64
-    proposed: bool = False
-    late: bool = False
-    maker: int = 0
-    mirrored: bool = False
 
 
 class Population:
@@ -83,6 +66,8 @@ class Population:
         self._n_pending = 0
         self._most_pending = _MOST_PENDING
         self._evaluated: list[tuple[Candidate, float]] = []  # of the present generation
+        self._extra: list[tuple[Candidate, float]] = []  # told, too, and not needed by it
+        self._withdrawn = 0  # of its own candidates, in whose place extra ones count
         self._generation_from = 0  # candidates of a lower index belong to an earlier generation
 
     # -- asking ------------------------------------------------------------------------------------
@@ -114,17 +99,20 @@ class Population:
         unmade: Float64 | None = None,
         *,
         pair: bool = False,
+        extra: bool = False,
     ) -> None:
         """Queue candidates x (n, d) with their z (n, d) as a generation.
 
         unmade: samples (m, d), from which the proposals that follow are made, see `propose_by`.
         pair: whether the first two are a mirrored pair.
+        extra: whether the present generation needs none of x.
         """
         unmade = np.empty((0, 0)) if unmade is None else unmade
-        self.size = len(x) + len(unmade)
+        if not extra:
+            self.size = len(x) + len(unmade)
         pair = pair and len(x) >= 2
         for i, row in enumerate(zip(x, z, strict=True)):
-            self._queue.append(Candidate(self.drawn, *row, mirrored=pair and i < 2))
+            self._queue.append(Candidate(self.drawn, *row, mirrored=pair and i < 2, extra=extra))
             self.drawn += 1
         self._unmade, self._unmade_from = unmade, self.drawn
         self.drawn += len(unmade)
@@ -176,6 +164,23 @@ class Population:
         self.make_proposals(1)
         return self._hand_out(self._queue.popleft())
 
+    def proposed(self, first: int, n: int) -> Mask:
+        """Which of n candidates of those that remain are proposals, (n,), from the first on."""
+        flags = [candidate.proposed for candidate in self._queue] + [True] * len(self._unmade)
+        return np.array(flags[first : first + n], bool)
+
+    def replace(self, first: int, x: Float64, z: Float64, makers: Makers) -> None:
+        """Put points x (m, d) with their z (m, d) in the place of candidates, as late ones.
+
+        makers: (m,).  first: of those that remain, which is queued, or the next proposal.
+        """
+        for i, (point, drawn, maker) in enumerate(zip(x, z, makers.tolist(), strict=True), first):
+            if i == len(self._queue):
+                self._queue.append(Candidate(self._unmade_from, point, drawn, proposed=True))
+                self._unmade, self._unmade_from = self._unmade[1:], self._unmade_from + 1
+            old = self._queue[i]
+            self._queue[i] = Candidate(old.index, point, drawn, old.proposed, True, maker)
+
     def hand_out_all(self) -> list[Candidate]:
         """All candidates of the generation that remain."""
         self.expect(self.remaining)
@@ -184,11 +189,12 @@ class Population:
         self._queue.clear()
         return handed_out
 
-    def adopt(
-        self, x: Float64, z: Float64, *, proposed: bool = False, late: bool = False, maker: int = 0
-    ) -> None:
-        """Take x (d,), which was drawn elsewhere, for a candidate that was handed out."""
-        self._hand_out(Candidate(self.drawn, x, z, proposed, late, maker))
+    def adopt(self, x: Float64, z: Float64, **flags: Any) -> None:
+        """Take x (d,), which was drawn elsewhere, for a candidate that was handed out.
+
+        flags: further fields of `Candidate`.
+        """
+        self._hand_out(Candidate(self.drawn, x, z, **flags))
         self.drawn += 1
 
     def _hand_out(self, candidate: Candidate) -> Candidate:
@@ -205,12 +211,12 @@ class Population:
 
     def record(self, x: Float64, loss: float) -> Candidate | None:
         """Enter the loss of x (d,); returns the candidate as it was asked, or None: injected."""
-        candidate = self.withdraw(x)
+        candidate = self._take(x)
         if candidate is None:
             return None
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
-        self._evaluated.append((candidate, loss))
+        (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
         return candidate
 
     def number(self) -> int:
@@ -218,7 +224,13 @@ class Population:
         self.drawn += 1
         return self.drawn - 1
 
-    def withdraw(self, x: Float64) -> Candidate | None:
+    def withdraw(self, x: Float64) -> None:
+        """Say that x (d,) will not be told; if it is not pending, nothing happens."""
+        candidate = self._take(x)
+        if candidate is not None and not candidate.extra:
+            self._withdrawn += candidate.index >= self._generation_from
+
+    def _take(self, x: Float64) -> Candidate | None:
         """Take x (d,) from the pending candidates; returns it, or None if it is not pending."""
         key = _key(x)
         waiting = self._pending.get(key)
@@ -243,14 +255,22 @@ class Population:
 
     def members(self) -> tuple[list[Candidate], Float64]:
         """Those in the order in which they were asked, and their losses (n,)."""
-        ordered = sorted(self._evaluated, key=lambda pair: pair[0].index)
+        counted = self._evaluated or self._extra  # extra ones if no other ever came back
+        ordered = sorted(counted, key=lambda pair: pair[0].index)
         losses = np.array([loss for _, loss in ordered], np.float64)
         return [candidate for candidate, _ in ordered], losses
 
     @property
     def complete(self) -> bool:
-        """Whether a whole generation has been told."""
-        return 0 < self.size <= len(self._evaluated)
+        """Whether a whole generation has been told, or what is missing is lost."""
+        told, extra = len(self._evaluated), len(self._extra)
+        if not self.size:
+            return False
+        if not extra:
+            return told >= self.size
+        in_their_place = min(extra, self._withdrawn)
+        lost = extra >= _LOST * max(self.size, self.pending)
+        return lost or told + in_their_place >= self.size
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
         """Members of the generation and their losses (n,), see `members`.
@@ -258,7 +278,7 @@ class Population:
         What was drawn for the generation and never handed out is thrown away.
         """
         members, losses = self.members()
-        self._evaluated = []
+        self._evaluated, self._extra, self._withdrawn = [], [], 0
         self._queue.clear()
         self._unmade = np.empty((0, 0))
         self._generation_from = self.drawn
@@ -284,10 +304,13 @@ class Population:
             "most_pending": self._most_pending,
             "unmade": self._unmade,
             "unmade_from": self._unmade_from,
-            "queue": _pack(list(self._queue)),
-            "pending": _pack(sorted(waiting, key=lambda c: c.index)),
-            "evaluated": _pack([c for c, _ in self._evaluated]),
+            "queue": pack(list(self._queue)),
+            "pending": pack(sorted(waiting, key=lambda c: c.index)),
+            "evaluated": pack([c for c, _ in self._evaluated]),
             "losses": np.array([loss for _, loss in self._evaluated], np.float64),
+            "extra": pack([c for c, _ in self._extra]),
+            "extra_losses": np.array([loss for _, loss in self._extra], np.float64),
+            "withdrawn": self._withdrawn,
         }
 
     @classmethod
@@ -301,11 +324,15 @@ class Population:
         population._generation_from = state["generation_from"]
         population._most_pending = state["most_pending"]
         population._unmade, population._unmade_from = state["unmade"], state["unmade_from"]
-        population._queue.extend(_unpack(state["queue"]))
-        for candidate in _unpack(state["pending"]):
+        population._queue.extend(unpack(state["queue"]))
+        for candidate in unpack(state["pending"]):
             population._await(candidate)
-        losses = state["losses"].tolist()
-        population._evaluated = list(zip(_unpack(state["evaluated"]), losses, strict=True))
+        for told, name, losses in (
+            (population._evaluated, "evaluated", "losses"),
+            (population._extra, "extra", "extra_losses"),
+        ):
+            told.extend(zip(unpack(state[name]), state[losses].tolist(), strict=True))
+        population._withdrawn = state["withdrawn"]
         return population
 
 
@@ -332,36 +359,6 @@ def _key(x: Float64) -> bytes:
     return (x.astype(np.float32) + np.float32(0.0)).tobytes()  # 0 and -0 are one number
 
 
-def _pack(candidates: list[Candidate]) -> dict[str, Any]:
-    return {
-        "index": np.array([c.index for c in candidates], np.int64),
-        "x": np.array([c.x for c in candidates]),
-        "z": np.array([c.z for c in candidates]),
-        "proposed": np.array([c.proposed for c in candidates], bool),
-        "late": np.array([c.late for c in candidates], bool),
-        "maker": np.array([c.maker for c in candidates], np.int64),
-        "mirrored": np.array([c.mirrored for c in candidates], bool),
-    }
-
-
-def _unpack(packed: Mapping[str, Any]) -> list[Candidate]:
-    flags = [packed[name].tolist() for name in ("proposed", "late", "maker", "mirrored")]
-    columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
-    return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
-
-
-def _candidates(n: str) -> Schema:
-    return {
-        "index": array(n, kind="i"),
-        "x": array(n, "d", low=0.0, high=1.0),
-        "z": array(n, "d", low=-1e60, high=1e60),
-        "proposed": array(n, kind="b"),
-        "late": array(n, kind="b"),
-        "maker": array(n, kind="i"),
-        "mirrored": array(n, kind="b"),
-    }
-
-
 _SCHEMA: Schema = {
     "size": whole(),
     "drawn": whole(),
@@ -370,8 +367,11 @@ _SCHEMA: Schema = {
     "most_pending": whole(),
     "unmade": array("unmade", "d", low=-1e60, high=1e60),
     "unmade_from": whole(),
-    "queue": _candidates("queued"),
-    "pending": _candidates("pending"),
-    "evaluated": _candidates("evaluated"),
+    "queue": form_of("queued"),
+    "pending": form_of("pending"),
+    "evaluated": form_of("evaluated"),
     "losses": array("evaluated", high=np.inf),
+    "extra": form_of("extra"),
+    "extra_losses": array("extra", high=np.inf),
+    "withdrawn": whole(),
 }

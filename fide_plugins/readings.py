@@ -59,14 +59,14 @@ class Readings(Saved):
         """Best point told so far; None before the first with a finite loss.
 
         Its `params` are named where the optimizer was made with a `Space`.  Its `std` is what is
-        known now, and computed when it is read (`proposers.sensitivity`): None where no proposer
-        knows the point.
+        known now, and computed when it is read (`fide_plugins.uncertainty`): None where too few
+        images near the point are remembered.
         """
         best = self.state.best
         if best is None:
             return None
         image = self.views.unpacked(best.solution.image)
-        estimate = self.state.estimate_of(best)
+        estimate = self.state.estimate_of(best.solution.x)
         return replace(best.solution, image=image, space=self.space, estimate=estimate)
 
     def recommend(self) -> Float64:
@@ -109,6 +109,7 @@ class Readings(Saved):
         """Up to k distinct good candidates, best first: where searches have ended.
 
         Exchangeable blocks are matched first, so that no order of the same things counts twice.
+        Each has its own `std`, as `best` has.
         `evaluation` is the candidate's number in the order of asking, but for the first solution.
         `probability` is that among those found, by a learned model and by their losses (see
         `search.moves.modes`); None where no model knows the picture.
@@ -118,7 +119,9 @@ class Readings(Saved):
         for sample in (optimum.sample for optimum in known.optima.all):
             distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
             if min(distances, default=np.inf) >= APART:
-                found.append(Solution(sample.x.copy(), sample.loss, sample.index, space=self.space))
+                estimate = self.state.estimate_of(sample.x)
+                about = sample.x.copy(), sample.loss, sample.index
+                found.append(Solution(*about, space=self.space, estimate=estimate))
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)
         probability = self.state.moves.probabilities([one.loss for one in found], points)
         if probability is not None:

@@ -64,7 +64,7 @@ class Retargeting(Readings):
         """What the memory says of the target of an evaluator."""
         state, new = self.state, evaluator.target_tokens
         known = state.moves.known
-        samples = self._remembered()
+        samples = state.remembered
         if not samples:
             x = known.x0 if state.best is None else state.best.solution.x
             nothing = np.empty((0, self.dim))
@@ -73,17 +73,6 @@ class Retargeting(Readings):
         recalled = recall(samples, known, new, self.popsize, learned)
         state.memory.set_losses(recalled.losses[: len(state.memory.samples)].tolist())
         return recalled
-
-    def _remembered(self) -> list[TrainingSample]:
-        """The memory, and the best of each search."""
-        state = self.state
-        samples = state.memory.samples
-        if not samples:
-            return []
-        seen = {_name(sample) for sample in samples}
-        ends = [optimum.sample for optimum in state.moves.known.optima.all]
-        ends += [] if state.search_best is None else [state.search_best]
-        return [*samples, *(one for one in ends if _name(one) not in seen)]
 
     def _forget(self, evaluator: Evaluator) -> None:
         """Take over the evaluator, and forget what was of the old target only."""
@@ -114,10 +103,6 @@ class Retargeting(Readings):
     @abstractmethod
     def draw_generation(self) -> None:
         """Queue the candidates of the next generation."""
-
-
-def _name(sample: TrainingSample) -> tuple[int, bytes]:
-    return sample.index, sample.x.tobytes()
 
 
 def _teach(proposer: Proposer, samples: list[TrainingSample], std: Float64, popsize: int) -> None:

@@ -9,7 +9,7 @@ no part.  Whoever copies, previews or replicates an optimizer reads these fields
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,12 +38,12 @@ from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.descent import Descent
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
-from fide_plugins.types import Estimate, Estimated, Float32, Float64, Solution
+from fide_plugins.types import Estimate, Float32, Float64, Solution
+from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.images import warn_clipped
 
 __all__ = ["Best", "State"]
 
-_SINGLE = 1e-6  # what a parameter may lose in single precision
 _GAIN = 0.1  # of the loss, below which an improvement does not count
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
 
@@ -56,14 +56,12 @@ class Best:
     index: number of its candidate.
     mean: (d,), mean of the search distribution that found it; the point itself if none did.
     search: number of the search that found it; 0 for none.
-    std: (d,), of its parameters, known when that search was over; None before.
     """
 
     solution: Solution
     index: int
     mean: Float64
     search: int
-    std: Float64 | None = None
 
 
 @dataclass
@@ -122,6 +120,14 @@ class State:
         """What the candidates of the present generation are for."""
         return self.moves.stage
 
+    @property
+    def needs_its_own(self) -> bool:
+        """Whether the present generation needs just the candidates that were drawn for it.
+
+        That is so of tests.  Of a search, and of most restarts, any candidates will do.
+        """
+        return self.stage is not Stage.SEARCH and not self.moves.has_more
+
     def record(
         self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
     ) -> None:
@@ -172,9 +178,6 @@ class State:
 
         guided: whether images say where.
         """
-        if self.best is not None and self.best.search == self.searches:
-            estimate = self.estimate_of(self.best)
-            self.best = replace(self.best, std=None if estimate is None else estimate.std)
         spent = self.evaluations - self.over_at
         stage = self.moves.after_search(self.search_best, spent, guided=guided)
         self.search_best, self.over_at = None, self.evaluations
@@ -198,18 +201,33 @@ class State:
             if self.proposer is not None:
                 self.proposer.forget()
 
-    def estimate_of(self, best: Best) -> Estimate | None:
-        """How well the parameters of the best point are known; None if that is not known.
+    def estimate_of(self, x: Float64) -> Estimate | None:
+        """How well the parameters of a solution (d,) are known; None if no sample says that.
 
-        The proposer knows it of the best point of the present search.
+        It is computed when it is read, from what is remembered now.
         """
-        if best.std is not None:
-            return Estimated(best.std)
-        if self.proposer is None:
+        known, cells = self.moves.known, self.descent.setting.cells
+        samples = self.memory.samples + self._ends
+        if not samples:
             return None
-        found = self.proposer.sensitivity(self.moves.known.target)
-        same = found is not None and np.abs(found.x - best.solution.x).max() <= _SINGLE
-        return found if same else None
+        discrete = None if cells is None else cells.discrete
+        blocks, axes = known.exchangeability.blocks, known.axes
+        about = known.target, known.channels, axes, discrete, blocks
+        return LocalEstimate(x, samples, *about)
+
+    @property
+    def remembered(self) -> list[TrainingSample]:
+        """The memory, and the best of each search."""
+        samples = self.memory.samples
+        if not samples:
+            return []
+        seen = {(sample.index, sample.x.tobytes()) for sample in samples}
+        return samples + [one for one in self._ends if (one.index, one.x.tobytes()) not in seen]
+
+    @property
+    def _ends(self) -> list[TrainingSample]:
+        ends = [optimum.sample for optimum in self.moves.known.optima.all]
+        return ends if self.search_best is None else [*ends, self.search_best]
 
     def warn_clipped(self, message: str) -> None:
         """Warn of values outside [0, 1], once."""
@@ -272,14 +290,13 @@ def _pack_best(best: Best) -> dict[str, Any]:
         "index": best.index,
         "mean": best.mean,
         "search": best.search,
-        "std": best.std,
     }
 
 
 def _unpack_best(packed: Mapping[str, Any]) -> Best:
     names = ("x", "loss", "evaluation", "image")
     solution = Solution(**{name: packed[name] for name in names})
-    return Best(solution, packed["index"], packed["mean"], packed["search"], packed["std"])
+    return Best(solution, packed["index"], packed["mean"], packed["search"])
 
 
 _UNIT: Rule = array("d", low=0.0, high=1.0)
@@ -307,7 +324,6 @@ _SCHEMA: dict[str, Schema] = {
             "index": whole(),
             "mean": array("d", low=-1e60, high=1e60),
             "search": whole(),
-            "std": maybe(array("d", low=0.0, high=1.0)),
         }
     ),
     "samples": each(SAMPLE),

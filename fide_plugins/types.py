@@ -67,9 +67,11 @@ class Solution:
     def std(self) -> Float64 | None:
         """(dim,), standard deviation of each parameter, in units of the unit cube.
 
-        It says how far the image leaves the parameter open, locally; at most 0.29, that of a
-        parameter that the image does not show.  None where it is not known.  It is that of the time
-        at which this solution was read of the optimizer, whenever it is asked for.
+        It says how far the truth may be from here: by the noise of the images, by what the search
+        has left, and by what the images do not show (at most 0.29, that of any value).  It is
+        local: of other basins it knows nothing.  NaN on the axes of integers and choices; None
+        where too few images are known.  It is that of the time at which this solution was read of
+        the optimizer, whenever it is asked for.
         """
         return None if self.estimate is None else self.estimate.std
 

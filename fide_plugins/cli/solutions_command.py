@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,8 @@ def _table(found: Any, rows: Any) -> list[str]:
     """Lines of the table: one column a solution."""
     head = [("solution", [str(i + 1) for i in range(len(found.solutions))])]
     head += [(f"loss ({plain(found.loss)})", [number(one.loss) for one in found.solutions])]
+    if found.solutions[0].probability is not None:
+        head += [("probability", [f"{one.probability:.3f}" for one in found.solutions])]
     cells = head + [(plain(row.name), [plain(value) for value in row.values]) for row in rows]
     first = max(len(name) for name, _ in cells)
     widths = [max(len(values[i]) for _, values in cells) for i in range(len(found.solutions))]
@@ -76,5 +79,6 @@ def _data(solution: Any) -> dict[str, Any]:
         "evaluation": solution.evaluation,
         "x": solution.x.tolist(),
         "params": solution.params,
-        "std": None if std is None else std.tolist(),
+        "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
+        "probability": solution.probability,
     }

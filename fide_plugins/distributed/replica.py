@@ -9,6 +9,8 @@ was told, so replicas that were told the same log propose the same candidates, a
 - slots have no end: those beyond the generation's size are drawn from the same distribution, by a
   generator made from (seed, generation, slot), so that drawing them changes nothing; as soon as
   half of the generation is known, who asks for one is better off with the `newest`, though;
+- a generation that needs just its own candidates, a test, has them again in the slots beyond its
+  size, in turn: whose slot never came back, or was never given to anybody, is asked again;
 - who comes later, or was away, catches up by being told the log; nothing is rendered again.
 
 Rounding that differs from machine to machine, or features that are not known to all their digits
@@ -30,6 +32,7 @@ injected  all others: never asked, or asked in an earlier search
 
 All but injected candidates count towards the generation in which they arrive, altered and late ones
 with their steps cut to what a sample's may be (`search.cma_es`); injected ones as in `FIDE.tell`.
+Where a generation needs just its own candidates, late ones and repeated ones do not count.
 """
 
 from __future__ import annotations
@@ -95,13 +98,17 @@ class Replica:
     def candidate(self, slot: int) -> Candidate:
         """Candidate of the present generation in that slot, from 0."""
         self._open()
-        batch, row = divmod(slot, self.size)
+        batch, row = divmod(self._own(slot), self.size)
         if batch not in self._batches:
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=(self.generation, batch))
             more = Population()
             self.optimizer.draw(more, np.random.default_rng(seed))
             self._batches[batch] = more.hand_out_all()
         return self._batches[batch][row]
+
+    def _own(self, slot: int) -> int:
+        """Slot within the generation of the same candidate, if it needs just its own."""
+        return slot % self.size if self.optimizer.state.needs_its_own else slot
 
     def newest(self, slot: int, out: int) -> Candidate:
         """Better one than the candidate in that slot, if the generation does not need that.
@@ -188,17 +195,20 @@ class Replica:
         if generation is None or generation < self.began:
             return Role.INJECTED, x
         is_open = generation == self.generation
-        is_known = is_open and self.is_candidate(slot, x)
+        beyond = is_open and slot >= self.size
+        is_known, slot = is_open and self.is_candidate(slot, x), self._own(slot)
         if is_known and slot not in self._taken:
             known = self.candidate(slot)
             self._taken.add(slot)
             if slot >= self.size:
                 self._population.adopt(known.x, known.z, proposed=known.proposed, maker=known.maker)
             return Role.MEMBER, known.x
-        z = self.optimizer.state.descent.near(x[None])[0]
-        self._population.adopt(x, z, proposed=proposed, late=True)
-        beyond = is_open and not is_known and slot >= self.size
-        return (Role.LATE if generation < self.generation or beyond else Role.ALTERED), x
+        state = self.optimizer.state
+        z = state.descent.near(x[None])[0]
+        extra = state.needs_its_own and (not is_open or slot in self._taken)
+        self._population.adopt(x, z, proposed=proposed, late=True, extra=extra)
+        late = generation < self.generation or (beyond and (extra or not is_known))
+        return (Role.LATE if late else Role.ALTERED), x
 
     def _stage_of_search(self) -> tuple[Stage, int]:
         return self.optimizer.state.stage, self.optimizer.state.searches

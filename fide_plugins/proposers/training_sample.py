@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +55,6 @@ def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64
     return x, stack([sample.tokens for sample in samples]), losses
 
 
-def in_order(samples: Sequence[TrainingSample]) -> list[TrainingSample]:
+def in_order(samples: Iterable[TrainingSample]) -> list[TrainingSample]:
     """Samples in the order in which they were asked, whatever that in which they were told."""
     return sorted(samples, key=lambda sample: sample.index)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,17 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     assert captured.out == ""
     assert captured.err.count("\n") == 1
     return captured.err
+
+
+def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What ``--json`` printed."""
+    result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
+    return result
+
+
+def last_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """Last line of standard error."""
+    return capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.fixture

@@ -11,25 +11,17 @@ import sys
 import threading
 import time
 import urllib.request
-import warnings
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Space
-from fide_plugins.cli.extra_renders import check_first
-from fide_plugins.cli.fit_renderer import _keep_pictures
-from fide_plugins.errors import ImageError
-from fide_plugins.experiments.solutions import pictures as stored
-from fide_plugins.fitting.rendering import Outcome, Rendered
+from fide_plugins import Space
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.types import Float64
 
-from .conftest import fide
+from .conftest import fide, summary
 
 PROGRAM = """
 import sys
@@ -58,11 +50,6 @@ type = "int"
 low = 1
 high = 4
 """
-
-
-def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    result: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[-1])
-    return result
 
 
 @pytest.fixture
@@ -312,145 +299,3 @@ def test_the_picture_of_a_fit_is_that_of_its_parameters(
     image = FunctionRenderer("scene.py:render")(summary(capsys)["params"])
     with Image.open("out/best.png") as stored:
         np.testing.assert_array_equal(np.asarray(stored)[..., 0], np.rint(image * 255))
-
-
-def test_views_need_one_image_each() -> None:
-    target = np.zeros((8, 8, 3), np.float32)
-    both = [target, target]
-    optimizer = FIDE(2, both)
-    with pytest.raises(ImageError, match="must return a list of 2 images, one for each view"):
-        check_first(lambda x: target, optimizer, both, ["a", "b"], 0, None)
-    with pytest.raises(ImageError, match="a list of 2 images, .* not 3 images"):
-        check_first(lambda x: [*both, target], optimizer, both, ["a", "b"], 0, None)
-    check_first(lambda x: both, optimizer, both, ["a", "b"], 0, None)
-    check_first(lambda x: tuple(both), optimizer, both, ["a", "b"], 0, None)
-    with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):
-        check_first(lambda x: [target, target[:4]], optimizer, both, ["a", "b"], 0, None)
-
-
-@pytest.mark.parametrize("views", [1, 2])
-def test_the_first_render_obeys_the_rule_of_tell(views: int) -> None:
-    """A render may overshoot [0, 1], which is clipped; it may not be NaN, or in [0, 255]."""
-    pictures = [np.zeros((8, 8, 3), np.float32)] * views
-    names, target = ["a", "b"][:views], pictures if views > 1 else pictures[0]
-    optimizer = FIDE(2, target)
-
-    def check(*values: float) -> None:
-        images = [np.full((8, 8, 3), value) for value in values]
-        given = images if views > 1 else images[0]
-        check_first(lambda x: given, optimizer, pictures, names, 0, None)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check(*[1.5] * views)
-    for value in (np.nan, 200.0):
-        with pytest.raises(ImageError, match="gave no image that fits: .*(finite|255)"):
-            check(*[0.5] * (views - 1), value)
-
-
-# -- views and masks -------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def hidden(target: Path) -> Path:
-    """``mask.png``: the left half of the target counts.  ``spoiled.png``: its right half is not."""
-    mask = np.zeros((12, 16), np.uint8)
-    mask[:, :8] = 255
-    Image.fromarray(mask).save(target.parent / "mask.png")
-    with Image.open(target) as image:
-        spoiled = np.asarray(image).copy()
-    spoiled[:, 8:] = 77
-    Image.fromarray(spoiled).save(target.parent / "spoiled.png")
-    return target
-
-
-@pytest.mark.usefixtures("hidden")
-def test_what_a_mask_hides_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--renderer", "scene.py:render", "--mask", "mask.png", "--workers", 0, "--json"]
-    losses = []
-    for picture in ("target.png", "spoiled.png"):
-        assert fide("fit", picture, *words, "--budget", 20) == 0
-        losses.append(summary(capsys)["best_loss"])
-    assert losses[0] == losses[1] > 0
-
-
-@pytest.mark.usefixtures("hidden")
-def test_the_alpha_of_the_target_and_weights_are_masks_too(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with Image.open("target.png") as gray, Image.open("mask.png") as mask:
-        image = gray.convert("RGB")
-        Image.merge("RGBA", (*image.split(), mask)).save("cut.png")
-        Image.composite(image, Image.new("RGB", image.size, "white"), mask).save("white.png")
-    words = ["--renderer", "scene.py:render", "--workers", 0, "--budget", 20, "--json"]
-    losses = []
-    for picture, *given in (
-        ["cut.png", "--mask", "alpha"],
-        ["white.png", "--mask", "mask.png"],
-        ["white.png", "--weights", "mask.png"],
-    ):
-        assert fide("fit", picture, *words, *given) == 0
-        losses.append(summary(capsys)["best_loss"])
-    assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
-    assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
-    assert "target.png must have an alpha channel" in last_line(capsys)
-
-
-@pytest.fixture
-def views(hidden: object) -> None:
-    """views.py renders two views; the second target is small.png."""
-    Path("views.py").write_text(
-        "from scene import render as draw, space\n"
-        "def render(p):\n    return [draw(p), draw(p)[::2, ::2]]\n"
-    )
-    with Image.open("target.png") as image:
-        Image.fromarray(np.asarray(image)[::2, ::2]).save("small.png")
-
-
-@pytest.mark.usefixtures("views")
-def test_several_targets_are_views_of_one_render(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--renderer", "views.py:render", "--workers", 0, "--budget", 20, "--out", "out"]
-    assert fide("fit", "target.png", "small.png", *words, "--json") == 0
-    assert summary(capsys)["evaluations"] == 20
-    assert fide("solutions", "out") == 0
-
-
-@pytest.mark.usefixtures("views")
-@pytest.mark.filterwarnings("always:.*clipped")
-def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Those of which the second render gives no image stay without."""
-    Path("hdr.py").write_text(
-        "from scene import render as draw, space\n"
-        "def render(p):\n    image = 0.7 + draw(p)\n    return image, image[::2, ::2]\n"
-    )
-    words = ["--renderer", "hdr.py:render", "--workers", 0, "--budget", 60, "--out", "out"]
-    assert fide("fit", "target.png", "small.png", *words, "--seed", 0, "--json") == 0
-    assert "clipped" in capsys.readouterr().err
-    result = SimpleNamespace(optimizer=FIDE.load(next(Path("out").glob("optimizer-*.ckpt"))))
-    points = [np.full(4, value) for value in (0.2, 0.4, 0.6)]
-    result.solutions = [SimpleNamespace(x=x) for x in points]
-    render = FunctionRenderer("hdr.py:render")
-
-    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
-        params = {"x": 0.0, "gray": 0.5, "rows": 2, "shape": "disk"}
-        return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
-
-    _keep_pictures(again, result, Path("out"))
-    ((x, image),) = stored.read(Path("out"))
-    np.testing.assert_array_equal(x, points[1])
-    assert image.shape == (12, 24, 3) and image.max() == 1.0
-
-
-@pytest.mark.usefixtures("views")
-def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--renderer", "views.py:render", "--workers", 0]
-    assert fide("fit", "small.png", "target.png", *words) == 2
-    assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
-    assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
-
-
-def last_line(capsys: pytest.CaptureFixture[str]) -> str:
-    return capsys.readouterr().err.splitlines()[-1]

@@ -64,6 +64,11 @@ def test_all_solutions_are_shown_with_their_own_images(
     assert fide("solutions", run, "--json") == 0
     data = json.loads(capsys.readouterr().out)
     assert [one["params"] for one in data] == [one.params for one in found.solutions]
+    for one, solution in zip(data, found.solutions, strict=True):
+        assert one["probability"] == solution.probability
+        std = solution.std
+        known = None if std is None else [None if np.isnan(s) else s for s in std]
+        assert one["std"] == known
 
 
 def test_a_fit_of_python_shows_the_best_image_and_says_what_is_not_stored(run: Path) -> None:

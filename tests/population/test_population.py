@@ -339,3 +339,101 @@ def test_the_state_remembers_the_pair() -> None:
     assert mirrored_pair(copy.members()[0]) == (0, 1)
     population.draw(np.zeros((1, 2)), np.zeros((1, 2)), pair=True)  # half a pair is none
     assert not population.hand_out().mirrored
+
+
+def drawn_for_a_test(size: int, extra: int, again: int = 0) -> tuple[Population, list[Float64]]:
+    """A generation that waits for its own candidates, and extra ones that were asked beyond it."""
+    population = Population()
+    x = np.random.default_rng(0).random((size + extra, 2))
+    population.draw(x[:size], x[:size])
+    xs = hand_out(population, size)
+    population.draw(x[size:], x[size:], extra=True)
+    return population, xs + hand_out(population, extra - again)
+
+
+def test_extra_candidates_do_not_count() -> None:
+    population, xs = drawn_for_a_test(4, 3)
+    assert population.size == 4
+    for x in (xs[4], xs[0], xs[5], xs[2], xs[6], xs[3]):
+        candidate = population.record(x, 1.0)
+        assert candidate is not None and not population.complete
+    population.record(xs[1], 0.5)
+    assert population.complete
+    members, losses = population.close_generation()
+    assert [c.index for c in members] == [0, 1, 2, 3]
+    np.testing.assert_array_equal(losses, [1.0, 0.5, 1.0, 1.0])
+    assert not population.complete and population.evaluated == 0
+
+
+def test_an_extra_candidate_counts_in_the_place_of_one_that_was_withdrawn() -> None:
+    population, xs = drawn_for_a_test(4, 4)
+    population.withdraw(xs[1])
+    population.withdraw(xs[7])  # which was extra itself, and is missed by nobody
+    for x in (xs[0], xs[2], xs[3]):
+        assert not population.complete
+        population.record(x, 1.0)
+    assert not population.complete
+    population.record(xs[5], 0.0)
+    assert population.complete
+    members, _ = population.close_generation()
+    assert [c.index for c in members] == [0, 2, 3], "nothing is learned from an extra one"
+    population.draw(np.zeros((1, 2)), np.zeros((1, 2)))
+    hand_out(population, 1)
+    population.record(np.zeros(2), 0.0)
+    assert population.complete, "nothing of the last generation is missed in the next"
+
+
+def test_a_generation_whose_candidates_are_lost_is_completed_by_extra_ones() -> None:
+    """After twice its size; or twice as many as are pending, so that slow ones are waited for."""
+    population, xs = drawn_for_a_test(4, 8)
+    population.record(xs[0], 3.0)
+    for i, x in enumerate(xs[4:]):
+        assert population.complete == (i >= 8)
+        population.record(x, 1.0)
+    assert population.complete
+    members, losses = population.close_generation()
+    assert [c.index for c in members] == [0] and losses == [3.0]
+
+    population, xs = drawn_for_a_test(2, 30)
+    told = 0
+    while not population.complete:
+        population.record(xs[2 + told], float(told))
+        told += 1
+    assert 2 * (32 - told) <= told < 30
+    members, _ = population.close_generation()
+    assert len(members) == told, "if not one came back, the others are all that is known"
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_the_state_knows_what_is_extra(saved: bool) -> None:
+    population, xs = drawn_for_a_test(4, 6, again=2)  # two extra ones are queued
+    population.withdraw(xs[3])
+    population.record(xs[4], 1.0)
+    if saved:
+        population = Population.from_state(population.state_dict(), 2)
+    xs += hand_out(population, 2)
+    population.record(xs[0], 1.0)
+    population.record(xs[1], 1.0)
+    assert not population.complete
+    population.record(xs[8], 1.0)
+    assert not population.complete
+    population.record(xs[2], 1.0)
+    assert population.complete
+    assert [c.index for c in population.close_generation()[0]] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
+    """Of a sample and of a proposal, which is then never made."""
+    population = drawn(4)
+    hand_out(population, 1 - first)
+    x, makers = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([0, 5])
+    assert population.proposed(first, 2).tolist() == [False, True]
+    population.replace(first, x, x + 2.0, makers)
+    assert population.remaining == 3 + first
+    asked = hand_out(population, 3 + first)[first:]
+    np.testing.assert_array_equal(asked[:2], x)
+    np.testing.assert_array_equal(asked[2], np.random.default_rng(0).random((4, 2))[3])
+    found = [population.record(row, 0.0) for row in asked]
+    flags = [(c.index, c.proposed, c.late, c.maker) for c in found if c is not None]
+    assert flags == [(1, False, True, 0), (2, True, True, 5), (3, True, False, 7)]

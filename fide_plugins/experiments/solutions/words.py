@@ -80,7 +80,7 @@ def _in_units(kind: Kind, value: Any, std: float) -> float | None:
 
 
 def _is_determined(std: float | None) -> bool:
-    return std is None or std < _OPEN
+    return std is None or not std >= _OPEN  # NaN: an integer or a choice has none
 
 
 def _text(value: Any, std: float | None) -> str:

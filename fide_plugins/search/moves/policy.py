@@ -230,6 +230,11 @@ class MovePolicy:
             return self.hypotheses.draw()
         return self._the_move.draw(known, self._candidates, rng)
 
+    @property
+    def has_more(self) -> bool:
+        """Whether `draw` gives other candidates each time, which are as good as the first ones."""
+        return self.stage is Stage.RESTART and self.move not in (Hypotheses.name, ChangeValue.name)
+
     def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
         """Learn from a generation that was no search's; return what comes next.
 

@@ -44,3 +44,8 @@ def test_without_a_space_coordinates_are_numbered() -> None:
     (first, second) = rows([solution([0.25, 0.5], [0.1, 0.28])])
     assert (first.name, first.values, first.determined) == ("x[0]", ["0.25 ± 0.10"], True)
     assert (second.name, second.determined) == ("x[1]", False)
+
+
+def test_an_integer_has_no_deviation_and_is_not_open_for_that() -> None:
+    (row,) = rows([solution([0.5], [np.nan], Space(rows=Int(1, 3)))])
+    assert (row.values, row.determined) == (["2"], True)

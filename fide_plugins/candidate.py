@@ -1,0 +1,73 @@
+"""A candidate, and how many of them are saved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.runtime.schema import Schema, array
+from fide_plugins.types import Float64
+
+__all__ = ["Candidate", "form_of", "pack", "unpack"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A point of the cube on its way to the user and back.
+
+    index: its number among all candidates ever drawn.
+    x: (d,), what is rendered.
+    z: (d,), what the search distribution learns from; into(z) = x.
+    proposed: whether a proposer made it, and not the search distribution.
+    late: whether it was told after its own generation was complete.
+    maker: which of several proposers made it, from 1; 0 where there is one, or none.
+    mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
+    extra: whether its generation does not need it.
+    """
+
+    index: int
+    x: Float64
+    z: Float64
+    proposed: bool = False
+    late: bool = False
+    maker: int = 0
+    mirrored: bool = False
+    extra: bool = False
+
+
+def pack(candidates: list[Candidate]) -> dict[str, Any]:
+    """Arrays of all fields, each (n, ...)."""
+    return {
+        "index": np.array([c.index for c in candidates], np.int64),
+        "x": np.array([c.x for c in candidates]),
+        "z": np.array([c.z for c in candidates]),
+        "proposed": np.array([c.proposed for c in candidates], bool),
+        "late": np.array([c.late for c in candidates], bool),
+        "maker": np.array([c.maker for c in candidates], np.int64),
+        "mirrored": np.array([c.mirrored for c in candidates], bool),
+        "extra": np.array([c.extra for c in candidates], bool),
+    }
+
+
+def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
+    """Candidates that `pack` was given."""
+    flags = [packed[name].tolist() for name in ("proposed", "late", "maker", "mirrored", "extra")]
+    columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
+    return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
+
+
+def form_of(n: str) -> Schema:
+    """Return the form of what `pack` gives for n candidates."""
+    return {
+        "index": array(n, kind="i"),
+        "x": array(n, "d", low=0.0, high=1.0),
+        "z": array(n, "d", low=-1e60, high=1e60),
+        "proposed": array(n, kind="b"),
+        "late": array(n, kind="b"),
+        "maker": array(n, kind="i"),
+        "mirrored": array(n, kind="b"),
+        "extra": array(n, kind="b"),
+    }

@@ -1,0 +1,18 @@
+"""How sure the parameters of a solution are: a standard deviation for each, from what was rendered.
+
+=============  =====================================================================
+`estimate`     which remembered samples count for a solution; computed when read
+`local_fit`    the Jacobian of the features there, and how well the samples tell it
+`covariance`   noise of the target, error of the search, what nothing determines
+=============  =====================================================================
+
+Nothing here is called before somebody reads `Solution.std`.
+"""
+
+from __future__ import annotations
+
+from fide_plugins.uncertainty.covariance import covariance
+from fide_plugins.uncertainty.estimate import LocalEstimate
+from fide_plugins.uncertainty.local_fit import LocalFit, fit_locally
+
+__all__ = ["LocalEstimate", "LocalFit", "covariance", "fit_locally"]

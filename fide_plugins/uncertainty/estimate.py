@@ -1,0 +1,132 @@
+"""The standard deviations of one solution, by the samples that were known when it was read.
+
+The samples come from the run's memory (`search.memory`), in which every part of the run is found,
+and the ends of searches.  Exchangeable blocks are matched to those of the solution; a sample whose
+blocks cannot be matched one to one is left out.  So are samples in which an integer or a choice
+has another value: they have no standard deviation themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from fide_plugins.proposers.training_sample import TrainingSample, in_order
+from fide_plugins.runtime.threads import one_thread
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.types import Float64
+from fide_plugins.uncertainty.covariance import covariance
+from fide_plugins.uncertainty.local_fit import fit_locally
+
+__all__ = ["LocalEstimate"]
+
+_NEAREST = 320  # samples
+_FEWEST = 2.0  # samples a parameter, and a few more
+_MORE = 10
+_APART = 0.05  # of the cube: farther away than that no image is the solution's
+
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalEstimate:
+    """How sure the parameters of a solution are, computed when it is first read.
+
+    x: (d,), the solution.
+    samples: evaluated candidates; some may be in it twice.
+    target: (T, C), tokens.
+    channels: so many leading channels of the tokens count; None: all.
+    axes: which of them are periodic.
+    discrete: (d,), axes of integers and choices; None: there are none.
+    blocks: (n, L), exchangeable blocks; None: there are none.
+    """
+
+    x: Float64
+    samples: Sequence[TrainingSample]
+    target: Tensor
+    channels: int | None
+    axes: Axes
+    discrete: Mask | None = None
+    blocks: Indices | None = None
+
+    @cached_property
+    def std(self) -> Float64 | None:
+        """(d,), NaN for integers and choices; None where too few samples are known."""
+        return self._computed()
+
+    @one_thread
+    def _computed(self) -> Float64 | None:
+        free = np.ones(len(self.x), bool) if self.discrete is None else ~self.discrete
+        least = int(_FEWEST * free.sum()) + _MORE
+        if not free.any() or len(self.samples) < least:
+            return None
+        samples = in_order({(one.index, one.x.tobytes()): one for one in self.samples}.values())
+        points = np.array([sample.x for sample in samples])
+        points, kept = aligned(points, self.x, self.blocks, self.axes)
+        if self.discrete is not None:
+            kept &= (points[:, ~free] == self.x[~free]).all(axis=1)
+        u = _signed(points - self.x, self.axes)
+        nearest = int(np.argmin(np.where(kept, np.abs(u).max(axis=1), np.inf)))
+        if kept.sum() < least or np.abs(u[nearest]).max() > _APART:
+            return None
+        seen = self._features([samples[i].tokens for i in np.flatnonzero(kept).tolist()])
+        here = seen[np.flatnonzero(kept).tolist().index(nearest)]
+        distances = np.square(seen - here).sum(axis=1)  # (n,)
+        near = np.sort(np.argsort(distances, kind="stable")[:_NEAREST])
+        e, target = _compressed(seen[near], self._features([self.target])[0])
+        fit = fit_locally(u[kept][near][:, free], e, _floored(distances[near]))
+        std = np.full(len(self.x), np.nan)
+        std[free] = np.sqrt(np.diag(covariance(fit, target, seen.shape[1])))
+        return std
+
+    def _features(self, tokens: Sequence[Tensor]) -> Float64:
+        """(n, f), of the channels that count."""
+        rows = [one.detach()[..., : self.channels].cpu().numpy().ravel() for one in tokens]
+        return np.array(rows, np.float64)
+
+
+def aligned(
+    points: Float64, x: Float64, blocks: Indices | None, axes: Axes
+) -> tuple[Float64, Mask]:
+    """Points (n, d) with their blocks in the order of those of x (d,); which could be matched.
+
+    Each block of a point belongs to the nearest one of x; it can be matched if they all differ.
+    """
+    if blocks is None:
+        return points, np.ones(len(points), bool)
+    own = points[:, blocks]  # (n, blocks, L)
+    costs = axes.difference(own[:, :, None], x[blocks], blocks).max(axis=3)  # (n, own, of x)
+    places = costs.argmin(axis=2)  # (n, own)
+    which: Mask = (np.sort(places, axis=1) == np.arange(len(blocks))).all(axis=1)
+    sources = np.argsort(places, axis=1)[..., None]  # the block that belongs to each of x
+    ordered = points.copy()
+    ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
+    return np.where(which[:, None], ordered, points), which
+
+
+def _signed(u: Float64, axes: Axes) -> Float64:
+    """Steps u (n, d), the shorter way around where an axis is periodic."""
+    if axes.periodic is None:
+        return u
+    return np.where(axes.periodic, (u + 0.5) % 1.0 - 0.5, u)
+
+
+def _floored(distances: Float64) -> Float64:
+    """Squared distances (n,); that of the solution from itself as small as the next one."""
+    moved = distances[distances > 0]
+    return np.maximum(distances, moved.min() if len(moved) else 1.0)
+
+
+def _compressed(e: Float64, target: Float64) -> tuple[Float64, Float64]:
+    """Features (n, f) and those of the target (f,), turned into the few directions they span."""
+    if e.shape[1] <= 2 * (len(e) + 1):
+        return e, target
+    both = np.vstack([e, target])
+    rows: Float64 = np.asarray(np.linalg.qr(both.T, mode="r")).T  # their products are the same
+    return rows[:-1], rows[-1]

@@ -1,0 +1,154 @@
+"""`Solution.std`: which samples count, when it is computed, and to what it belongs."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import FIDE
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.search.moves.axes import Axes
+from fide_plugins.space import Choice, Float, Int, Space
+from fide_plugins.types import Float32, Float64
+from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate as module, fit_locally
+from fide_plugins.uncertainty.estimate import aligned
+
+D, SIDE = 5, 16
+RAMPS = np.random.default_rng(2).uniform(-1, 1, (D, SIDE, SIDE, 3)) / D
+RAMPS[3] = 0.0  # of which the picture says nothing
+TRUTH = np.array([0.3, 0.6, 0.45, 0.5, 0.7])
+
+
+def render(X: Float64) -> Float32:
+    images: Float32 = (0.5 + np.tensordot(X - 0.5, RAMPS, 1)).astype(np.float32)
+    return images
+
+
+def run(evaluations: int = 400, **options: object) -> FIDE:
+    opt = FIDE(D, render(TRUTH[None])[0], seed=1, popsize=10, encoder="patch", **options)  # type: ignore[arg-type]
+    while opt.evaluations < evaluations:
+        X = opt.ask()
+        opt.tell(X, render(X))
+    return opt
+
+
+def samples_of(points: Float64, tokens: Float64) -> list[TrainingSample]:
+    kept = torch.as_tensor(tokens.reshape(len(points), 4, -1))
+    return [TrainingSample(i, x, t, 0.0) for i, (x, t) in enumerate(zip(points, kept, strict=True))]
+
+
+def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:
+    best = run().best
+    assert best is not None and best.std is not None
+    assert best.std[3] > 0.2 and best.std.max() <= 12**-0.5 + 1e-9
+    assert np.delete(best.std, 3).max() < 0.05
+
+
+def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def fit(u: Float64, e: Float64, distances: Float64) -> LocalFit:
+        calls.append(1)
+        return fit_locally(u, e, distances)
+
+    monkeypatch.setattr(module, "fit_locally", fit)
+    opt = run(200)
+    best, found = opt.best, opt.solutions()
+    assert best is not None and found and not calls
+    first = best.std
+    assert first is not None and best.std is first and len(calls) == 1
+
+
+def test_a_solution_keeps_the_std_of_its_time() -> None:
+    first, second = run(150), run(150)
+    early, late = first.best, second.best
+    assert early is not None and late is not None
+    now = early.std
+    while second.evaluations < 300:
+        X = second.ask()
+        second.tell(X, render(X))
+    assert now is not None and late.std is not None
+    np.testing.assert_array_equal(late.std, now)
+
+
+def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
+    opt = run(250)
+    opt.save(tmp_path / "opt")
+    for one, other in zip(opt.solutions(), FIDE.load(tmp_path / "opt").solutions(), strict=True):
+        np.testing.assert_array_equal(one.std, other.std)
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(one)).std, one.std)
+
+
+def test_few_samples_say_nothing() -> None:
+    opt = FIDE(D, render(TRUTH[None])[0], seed=1, popsize=10)
+    X = opt.ask()
+    opt.tell(X, render(X))
+    assert opt.best is not None and opt.best.std is None
+    assert run(100, memory_mb=0).best.std is None  # type: ignore[union-attr]
+    opt = FIDE(D, render(TRUTH[None])[0], seed=1)
+    opt.tell(X, losses=np.arange(len(X), dtype=float))
+    assert opt.best is not None and opt.best.std is None
+
+
+def test_integers_and_choices_have_none() -> None:
+    space = Space(a=Float(0, 1), n=Int(1, 4), kind=Choice("u", "v", "w"), b=Float(0, 2))
+    rng = np.random.default_rng(0)
+    X = np.array([space.snap(x) for x in rng.random((600, space.dim))])
+    mixing = rng.normal(size=(space.dim, 40))
+    samples = samples_of(X, X @ mixing)
+    discrete = space.layout.discrete
+    target = torch.as_tensor((X[7] @ mixing + 0.01 * rng.normal(size=40)).reshape(4, -1))
+    one = LocalEstimate(X[7], samples, target, None, Axes(space.dim, space.layout), discrete)
+    assert one.std is not None
+    np.testing.assert_array_equal(np.isnan(one.std), discrete)
+    assert np.isfinite(one.std[~discrete]).all() and one.std[~discrete].max() < 0.05
+
+
+def test_periodic_parameters_are_near_themselves() -> None:
+    """Samples on both sides of the seam are as good as samples in the middle."""
+    space = Space(angle=Float(-180, 180, periodic=True), b=Float(0, 1))
+    rng = np.random.default_rng(0)
+    mixing = rng.normal(size=(2, 40))
+    steps = rng.uniform(-0.1, 0.1, (80, 2))
+    noise = 0.01 * rng.normal(size=40)
+    stds: list[Float64] = []
+    for middle in (np.array([0.5, 0.5]), np.array([0.01, 0.5])):
+        X = (middle + np.vstack([np.zeros(2), steps])) % 1.0
+        tokens = np.vstack([np.zeros(2), steps]) @ mixing
+        axes = Axes(2, space.layout)
+        target = torch.as_tensor(noise.reshape(4, -1))
+        std = LocalEstimate(X[0], samples_of(X, tokens), target, None, axes).std
+        assert std is not None
+        stds.append(std)
+    np.testing.assert_allclose(stds[0], stds[1], rtol=1e-6)
+
+
+def test_blocks_are_matched_or_left_out() -> None:
+    blocks = np.array([[0, 1], [2, 3], [4, 5]])
+    x = np.array([0.1, 0.1, 0.5, 0.5, 0.9, 0.9])
+    points = np.array([x, np.roll(x, 2), x[[2, 3, 0, 1, 4, 5]], np.full(6, 0.5)]) + 0.01
+    found, which = aligned(points, x, blocks, Axes(6))
+    assert which.tolist() == [True, True, True, False]
+    np.testing.assert_allclose(found[:3], np.tile(x + 0.01, (3, 1)))
+
+
+def test_more_features_than_samples_change_nothing() -> None:
+    rng = np.random.default_rng(0)
+    X = rng.random((60, 3))
+    few = rng.normal(size=(3, 40))
+    wide = np.hstack([few, np.zeros((3, 4000))])  # zeros only dilute the noise of a feature
+    axes, noise = Axes(3), 0.01 * rng.normal(size=40)
+    stds = []
+    for mixing in (few, wide):
+        target = X[0] @ mixing
+        target[:40] += noise
+        tokens = torch.as_tensor(target.reshape(4, -1))
+        std = LocalEstimate(X[0], samples_of(X, X @ mixing), tokens, None, axes).std
+        assert std is not None
+        stds.append(std)
+    ratios = stds[0] / stds[1]
+    assert (ratios > 0.99).all()
