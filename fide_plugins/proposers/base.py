@@ -10,7 +10,6 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population import Makers
-from fide_plugins.proposers.sensitivity import Sensitivity
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 
@@ -73,9 +72,6 @@ class Proposer(Protocol):
     def note_ranks(self, losses: Float64, makers: Makers) -> None:
         """Note the losses (k,) of a generation and who made each candidate, (k,)."""
 
-    def sensitivity(self, target: Tensor) -> Sensitivity | None:
-        """How far the target's tokens (T, C) determine the best candidate; None: not known."""
-
     def forget(self) -> None:
         """Another search begins."""
 
@@ -118,10 +114,6 @@ class SingleProposer(ABC):
 
     def note_ranks(self, losses: Float64, makers: Makers) -> None:  # noqa: B027
         """Nothing depends on it."""
-
-    def sensitivity(self, target: Tensor) -> Sensitivity | None:
-        """Not known."""
-        return None
 
 
 class Previewed(ABC):

@@ -22,7 +22,6 @@ from fide_plugins.proposers.base import Previewed, Proposals
 from fide_plugins.proposers.forward import ForwardProposer
 from fide_plugins.proposers.image_gate import adapt_fraction
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.proposers.sensitivity import Sensitivity
 from fide_plugins.runtime.schema import Schema, Sides, anything, check, real
 from fide_plugins.types import Float64
 
@@ -114,10 +113,6 @@ class EnsembleProposer(Previewed):
                 largest=1 - self.smallest,
                 rate=self.rate,
             )
-
-    def sensitivity(self, target: Tensor) -> Sensitivity | None:
-        """How far the target's tokens (T, C) determine the parameters, see `proposers.forward`."""
-        return self.forward.sensitivity(target)
 
     def forget(self) -> None:
         """Another search begins; which of them is better here is not forgotten."""

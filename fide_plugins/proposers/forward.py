@@ -40,8 +40,7 @@ what J could explain of the residual:
 A model that explains nothing (g = 1, lambda large) gives z back; one that is right (g = 0) gives
 the step of Gauss and Newton.
 
-J comes from `proposers.jacobian`.  It also says what the image does not determine
-(`proposers.sensitivity`).
+J comes from `proposers.jacobian`.
 """
 
 from __future__ import annotations
@@ -58,8 +57,7 @@ from torch import Tensor
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
-from fide_plugins.proposers.sensitivity import Sensitivity, information, sensitivity
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
 from fide_plugins.types import Float64
 
 __all__ = ["ForwardProposer", "balanced"]
@@ -68,7 +66,6 @@ _SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
     "buffer": anything,
-    "information": maybe(array("d", "d", low=-1e120, high=1e120)),
 }
 _TINY = 1e-300
 _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
@@ -125,8 +122,6 @@ class ForwardProposer(Previewed, SingleProposer):
         self._losses: Float64 = np.empty(0)
         self._buffer = FeatureBuffer(self.channels, self.select)
         self._fit: tuple[Float64, Jacobian] | None = None  # with its std
-        self._information: Float64 | None = None  # (d, d), the last clear J J^T, per unit of x
-        self._first: tuple[Float64 | None] | None = None  # before anything was proposed
 
     @property
     def ready(self) -> bool:
@@ -135,7 +130,7 @@ class ForwardProposer(Previewed, SingleProposer):
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,)."""
-        self._fit = self._first = None
+        self._fit = None
         n = max(self.minimum, min(self.capacity, _MOST_BYTES // (8 * tokens[0].numel())))
         if len(x) > n:
             kept = _best_and_latest(losses, n)
@@ -193,29 +188,7 @@ class ForwardProposer(Previewed, SingleProposer):
             best = int(np.argmin(self._losses))
             fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
             self._fit = std.copy(), fit
-            clear = information(fit, std)
-            self._information = self._information if clear is None else clear
         return self._fit[1]
-
-    def sensitivity(self, target: Tensor) -> Sensitivity | None:
-        """How far the target's tokens (T, C) determine the best candidate, see `sensitivity`."""
-        known = self._information
-        if known is None and self.ready:  # nothing was proposed yet
-            known = self._first_information
-        if known is None:
-            return None
-        best = int(np.argmin(self._losses))
-        residual = self._buffer.missing(target, best)  # (f,)
-        return sensitivity(self._x[best], known, residual, self._buffer.rounding)
-
-    @property
-    def _first_information(self) -> Float64 | None:
-        """That of the candidates so far, in their own scale; computed once for what was told."""
-        if self._first is None:
-            other = self.copy()
-            other._jacobian(positive(self._x.std(axis=0)))
-            self._first = (other._information,)
-        return self._first[0]
 
     def copy(self) -> Self:
         """Another with the same buffer, which can be updated without this one."""
@@ -229,15 +202,13 @@ class ForwardProposer(Previewed, SingleProposer):
             "x": self._x,
             "losses": self._losses,
             "buffer": self._buffer.state_dict(),
-            "information": self._information,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         own = {"d": self.dim}
         check(state, _SCHEMA, own, "proposer")
-        self._fit = self._first = None
-        self._information = state["information"]
+        self._fit = None
         self._x, self._losses = state["x"], state["losses"]
         self._buffer.load_state_dict(state["buffer"], own["n"], (sides or {}).get("T"))
 

@@ -56,10 +56,8 @@ from torch import Tensor
 
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
-from fide_plugins.proposers.jacobian import fit_jacobian, positive
 from fide_plugins.proposers.ridge import ridge
-from fide_plugins.proposers.sensitivity import Sensitivity, information, sensitivity
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, maybe, real
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each
 from fide_plugins.types import Float64
 
 __all__ = ["LinearProposer"]
@@ -69,11 +67,7 @@ _SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
     "buffers": each(anything),
-    "information": maybe(array("d", "d", low=-1e120, high=1e120)),
-    "informed_at": real(0.0, np.inf),
 }
-_NARROWER = 0.5  # how much a search narrows before the Jacobian is fitted again
-_JACOBIAN_RIDGE = (1e-2, 1e-2)
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
 _SMALLEST_GAP = 1e-3  # of a leverage to 1
@@ -143,8 +137,6 @@ class LinearProposer(Previewed, SingleProposer):
         self._losses: Float64 = np.empty(0)
         self._buffers = [FeatureBuffer(channels, self.select) for channels in self.channel_subsets]
         self._fits: dict[int, tuple[Float64, _Regression]] = {}  # of buffers, with their std
-        self._information: Float64 | None = None  # (d, d), see `proposers.sensitivity`
-        self._informed_at = np.inf  # mean standard deviation of the search at that time
 
     @property
     def ready(self) -> bool:
@@ -166,25 +158,6 @@ class LinearProposer(Previewed, SingleProposer):
             buffer.add(tokens, n)
         self._x = np.concatenate([self._x, x])[-n:]
         self._losses = np.concatenate([self._losses, losses])[-n:]
-        if self.ready and float(std.mean()) < _NARROWER * self._informed_at:
-            self._inform(std)
-
-    def _inform(self, std: Float64) -> None:
-        """Fit a Jacobian, if candidates still differ enough for one."""
-        scale, best = positive(std), int(np.argmin(self._losses))
-        u, buffer = (self._x - self._x[best]) / scale, self._buffers[0]
-        fit = fit_jacobian(u, buffer.gram, best, _JACOBIAN_RIDGE, buffer.rounding)
-        clear = information(fit, scale)
-        if clear is not None:
-            self._information, self._informed_at = clear, float(std.mean())
-
-    def sensitivity(self, target: Tensor) -> Sensitivity | None:
-        """How far the target's tokens (T, C) determine the best candidate, see `sensitivity`."""
-        if self._information is None:
-            return None
-        best, buffer = int(np.argmin(self._losses)), self._buffers[0]
-        residual = buffer.missing(target, best)  # (f,)
-        return sensitivity(self._x[best], self._information, residual, buffer.rounding)
 
     def propose(
         self,
@@ -258,8 +231,6 @@ class LinearProposer(Previewed, SingleProposer):
             "x": self._x,
             "losses": self._losses,
             "buffers": buffers,
-            "information": self._information,
-            "informed_at": self._informed_at,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
@@ -271,7 +242,6 @@ class LinearProposer(Previewed, SingleProposer):
         own = {"d": self.dim}
         check(state, _SCHEMA, own, "proposer")
         self._x, self._losses = state["x"], state["losses"]
-        self._information, self._informed_at = state["information"], state["informed_at"]
         for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
             buffer.load_state_dict(saved, own["n"], (sides or {}).get("T"))
 

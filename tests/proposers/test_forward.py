@@ -267,41 +267,18 @@ def test_the_better_half_and_the_latest_half_are_remembered() -> None:
     assert sorted(map(tuple, both._x)) == sorted(map(tuple, proposer._x))
 
 
-def test_a_parameter_that_the_image_ignores_has_the_spread_of_the_box() -> None:
-    x = np.random.default_rng(0).random((60, D))
-    blind = MIXING.copy()
-    blind[2] = 0.0
-    tokens = torch.as_tensor((x @ blind).reshape(60, T, C))
-    losses = tokens.square().mean(dim=(1, 2)).numpy()
-    proposer = make()
-    assert proposer.sensitivity(tokens[0]) is None
-    proposer.update(x, tokens, losses, STD)
-    found = proposer.sensitivity(tokens[int(np.argmin(losses))] + 1e-3)
-    assert found is not None
-    assert found.std[2] == pytest.approx(12**-0.5, rel=1e-3)
-    assert (np.delete(found.std, 2) < 5e-3).all()
-    np.testing.assert_allclose(np.abs(found.directions[0]), [0, 0, 1, 0], atol=1e-3)
-    np.testing.assert_allclose(
-        (found.directions.T * found.direction_std**2) @ found.directions, found.covariance
-    )
-
-
 def test_the_covariance_is_that_of_least_squares() -> None:
-    """Of pictures with noise, the errors of the answer have the stated covariance."""
+    """Of pictures with noise, the errors of the answer are those of least squares."""
     rng = np.random.default_rng(0)
     x = np.vstack([ANSWER, rng.random((60, D))])
     tokens = images_of(x)
     proposer = make()
     proposer.update(x, tokens, np.arange(61.0), STD)
-    errors, stated = [], []
+    errors = []
     for _ in range(400):
         noisy = tokens[0] + 1e-3 * torch.as_tensor(rng.standard_normal((T, C)))
-        found = proposer.sensitivity(noisy)
-        assert found is not None
-        stated.append(found.covariance)
         errors.append(step(proposer, noisy)[0] - ANSWER)
     exact = 1e-6 * np.linalg.inv(MIXING @ MIXING.T)
-    np.testing.assert_allclose(np.mean(stated, axis=0), exact, rtol=0.1, atol=1e-9)
     np.testing.assert_allclose(np.cov(np.array(errors).T), exact, rtol=0.3, atol=2e-7)
 
 
