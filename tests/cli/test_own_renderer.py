@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Choice, Float, Int, Space
+from fide_plugins import FIDE, Choice, Float, Int, Space, optimizers
 from fide_plugins.experiments.run.renderer_task import make
 
 from .conftest import fide
@@ -28,6 +28,18 @@ def test_a_target_of_random_parameters_with_the_size_of_the_renderer() -> None:
     np.testing.assert_allclose(np.repeat(image[..., None], 3, 2), first.target, atol=1e-7)
     assert first.search_space is not None
     np.testing.assert_array_equal(first.search_space.snap(first.x_star), first.x_star)
+
+
+@pytest.mark.usefixtures("scene")
+@pytest.mark.parametrize("name", ["render", "render_x"])
+def test_no_optimizer_with_the_same_seed_draws_the_hidden_parameters(name: str) -> None:
+    for seed in range(5):
+        task = make(f"scene.py:{name}", seed, {})
+        space, x_star = task.search_space, task.x_star
+        assert x_star is not None
+        X = optimizers.make("random", task.dim, seed=seed).ask(50)
+        found = X if space is None else np.array([space.snap(x) for x in X])
+        assert not np.isclose(found, x_star).all(axis=1).any()
 
 
 def test_a_renderer_may_change_what_it_gets(tmp_path: Path) -> None:

@@ -51,7 +51,8 @@ class RendererTask:
         self.name, self.seed, self._render = name, seed, renderer
         self.search_space = space if isinstance(space, Space) else None
         self.dim = space.dim if isinstance(space, Space) else space
-        x = np.random.default_rng(seed).random(self.dim)
+        # A stream of its own: many optimizers begin with `default_rng(seed).random`.
+        x = np.random.default_rng((seed, self.dim)).random(self.dim)
         x = x if self.search_space is None else self.search_space.snap(x)
         self.x_star: Float64 | None = x if picture is None else None
         self._target: Float32 | None = None if picture is None else as_target(picture)
