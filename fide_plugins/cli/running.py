@@ -44,7 +44,7 @@ def execute_run(
                 result = run.execute(report)
         except (Interrupted, FideError, OSError):
             raise
-        except Exception:
+        except (Exception, SystemExit):  # code of a user may end by sys.exit
             traceback.print_exc()
             note(f"fide {command[1]}: the run failed; its results so far are in {out}")
             return 1
@@ -105,6 +105,10 @@ def _execute(
         return 1
     except USAGE_ERRORS as error:
         return complain(who, error)
+    except SystemExit:  # of a user's constructor
+        traceback.print_exc()
+        note(f"{who}: {failed}")
+        return 1
     try:
         return execute(prepared)
     except Interrupted as stop:

@@ -60,3 +60,19 @@ def test_errors_come_before_any_render(
     error = capsys.readouterr().err
     assert "deaf.py:Deaf has no method tell; give it tell(X, losses)" in error
     assert error.count("\n") == 1 and not Path("out").exists()
+
+
+@pytest.mark.parametrize("method", ["__init__", "ask", "tell"])
+def test_sys_exit_is_a_failed_run(
+    method: str, mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mine / "quits.py").write_text(
+        "import sys\nfrom search import Elitist\n\n\nclass Quits(Elitist):\n"
+        f"    def {method}(self, {'dim' if method == '__init__' else '*args'}): sys.exit(0)\n"
+    )
+    assert fide("run", "voronoi", *SMALL, "--optimizer", "quits.py:Quits", "--out", "out") == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and "sys.exit(0)" in captured.err
+    assert "fide run: the run failed" in captured.err
+    if method != "__init__":
+        assert json.loads(Path("out/run.json").read_text())["status"] == "failed"
