@@ -40,6 +40,8 @@ def suite_plan(args: argparse.Namespace) -> Any:
         if getattr(args, name):
             flag = _FLAGS.get(name, "--" + name.replace("_", "-"))
             raise OptionError(f"{flag} has no meaning with --suite, which is fixed; leave it out")
+    configurations = [Configuration.parse(text) for text in args.optimizers]
+    _check_budgets(configurations)
     suite = suites.read(args.suite)
     scenes, targets = suite.chosen(args.scenes, args.targets)
     missing = suites.unavailable(suite, scenes)
@@ -48,5 +50,15 @@ def suite_plan(args: argparse.Namespace) -> Any:
     left = [scene for scene in scenes if scene not in missing]
     if not left:
         raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
-    configurations = [Configuration.parse(text) for text in args.optimizers]
     return suites.plan(suite, configurations, left, targets, args.budget)
+
+
+def _check_budgets(configurations: list[Any]) -> None:
+    """Raise OptionError if an optimizer has a budget of its own."""
+    for configuration in configurations:
+        if configuration.budget is not None:
+            raise OptionError(
+                f"{configuration.label} has a budget of its own, and the optimizers of a suite are "
+                "read at the same renders; leave it out, or give all of them --budget "
+                f"{configuration.budget}"
+            )

@@ -12,7 +12,6 @@ import numpy as np
 
 from fide_plugins.experiments.compare.results import Results
 from fide_plugins.experiments.report import Written, page as report_page, plots, sentences, svg
-from fide_plugins.experiments.report.labels import short_names
 from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
 from fide_plugins.experiments.suite import profiles
 from fide_plugins.experiments.suite.scores import Scores, scores
@@ -50,7 +49,7 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
     path = Path(page)
     found = scores(results)
     env = report_page.environment()
-    names = list(short_names(found.labels).values())
+    names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [totals(found, names), by_scene(found, names), _thresholds(found)]
     (path.parent / "figures").mkdir(parents=True, exist_ok=True)
     charts = []

@@ -88,6 +88,7 @@ def test_a_part_from_the_command_line(
     ]
     page = (out / "report.html").read_text()
     assert page.count("<svg role=") == 2 and "1 of 110 problems" in page
+    assert "eki:popsize=20" in page and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
     assert "fide compare --suite" in (out / "report.md").read_text()
 
@@ -99,6 +100,7 @@ def test_a_part_from_the_command_line(
         (["--losses", "mse"], "--losses has no meaning with --suite"),
         (["--scenes", "lamp"], "unknown scene of image-fitting-v1 'lamp'.*did you mean 'lamps'"),
         (["--targets", "11"], "has 10 targets, not 11"),
+        (["--optimizers", "cma,fide:budget=50"], "fide:budget=50 has a budget.*give .* --budget 50"),
         (["--suite", "image-fitting"], "unknown suite 'image-fitting'.*image-fitting-v1"),
     ],
 )
