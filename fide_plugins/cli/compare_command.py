@@ -135,7 +135,7 @@ def _execute(comparison: Any) -> int:
     outcomes = comparison.execute(on_outcome, _Heartbeat())
     failed = sum(outcome.kind == "failed" for outcome in outcomes)
     if failed:
-        note(f"{failed} of {total} runs failed; the report has their tracebacks")
+        note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
     return int(failed > 0)
 
 

@@ -38,6 +38,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 def make(directory: Path, page: Path | None, threshold: dict[str, float], who: str) -> int:
     """Write the report of `directory`; returns the exit code."""
     from fide_plugins.cli.running import USAGE_ERRORS
+    from fide_plugins.experiments.compare.results import AllFailedError
 
     try:
         from fide_plugins.experiments import compare, report
@@ -55,6 +56,9 @@ def make(directory: Path, page: Path | None, threshold: dict[str, float], who: s
             written = suite_page.write(results, path)
         else:
             written = report.write(results, path, threshold)
+    except AllFailedError as error:
+        note(f"{who}: {plain(error)}")
+        return 1
     except USAGE_ERRORS as error:
         return complain(who, error)
     print(written.overview)

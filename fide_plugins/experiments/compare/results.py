@@ -19,14 +19,28 @@ from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
 from fide_plugins.experiments.run.parallel import WORKERS
 from fide_plugins.types import Float64
 
-__all__ = ["AXES", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
+__all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
 
 AXES = ("renders", "seconds", "rounds")
 """Horizontal axes of a convergence curve; rounds: see `experiments.run.parallel`."""
 
 
 class NoResultsError(FideError, FileNotFoundError):
-    """A folder holds no comparison."""
+    """A folder holds no comparison, or nothing of it that can be reported."""
+
+
+class AllFailedError(NoResultsError):
+    """Nothing can be reported because runs failed."""
+
+    @classmethod
+    def check(cls, results: Results) -> None:
+        """Raise it if runs failed and none is finished."""
+        failed = sum(run.status == "failed" for run in results.runs)
+        if failed and not any(run.status == "finished" for run in results.runs):
+            raise cls(
+                f"no run in {results.path} is finished, and {failed} of {len(results.runs)} "
+                f"failed; {ERROR} in their directories has the tracebacks"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,12 @@ from urllib.parse import quote
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.directory import target_file
-from fide_plugins.experiments.compare.results import AXES, NoResultsError, Results
+from fide_plugins.experiments.compare.results import (
+    AXES,
+    AllFailedError,
+    NoResultsError,
+    Results,
+)
 from fide_plugins.experiments.report import export, pictures, plots, sentences, svg, tables
 from fide_plugins.experiments.report.panel import Panel, panels
 from fide_plugins.runtime import files
@@ -60,7 +65,8 @@ def write(
     thresholds: loss that counts as success, by "task/loss" or "loss"; by default the second best
         median of a panel.
 
-    Raises NoResultsError (a FileNotFoundError) if no run is finished, OptionError (a ValueError)
+    Raises NoResultsError (a FileNotFoundError) if no run is finished, AllFailedError (one of them)
+    if some failed, OptionError (a ValueError)
     for a page without the suffix .html or a threshold of a loss that was not compared,
     DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
     """
@@ -71,6 +77,7 @@ def write(
         raise OptionError(f"the page must be a file NAME.html, not {path.name!r}")
     _check(results, thresholds or {})
     found = panels(results, thresholds or {})
+    AllFailedError.check(results)
     if not found:
         raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
     page_module.environment()  # raises without Jinja2, before anything is written

@@ -7,6 +7,7 @@
 `problems`    problems as tasks, and the plan of a comparison that runs them
 `profiles`    data profiles and performance profiles
 `scores`      renders to solve each problem, of a comparison's results
+`remarks`     what is said of failed runs and of problems that are left out
 `page`        the page, its figures and tables
 ============  ====================================================================
 """

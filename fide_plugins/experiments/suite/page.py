@@ -14,6 +14,7 @@ from fide_plugins.experiments.compare.results import Results
 from fide_plugins.experiments.report import Written, page as report_page, plots, sentences, svg
 from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
 from fide_plugins.experiments.suite import profiles
+from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores, scores
 from fide_plugins.experiments.suite.tables import by_scene, totals
 from fide_plugins.runtime import files
@@ -34,7 +35,7 @@ _METHOD = (
     "p is that of the exact McNemar test (a sign test of the problems that one of two optimizers "
     "solves and the other does not) against the optimizer that solves most, adjusted for all "
     "rivals (Benjamini and Hochberg).",
-    "Only problems that every optimizer has finished count.",
+    "A run that failed counts as unsolved. Problems with a missing or unfinished run are left out.",
 )
 
 
@@ -43,8 +44,8 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 
     page: path of report.html.
 
-    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all, DependencyError
-    (an ImportError) without Jinja2, OSError if a file cannot be written.
+    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all or every run
+    failed, DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
     """
     path = Path(page)
     found = scores(results)
@@ -63,6 +64,7 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
         title=f"Suite {found.suite.name}",
         facts=_facts(found),
         part=_part(found),
+        remarks=remarks(found),
         tables=tables,
         charts=[
             (title, _markup(file, stem, title))
@@ -76,7 +78,8 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
     )
     files.write_text(path, html)
     shown = "\n\n".join(markdown(table) for table in tables[:2])
-    return Written(path, f"{_part(found)}\n\n{shown}\n")
+    said = "\n".join([_part(found), *remarks(found)])
+    return Written(path, f"{said}\n\n{shown}\n")
 
 
 def _figures(found: Scores, names: list[str], legend: bool) -> list[tuple[str, str, Any]]:
@@ -168,7 +171,8 @@ def _markdown(
     results: Results, found: Scores, tables: list[Table], charts: list[tuple[str, str]]
 ) -> str:
     calls = (f"    {sentences.command(call)}" for call in results.calls)
-    parts = [f"# Suite {found.suite.name}", *calls, _part(found), f"{_facts(found)}."]
+    parts = [f"# Suite {found.suite.name}", *calls, _part(found)]
+    parts += [*map(escaped, remarks(found)), f"{_facts(found)}."]
     parts += [f"![{escaped(title)}](figures/{stem}.png)" for stem, title in charts[:1]]
     for table in tables:
         parts += [f"## {table.caption}", markdown(table)]

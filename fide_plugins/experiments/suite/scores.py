@@ -1,4 +1,8 @@
-"""Renders to solve each problem of a suite, of the results of a comparison."""
+"""Renders to solve each problem of a suite, of the results of a comparison.
+
+A run that failed has solved nothing: its optimizer must not gain by failing.  A problem with a
+missing or unfinished run is left out, since it would say nothing of one optimizer.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fide_plugins.experiments.compare.results import NoResultsError, Results, StoredRun
+from fide_plugins.experiments.compare.results import (
+    AllFailedError,
+    NoResultsError,
+    Results,
+    StoredRun,
+)
 from fide_plugins.experiments.suite.definition import Suite, read
 from fide_plugins.experiments.suite.profiles import within
 from fide_plugins.types import Float64
@@ -16,12 +25,14 @@ __all__ = ["Scores", "scores"]
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Results of S optimizers on P problems; those that every optimizer has finished.
+    """Results of S optimizers on P problems; those that every optimizer has finished or failed.
 
     labels: of the optimizers.  problems: names.  planned: number of problems in the plan.
     budgets: renders at which results are read.
     t: (P, S), renders after which a problem was solved; infinite if it was not.
     losses: (B, P, S), lowest loss by each budget.
+    failed: optimizer and problem of each run that failed.
+    left_out: runs because of which other problems are left out.
     """
 
     suite: Suite
@@ -31,6 +42,8 @@ class Scores:
     budgets: tuple[int, ...]
     t: Float64
     losses: Float64
+    failed: tuple[tuple[str, str], ...] = ()
+    left_out: tuple[StoredRun, ...] = ()
 
     @property
     def scenes(self) -> list[str]:
@@ -48,13 +61,18 @@ class Scores:
 
 
 def scores(results: Results) -> Scores:
-    """Scores of a comparison of a suite; NoResultsError if no problem is finished by all."""
+    """Scores of a comparison of a suite.
+
+    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all, AllFailedError
+    (one of them) if runs failed and none is finished.
+    """
+    AllFailedError.check(results)
     suite = read(results.settings["task_options"]["suite"])
     labels = tuple(dict.fromkeys(run.key.configuration for run in results.runs))
     table: dict[str, dict[str, StoredRun]] = {}
     for run in results.runs:
         table.setdefault(run.key.task, {})
-        if run.curve is not None:
+        if run.status in _ENDED:
             table[run.key.task][run.key.configuration] = run
     whole = {name: runs for name, runs in table.items() if set(runs) == set(labels)}
     if not whole:
@@ -62,20 +80,28 @@ def scores(results: Results) -> Scores:
             f"no problem in {results.path} is finished by all optimizers; run: fide compare "
             "--resume"
         )
+    rows = [[runs[label] for label in labels] for runs in whole.values()]
+    ended = [run for row in rows for run in row]
+    failed = tuple((r.key.configuration, r.key.task) for r in ended if r.curve is None)
     most = int(results.settings["budget"])
     budgets = (*(b for b in suite.budgets if b < most), most)
-    rows = [[runs[label] for label in labels] for runs in whole.values()]
     t = np.array([[_renders(suite, run) for run in row] for row in rows])
     losses = np.array([[[_loss(run, b) for run in row] for row in rows] for b in budgets])
-    return Scores(suite, labels, tuple(whole), len(table), budgets, t, losses)
+    left_out = tuple(run for run in results.runs if run.status not in _ENDED)
+    return Scores(suite, labels, tuple(whole), len(table), budgets, t, losses, failed, left_out)
+
+
+_ENDED = ("finished", "failed")
 
 
 def _renders(suite: Suite, run: StoredRun) -> float:
-    assert run.curve is not None, "a finished run has a curve"
+    if run.curve is None:
+        return np.inf
     return run.curve.reaches("renders", suite.problem(run.key.task)[0].solved)
 
 
 def _loss(run: StoredRun, renders: int) -> float:
-    assert run.curve is not None, "a finished run has a curve"
+    if run.curve is None:
+        return np.inf
     value = float(run.curve.value("renders", [renders])[0])
     return np.inf if np.isnan(value) else value

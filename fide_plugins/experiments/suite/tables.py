@@ -39,7 +39,7 @@ def totals(found: Scores, names: list[str]) -> Table:
 def by_scene(found: Scores, names: list[str]) -> Table:
     """Solved problems of each scene: one column an optimizer, its counts at each budget."""
     marks = " / ".join(number(b) for b in found.budgets)
-    columns = [("scene", "name in the suite"), ("problems", "targets that all have finished")]
+    columns = [("scene", "name in the suite"), ("problems", "targets that count")]
     columns += [(name, f"problems solved by {marks} renders") for name in names]
     rows = []
     for scene in found.scenes:

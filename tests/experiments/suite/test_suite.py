@@ -93,6 +93,66 @@ def test_a_part_from_the_command_line(
     assert "fide compare --suite" in (out / "report.md").read_text()
 
 
+BREAKS = """
+import numpy as np
+
+
+class Breaks:
+    def __init__(self, dim, target, only_black=True):
+        self.dim = dim
+        self.breaks = not only_black or target[0, 0].sum() < THRESHOLD
+
+    def ask(self, n):
+        return np.full((n, self.dim), 0.5)
+
+    def tell(self, X, losses):
+        if self.breaks:
+            raise ArithmeticError("out of luck")
+"""
+
+
+def test_failed_runs_are_unsolved_and_open_ones_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    corners = [suites.make(SUITE, f"lamps-{k}").target[0, 0].sum() for k in range(3)]
+    (tmp_path / "mine.py").write_text(BREAKS.replace("THRESHOLD", repr(float(max(corners)))))
+    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "lamps", "--budget", 40]
+    words += ["--targets", 3, "--optimizers", "random,mine.py:Breaks"]
+    assert fide(*words, "--out", "out") == 1
+    printed = capsys.readouterr()
+    assert "2 of 6 runs failed; error.txt in their directories has the tracebacks" in printed.err
+    broken = [f"lamps-{k}" for k in range(3) if corners[k] < max(corners)]
+    sentence = (
+        f"Failed runs count as unsolved, 2 problems: mine.py:Breaks failed on {', '.join(broken)}."
+    )
+    assert "3 of 110 problems" in printed.out and sentence in printed.out
+    for page in ("report.html", "report.md"):
+        assert sentence in Path("out", page).read_text().replace("\\", "")
+    rows = [line.split(",") for line in Path("out/solved.csv").read_text().splitlines()]
+    for problem in broken:
+        assert [problem, "", "inf"] in [[r[0], *r[3:]] for r in rows if r[2] == "mine.py:Breaks"]
+
+    shutil.rmtree(next(Path("out/cells/lamps-1").glob("*/random")))
+    assert fide("report", "out") == 0
+    printed = capsys.readouterr()
+    assert "2 of 110 problems" in printed.out
+    assert "Left out, 1 problem: random is missing on lamps-1." in printed.out
+
+
+def test_nothing_but_failures_is_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(BREAKS)
+    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "lamps", "--budget", 40]
+    words += ["--targets", 1, "--optimizers", "mine.py:Breaks:only_black=false", "--out", "out"]
+    assert fide(*words) == fide("report", "out") == 1
+    err = capsys.readouterr().err
+    assert err.count("no run in out is finished, and 1 of 1 failed; error.txt in their direct") == 2
+    assert list(Path("out").rglob("error.txt")) and not Path("out/report.html").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -100,7 +160,10 @@ def test_a_part_from_the_command_line(
         (["--losses", "mse"], "--losses has no meaning with --suite"),
         (["--scenes", "lamp"], "unknown scene of image-fitting-v1 'lamp'.*did you mean 'lamps'"),
         (["--targets", "11"], "has 10 targets, not 11"),
-        (["--optimizers", "cma,fide:budget=50"], "fide:budget=50 has a budget.*give .* --budget 50"),
+        (
+            ["--optimizers", "cma,fide:budget=50"],
+            "fide:budget=50 has a budget.*give .* --budget 50",
+        ),
         (["--suite", "image-fitting"], "unknown suite 'image-fitting'.*image-fitting-v1"),
     ],
 )
