@@ -11,7 +11,8 @@ optional: `popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `r
 
 `tell` gets the points (n, dim) of one `ask`, all of them, as they were asked; the images (n, H, W,
 3), float32 in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the
-budget cuts short is not told.  NumPy's and Python's global generators are seeded for it.
+budget cuts short is not told.  `recommend` is tried once after the first generation, so that a
+wrong one does not cost the budget.  NumPy's and Python's global generators are seeded for it.
 """
 
 from __future__ import annotations
@@ -80,6 +81,7 @@ class Own(Replayed):
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
         names = list(inspect.signature(self._user.tell).parameters)
         self._images_at = names.index("images") if "images" in names else None
+        self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
         self._asked: Float64 | None = None  # last generation
 
     @classmethod
@@ -89,11 +91,27 @@ class Own(Replayed):
         return sorted(names | {"loss", "seed", "budget"})
 
     def recommend(self) -> Float64:
-        """What it recommends, (dim,); by default the best, or the center."""
-        if not callable(getattr(self._user, "recommend", None)) or self._best is None:
+        """What it recommends, (dim,); by default the best, or the center.
+
+        Raises PointsError (a ValueError) if that is no point of the unit cube.
+        """
+        if not self._recommends or self._best is None:
             return super().recommend()
         with self._global_random.lent():
-            return np.array(self._user.recommend(), np.float64)
+            return self._recommended()
+
+    def _recommended(self) -> Float64:
+        """The user's recommendation, (dim,), checked."""
+        self._tried = True
+        said = self._user.recommend()
+        try:
+            (x,) = as_points([said], self.dim)
+        except PointsError as error:
+            raise PointsError(
+                f"recommend() of {self.name} must return a point of the shape ({self.dim},) in "
+                f"[0, 1]: {error}"
+            ) from error
+        return np.asarray(x)
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
@@ -121,6 +139,8 @@ class Own(Replayed):
             if self._images_at is not None:
                 told.insert(self._images_at, features)
             self._user.tell(*told)
+            if self._recommends and not self._tried and self._best is not None:
+                self._recommended()
 
     def _encode(self, batch: Float32 | None) -> Float32 | None:
         if self._images_at is None:

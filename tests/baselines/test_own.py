@@ -88,6 +88,17 @@ class Narrow(Least):
     def tell(self, X): ...
 
 
+class Recommends(Least):
+    def __init__(self, dim, seed, kind="far"):
+        super().__init__(dim, seed)
+        self.kind, self.recommended = kind, 0
+
+    def recommend(self):
+        self.recommended += 1
+        points = {"far": [1.7, 0, 0], "short": [0, 0], "none": None, "nan": [np.nan, 0, 0]}
+        return points.get(self.kind, [0.25, 0, 1])
+
+
 def made(dim, seed):
     return Least(dim, seed)
 
@@ -197,6 +208,23 @@ def test_options_are_those_of_the_constructor() -> None:
 def test_too_few_candidates() -> None:
     with pytest.raises(PointsError, match=r"must return candidates of the shape \(6, 2\).* 5 rows"):
         optimizers.make("mine.py:Few", 2).ask()
+
+
+@pytest.mark.parametrize("kind", ["far", "short", "none", "nan"])
+def test_a_wrong_recommendation_fails_after_the_first_generation(kind: str) -> None:
+    opt = optimizers.make("mine.py:Recommends", 3, seed=0, kind=kind)
+    X = opt.ask()
+    opt.tell(X[:5], losses=X[:5].sum(1))
+    with pytest.raises(PointsError, match=r"recommend\(\) of .* must return .* shape \(3,\) in "):
+        opt.tell(X[5:], losses=X[5:].sum(1))
+
+
+def test_a_right_recommendation_is_tried_once() -> None:
+    opt: Any = optimizers.make("mine.py:Recommends", 3, seed=0, kind="right")
+    for losses in (np.full(6, np.nan), np.ones(6), np.ones(6)):  # no best point at first
+        opt.tell(opt.ask(), losses=losses)
+    assert opt._user.recommended == 1
+    np.testing.assert_array_equal(opt.recommend(), [0.25, 0.0, 1.0])
 
 
 def test_frameworks_win_over_modules_of_their_name(tmp_path: Path) -> None:
