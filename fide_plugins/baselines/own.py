@@ -84,6 +84,11 @@ class Own(Replayed):
         self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
         self._asked: Float64 | None = None  # last generation
 
+    @property
+    def resumable(self) -> bool:
+        """Whether what is saved can be loaded: not if it takes images."""
+        return self._images_at is None
+
     @classmethod
     def option_names(cls) -> list[str]:
         """Names of the options that it takes."""
@@ -157,14 +162,15 @@ class Own(Replayed):
         check(state["asked"], maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
         if self._images_at is not None and state["asked"] is not None:
             raise CheckpointError(
-                f"{self.name} learns from images, which a checkpoint does not hold; run it again"
+                f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
+                "be resumed; run it again from the beginning, in another directory"
             )
         super()._load_search_state(history)
         now, then = self._asked, state["asked"]
         if (now is None) != (then is None) or (now is not None and not np.array_equal(now, then)):
             raise CheckpointError(
                 f"{self.name} asks for other candidates when it is run again; draw random numbers "
-                "from its seed, or run it again from the beginning"
+                "from its seed, or run it again from the beginning, in another directory"
             )
 
 

@@ -39,6 +39,9 @@ def execute_run(
         if done:
             finished = done >= run.progress.budget
             note(f"{out} is finished" if finished else f"continuing {out} after {done} renders")
+        if not _resumable(run):
+            name = plain(run.settings["optimizer"])
+            note(f"{name} takes images, which a checkpoint does not hold: no --resume of this run")
         try:
             with reporting(what) as report:
                 result = run.execute(report)
@@ -57,7 +60,7 @@ def execute_run(
 
     def stopped(run: Any) -> tuple[str, str]:
         saved = f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"
-        return saved, continuation(command, str(run.out))
+        return saved, continuation(command, str(run.out)) if _resumable(run) else ""
 
     return _execute(command, prepare, execute, stopped, "the run failed")
 
@@ -91,7 +94,7 @@ def _execute(
 ) -> int:
     """Prepare and execute; whatever goes wrong becomes messages and an exit code.
 
-    stopped: what is saved where, and the command that continues, after an interrupt.
+    stopped: what is saved where, and the command that continues, after an interrupt; none if empty.
     failed: begins the message where rendering or saving fails.
     """
     from fide_plugins.experiments.run import Interrupted
@@ -114,11 +117,16 @@ def _execute(
     except Interrupted as stop:
         saved, again = stopped(prepared)
         note(f"{who}: {stop}{saved}")
-        note(f"continue with: {again}")
+        if again:
+            note(f"continue with: {again}")
         return 128 + stop.signum
     except (FideError, OSError) as error:
         note(f"{who}: {failed}: {plain(error)}")
         return 1
+
+
+def _resumable(run: Any) -> bool:
+    return bool(getattr(run.optimizer, "resumable", True))
 
 
 def _report(result: Any, out: str) -> None:

@@ -156,6 +156,8 @@ def _possible(path: str | os.PathLike[str]) -> Iterator[None]:
     """Turn errors of this block, which the file causes, into CheckpointError."""
     try:
         yield
+    except CheckpointError:  # the optimizer's own, which says what to do
+        raise
     except IMPOSSIBLE as error:
         why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
         remedy = "start again, or use an earlier copy"
