@@ -1,10 +1,11 @@
 """The run loop: ask, render, evaluate, tell, until the budget is spent.
 
 The loop asks for a whole generation, and renders it in pieces of a fixed size, so that results
-arrive and can be saved before a slow generation is complete.  The size is fixed because the same
-seed must give the same run: a size that depends on the renderer's speed would change the last bits
-of features that are computed in batches.  An optimizer that trains in the background first gives
-the candidates that need not wait for the training (`FIDE.ask_ready`).
+arrive and can be saved before a slow generation is complete.  A user's renderer makes one image
+after the other, so each is told at once: an interrupt or a failure loses no other.  The size is
+fixed because the same seed must give the same run: a size that depends on the renderer's speed
+would change the last bits of features that are computed in batches.  An optimizer that trains in
+the background first gives the candidates that need not wait for the training (`FIDE.ask_ready`).
 
 Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
 pieces, together with the pending candidates, and each evaluation of a noisy renderer has its own
@@ -38,7 +39,8 @@ from fide_plugins.validation.points import as_points
 __all__ = ["PIECE", "Run"]
 
 PIECE = 32
-"""Largest number of candidates that are rendered before their results are told."""
+"""Largest number of candidates that are rendered before their results are told, where the task does
+not say another; see `TaskInfo.piece`."""
 
 _SAVE_INTERVAL = 20  # least time between two checkpoints, in times of writing one
 
@@ -75,6 +77,7 @@ class Run:
         self._directory, self._checkpoint_every = directory, checkpoint_every
         self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
         self._budget: int = settings["budget"]
+        self._piece = TaskInfo.of(task).piece or PIECE
         self._clipped = False
         self._whole = True  # whether record and optimizer agree, so that they may be saved
 
@@ -135,7 +138,7 @@ class Run:
             self._whole = True
             if self._checkpoint_every > 0:  # the optimizer has just waited for its training
                 self._save_now_and_then()
-        X, rest = record.pending[:PIECE], record.pending[PIECE:]
+        X, rest = record.pending[: self._piece], record.pending[self._piece :]
         with interrupts.stoppable():
             start = time.perf_counter()
             images, extra = self._render(X), self._render_extra(X)

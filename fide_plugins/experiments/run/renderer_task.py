@@ -40,6 +40,8 @@ class RendererTask:
         None for a picture.
     """
 
+    piece = 1  # renders are independent, and may be slow or fail: none waits for others
+
     def __init__(
         self,
         name: str,

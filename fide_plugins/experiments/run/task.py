@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
 from fide_plugins.types import Float64
@@ -44,6 +44,7 @@ class TaskInfo:
     renderer: name of what renders here, for a task whose images depend on what the machine has.
     spp: most samples of a pixel, which `render` obeys.
     search_space: named parameters, for an optimizer that handles integers and choices as such.
+    piece: most candidates to render before their results are told; None: the loop's own number.
     """
 
     name: str
@@ -53,11 +54,12 @@ class TaskInfo:
     renderer: str | None = None
     spp: int | None = None
     search_space: Space | None = None
+    piece: int | None = None
 
     @classmethod
     def of(cls, task: object) -> TaskInfo:
         """What this task says of itself now."""
-        optional = ("seed", "reference", "incidental_options", "renderer", "spp", "search_space")
+        optional = [field.name for field in fields(cls) if field.name != "name"]
         said = {name: getattr(task, name) for name in optional if hasattr(task, name)}
         return cls(name_of(task), **said)
 
