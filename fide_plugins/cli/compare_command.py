@@ -31,7 +31,7 @@ from fide_plugins.cli.arguments import (
 from fide_plugins.cli.messages import duration, note, number, plain
 from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
 from fide_plugins.cli.running import execute_comparisons
-from fide_plugins.cli.suite_arguments import add_suite_arguments, suite_plan
+from fide_plugins.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -81,6 +81,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
     if args.suite is not None:
         plan: Plan = suite_plan(args)
     else:
+        check_no_suite(args)
         plan = _plan(args)
     return prepare(
         plan, args.out, jobs=args.jobs, dask=args.dask, resume=args.resume, command=command

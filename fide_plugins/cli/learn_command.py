@@ -27,6 +27,7 @@ from fide_plugins.errors import FideError, OptionError, RenderError
 __all__ = ["add_arguments", "execute"]
 
 _EVERY = 5.0  # seconds between lines
+_TIMEOUT = 60.0  # seconds of a program, where none are given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", nargs="?", metavar="SOURCE", help="FILE.py:NAME, or see: fide list tasks")
     add("--command", metavar="'PROGRAM ...'", dest="template", help="your program")
     add_space_argument(parser)
-    add("--timeout", default="60", metavar="TIME", help="of a program, such as 60 or 2m (60)")
+    add("--timeout", metavar="TIME", help="of a program, such as 60 or 2m (60)")
     add("--renders", type=whole(100), default=100_000, metavar="N",
         help="of random parameters (100000)")  # fmt: skip
     add("--size", type=whole(16), default=64, metavar="PX", help="longer side of images (64)")
@@ -126,7 +127,9 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
     space = space_of(args.space)
     if args.template is not None:
-        return program_of(args.template, space, seconds_of("timeout", args.timeout))
+        return program_of(args.template, space, seconds_of("timeout", args.timeout or _TIMEOUT))
+    if args.timeout is not None:
+        raise OptionError("--timeout is of --command; leave it out")
     if is_reference(args.source):
         return function_of(args.source, space)
     if space is not None:

@@ -49,10 +49,25 @@ def options_of(args: argparse.Namespace) -> dict[str, Any]:
 
     if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")
+    if args.target is not None:
+        _check_takes_target(args)
     given = {"space": args.space, "target": args.target, "command": args.template}
     if args.timeout is not None:
         given["timeout"] = seconds_of("timeout", args.timeout)
     return {name: value for name, value in given.items() if value is not None}
+
+
+def _check_takes_target(args: argparse.Namespace) -> None:
+    """Raise OptionError if --target stands beside a built-in task."""
+    from fide_plugins.runtime.reference import is_reference
+
+    named = args.tasks if "tasks" in args else [args.task]
+    built_in = [] if args.template is not None else [t for t in named if not is_reference(t)]
+    if built_in:
+        raise OptionError(
+            f"--target is for a renderer of your own, and {built_in[0]} makes its own target; "
+            "leave it out, or fit the picture, see: fide fit --help"
+        )
 
 
 def space_of(file: str | None) -> Space | None:

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from fide_plugins.cli.messages import complain, duration, note, notices, number, plain
+from fide_plugins.cli.messages import complain, duration, note, notices, number, paragraph, plain
 from fide_plugins.errors import FideError, RenderError
 
 __all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_run"]
@@ -104,7 +104,7 @@ def _execute(
         with notices("fide_tasks"):
             prepared = prepare()
     except RenderError as error:
-        note(f"{who}: {failed}: {plain(error)}")
+        note(f"{who}: {failed}: {paragraph(error)}")
         return 1
     except USAGE_ERRORS as error:
         return complain(who, error)
@@ -121,7 +121,7 @@ def _execute(
             note(f"continue with: {again}")
         return 128 + stop.signum
     except (FideError, OSError) as error:
-        note(f"{who}: {failed}: {plain(error)}")
+        note(f"{who}: {failed}: {paragraph(error)}")
         return 1
 
 

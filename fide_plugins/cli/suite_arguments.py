@@ -9,7 +9,7 @@ from fide_plugins.cli.arguments import names, whole
 from fide_plugins.cli.messages import note, plain
 from fide_plugins.errors import OptionError
 
-__all__ = ["add_suite_arguments", "suite_plan"]
+__all__ = ["add_suite_arguments", "check_no_suite", "suite_plan"]
 
 _FIXED = (
     "tasks", "template", "space", "target", "timeout", "losses", "metrics", "size", "seeds",
@@ -26,6 +26,13 @@ def add_suite_arguments(parser: argparse.ArgumentParser) -> None:
     add("--suite", metavar="NAME", help="fixed set of problems, such as image-fitting-v1")
     add("--scenes", type=names, metavar="A,B", help="scenes of the suite (all)")
     add("--targets", type=whole(1), metavar="N", help="its first N targets of each scene (all)")
+
+
+def check_no_suite(args: argparse.Namespace) -> None:
+    """Raise OptionError for an argument that chooses a part of a suite where none is named."""
+    for name in ("scenes", "targets"):
+        if getattr(args, name) is not None:
+            raise OptionError(f"--{name} is of a suite; add --suite NAME, or leave it out")
 
 
 def suite_plan(args: argparse.Namespace) -> Any:

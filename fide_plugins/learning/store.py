@@ -159,8 +159,8 @@ def check_room(settings: Mapping[str, Any], renders: int, limit: float) -> None:
     size = renders * height * width * 3
     if size > limit:
         raise OptionError(
-            f"{renders:,} renders of {width} x {height} pixels take {size / 2**30:.1f} GiB, and "
-            f"the limit is {limit / 2**30:.1f} GiB: take fewer renders or a smaller size, or raise "
+            f"{renders:,} renders of {width} x {height} pixels take {size / 2**30:.3g} GiB, and "
+            f"the limit is {limit / 2**30:.3g} GiB: take fewer renders or a smaller size, or raise "
             "store_limit"
         )
 

@@ -74,6 +74,12 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
         (["compare", "voronoi", *SMALL, "--jobs", "1000"], "at most one process per core"),
         (["compare", "voronoi", *SMALL, "--jobs", "2", "--dask", "tcp://x"], "not allowed with"),
         (["compare", "voronoi", *SMALL, "--seeds", "0"], "a whole number >= 1"),
+        (
+            ["compare", "voronoi", *SMALL, "--scenes", "lamps"],
+            "--scenes is of a suite; add --suite",
+        ),
+        (["compare", "voronoi", *SMALL, "--targets", "2"], "--targets is of a suite; add --suite"),
+        (["compare", "voronoi", *SMALL, "--target", "p.png"], "--target is for a renderer of your"),
         (["report", "nothing"], "nothing holds no comparison; make one"),
     ],
 )

@@ -73,7 +73,9 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--space", "s.toml"), "s.toml"),
         (("--command", "true {out}"), "needs --space"),
         (("voronoi", "--time", "soon"), "time must be a positive number"),
-        (("voronoi", "--store-limit", "0.0001"), "raise store_limit"),
+        (("voronoi", "--timeout", "5"), "--timeout is of --command; leave it out"),
+        (("gradient.py:render", "--timeout", "5"), "--timeout is of --command; leave it out"),
+        (("voronoi", "--store-limit", "0.0001"), "the limit is 0.0001 GiB: take fewer renders"),
     ],
 )
 def test_wrong_usage_is_one_line(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -96,8 +97,7 @@ def _scene(name: str, entry: dict[str, Any]) -> Scene:
     options = dict(entry.get("options", {}))
     if "command" in entry:
         folder = _FOLDER / "scenes"
-        quoted = f"'{folder}'" if "'" not in str(folder) else str(folder)  # it may hold spaces
-        options["command"] = entry["command"].replace("{scenes}", quoted)
+        options["command"] = entry["command"].replace("{scenes}", _quoted(folder))
         options["space"] = str(folder / entry["space"])
     return Scene(
         name,
@@ -108,3 +108,8 @@ def _scene(name: str, entry: dict[str, Any]) -> Scene:
         int(entry.get("size", 0)),
         MappingProxyType(options),
     )
+
+
+def _quoted(folder: Path) -> str:
+    """The folder as a piece of a template, see `renderers.template`: one word, without fields."""
+    return shlex.quote(str(folder).replace("{", "{{").replace("}", "}}"))

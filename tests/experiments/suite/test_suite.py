@@ -5,14 +5,17 @@ from __future__ import annotations
 import pickle
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fide_plugins import losses
+from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.experiments import suite as suites
+from fide_plugins.experiments.suite import definition
+from fide_plugins.renderers.template import Template
 
 SUITE = suites.read("image-fitting-v1")
 NOISY = ("san_miguel", "beads")
@@ -55,6 +58,18 @@ def test_targets_differ_and_are_fixed() -> None:
     first, other, again = (suites.make(SUITE, f"lamps-{k}") for k in (0, 1, 0))
     assert not np.array_equal(first.target, other.target)
     np.testing.assert_array_equal(first.target, again.target)
+
+
+@pytest.mark.parametrize("folder", ["plain", "two words", "it's", "{out}", 'a "b" {c'])
+def test_a_program_finds_its_scene_wherever_the_package_lies(
+    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(definition, "_FOLDER", tmp_path / folder)
+    entry = {"group": "external", "loss": "mse", "solved": 0.1, "space": "s.toml"}
+    entry |= {"command": f"'{sys.executable}' {{scenes}}/scene.py {{x}} {{out}}"}
+    scene = definition._scene("own", entry)
+    words = Template(scene.options["command"], Space(x=Float(0, 1))).command({"x": 0.5}, "o", "p")
+    assert words == [sys.executable, str(tmp_path / folder / "scenes" / "scene.py"), "0.5", "o"]
 
 
 @pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
