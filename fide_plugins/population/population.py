@@ -17,7 +17,7 @@ telling.
   from all that was told by then, those that are asked together in one call; or all of them when
   the first one is.
 - A candidate that is never told stays pending until so many others are pending that memory would
-  grow.  After that it counts as injected.
+  grow.  After that it counts as injected.  Long before, nothing waits for it, see `awaited`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.population.candidate import Candidate, form_of, pack, unpack
-from fide_plugins.runtime.schema import Schema, array, check, whole
+from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64
 
 __all__ = ["Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
@@ -44,6 +44,7 @@ Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64, Makers]]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
 _LOST = 2  # generations' worth of extra candidates told, after which own ones count as lost
+_LONG = 3  # times as late as the latest result of late, from which on no result is expected
 _MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
 
 
@@ -69,6 +70,8 @@ class Population:
         self._extra: list[tuple[Candidate, float]] = []  # told, too, and not needed by it
         self._withdrawn = 0  # of its own candidates, in whose place extra ones count
         self._generation_from = 0  # candidates of a lower index belong to an earlier generation
+        self._newest = 0  # highest index handed out
+        self._lags = (0, 0)  # candidates handed out while one was rendered, at most: now, before
 
     # -- asking ------------------------------------------------------------------------------------
 
@@ -92,6 +95,17 @@ class Population:
         """Candidates that were handed out and not yet told."""
         return self._n_pending
 
+    @property
+    def awaited(self) -> int:
+        """Those of the pending that are not much later than all others: a lost one never comes."""
+        oldest = self._newest - _LONG * max(self.size, *self._lags)
+        n = 0
+        for several in reversed(self._pending.values()):  # the last that were handed out come first
+            if several[-1].index < oldest:
+                break
+            n += len(several)
+        return n
+
     def draw(
         self,
         x: Float64,
@@ -111,8 +125,8 @@ class Population:
         if not extra:
             self.size = len(x) + len(unmade)
         pair = pair and len(x) >= 2
-        for i, row in enumerate(zip(x, z, strict=True)):
-            self._queue.append(Candidate(self.drawn, *row, mirrored=pair and i < 2, extra=extra))
+        for i, point in enumerate(zip(x, z, strict=True)):
+            self._queue.append(Candidate(self.drawn, *point, mirrored=pair and i < 2, extra=extra))
             self.drawn += 1
         self._unmade, self._unmade_from = unmade, self.drawn
         self.drawn += len(unmade)
@@ -199,6 +213,7 @@ class Population:
 
     def _hand_out(self, candidate: Candidate) -> Candidate:
         self._await(candidate)
+        self._newest = max(self._newest, candidate.index)
         if self._n_pending > self._most_pending:
             self._pop(next(iter(self._pending)), 0)
         return candidate
@@ -214,6 +229,7 @@ class Population:
         candidate = self._take(x)
         if candidate is None:
             return None
+        self._lags = max(self._lags[0], self._newest - candidate.index), self._lags[1]
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
         (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
@@ -269,7 +285,7 @@ class Population:
         if not extra:
             return told >= self.size
         in_their_place = min(extra, self._withdrawn)
-        lost = extra >= _LOST * max(self.size, self.pending)
+        lost = extra >= _LOST * max(self.size, self.awaited)
         return lost or told + in_their_place >= self.size
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
@@ -281,7 +297,7 @@ class Population:
         self._evaluated, self._extra, self._withdrawn = [], [], 0
         self._queue.clear()
         self._unmade = np.empty((0, 0))
-        self._generation_from = self.drawn
+        self._generation_from, self._lags = self.drawn, (0, self._lags[0])
         self.generations += 1
         return members, losses
 
@@ -311,6 +327,8 @@ class Population:
             "extra": pack([c for c, _ in self._extra]),
             "extra_losses": np.array([loss for _, loss in self._extra], np.float64),
             "withdrawn": self._withdrawn,
+            "newest": self._newest,
+            "lags": list(self._lags),
         }
 
     @classmethod
@@ -332,7 +350,8 @@ class Population:
             (population._extra, "extra", "extra_losses"),
         ):
             told.extend(zip(unpack(state[name]), state[losses].tolist(), strict=True))
-        population._withdrawn = state["withdrawn"]
+        population._withdrawn, population._newest = state["withdrawn"], state["newest"]
+        population._lags = (*state["lags"],)
         return population
 
 
@@ -374,4 +393,6 @@ _SCHEMA: Schema = {
     "extra": form_of("extra"),
     "extra_losses": array("extra", high=np.inf),
     "withdrawn": whole(),
+    "newest": whole(),
+    "lags": row(whole(), whole()),
 }

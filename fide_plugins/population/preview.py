@@ -1,6 +1,6 @@
 """Candidates of the next generation, while results of the present one are still pending.
 
-Who asks when those told and those pending are a whole generation renders for the next one. Most
+Who asks when those told and those awaited are a whole generation renders for the next one. Most
 results are known by then. So a copy of the search is updated with these (line 10 of Algorithm 1),
 as if they were all there will be, and the candidate is drawn from the copy. It is much nearer to
 the next generation than to the present one, and counts in the next one as late.
@@ -54,7 +54,7 @@ def _draw_ahead(state: State, n: int, propose: _Propose) -> None:
     once is left to do that.
     """
     population, proposer = state.population, state.proposer
-    needed = max(0, population.size - population.evaluated - population.pending)
+    needed = max(0, population.size - population.evaluated - population.awaited)
     m = min(n, population.remaining) - needed
     if m <= 0 or not (proposer is None or proposer.singly):
         return

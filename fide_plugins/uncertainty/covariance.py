@@ -25,6 +25,7 @@ __all__ = ["WIDER", "covariance"]
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]
 WIDER = 5.0
+_STILL = 1e-18  # variance
 _RIDGE = 1e-4  # of the mean eigenvalue
 _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precision
 
@@ -38,7 +39,14 @@ def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
     scale = _scale(fit, target, f)
     cloud = WIDER**2 * fit.cloud
     cloud += 1e-12 * (1 + float(np.trace(cloud)) / d) * np.eye(d)
-    precision = _information(fit) / scale + np.linalg.inv(cloud) + _BOX * np.eye(d)
+    still = np.diag(fit.cloud) < _STILL  # such a parameter never moved: nothing is known of it
+    cloud[still], cloud[:, still] = 0.0, 0.0
+    cloud[still, still] = 1.0
+    known = _information(fit) / scale
+    known[still], known[:, still] = 0.0, 0.0
+    reach = np.linalg.inv(cloud)
+    reach[still, still] = 0.0
+    precision = known + reach + _BOX * np.eye(d)
     return np.asarray(np.linalg.inv(precision), np.float64)
 
 

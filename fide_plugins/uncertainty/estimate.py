@@ -25,9 +25,11 @@ from fide_plugins.uncertainty.local_fit import fit_locally
 
 __all__ = ["LocalEstimate"]
 
+_NUMBERS = 2**22  # differences of blocks that are held at once
 _NEAREST = 320  # samples
 _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
+_ROUNDING = 1e-6  # of a coordinate that came back in single precision
 _APART = 0.05  # of the cube: farther away than that no image is the solution's
 
 Indices = npt.NDArray[np.intp]
@@ -58,7 +60,9 @@ class LocalEstimate:
     @cached_property
     def std(self) -> Float64 | None:
         """(d,), NaN for integers and choices; None where too few samples are known."""
-        return self._computed()
+        std = self._computed()
+        object.__setattr__(self, "samples", ())  # a history of solutions would keep them all
+        return std
 
     @one_thread
     def _computed(self) -> Float64 | None:
@@ -70,7 +74,7 @@ class LocalEstimate:
         points = np.array([sample.x for sample in samples])
         points, kept = aligned(points, self.x, self.blocks, self.axes)
         if self.discrete is not None:
-            kept &= (points[:, ~free] == self.x[~free]).all(axis=1)
+            kept &= (np.abs(points[:, ~free] - self.x[~free]) < _ROUNDING).all(axis=1)
         u = _signed(points - self.x, self.axes)
         nearest = int(np.argmin(np.where(kept, np.abs(u).max(axis=1), np.inf)))
         if kept.sum() < least or np.abs(u[nearest]).max() > _APART:
@@ -100,6 +104,14 @@ def aligned(
     """
     if blocks is None:
         return points, np.ones(len(points), bool)
+    step = max(1, _NUMBERS // (blocks.size * len(blocks)))
+    chunks = [points[i : i + step] for i in range(0, len(points), step)]
+    parts = [_aligned(chunk, x, blocks, axes) for chunk in chunks]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([kept for _, kept in parts])
+
+
+def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[Float64, Mask]:
+    """As `aligned`, of as many points as memory holds."""
     own = points[:, blocks]  # (n, blocks, L)
     costs = axes.difference(own[:, :, None], x[blocks], blocks).max(axis=3)  # (n, own, of x)
     places = costs.argmin(axis=2)  # (n, own)

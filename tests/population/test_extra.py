@@ -74,6 +74,55 @@ def test_a_generation_whose_candidates_are_lost_is_completed_by_extra_ones() -> 
     assert len(members) == told, "if not one came back, the others are all that is known"
 
 
+def test_a_generation_is_completed_although_most_extra_ones_are_lost_too() -> None:
+    """None is told of the own ones, and of the others every third, generation for generation."""
+    population = Population()
+    rng = np.random.default_rng(0)
+    population.draw(*[rng.random((6, 2))] * 2)
+    hand_out(population, 6)
+    asked = 0
+    while not population.complete:
+        x = rng.random((6, 2))
+        population.draw(x, x, extra=True)
+        for row in hand_out(population, 6)[::3]:
+            population.record(row, 0.0)
+        asked += 6
+        assert asked < 200
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_what_is_later_than_all_others_is_not_awaited(saved: bool) -> None:
+    population, generation = Population(), 0
+    rng = np.random.default_rng(0)
+    while generation < 20:  # of each generation one is lost, and all others come at once
+        x = rng.random((10, 2))
+        population.draw(x, x)
+        for row in hand_out(population, 10)[1:]:
+            population.record(row, 0.0)
+        population.close_generation()
+        generation += 1
+    if saved:
+        population = Population.from_state(population.state_dict(), 2)
+    assert population.pending == 20
+    assert 1 <= population.awaited <= 4
+
+
+def test_what_many_workers_render_is_awaited() -> None:
+    """A hundred of them, of generations of ten: each result is a hundred candidates late."""
+    population = Population()
+    out: list[Float64] = []
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        x = rng.random((10, 2))
+        population.draw(x, x)
+        for _ in x:
+            out += hand_out(population, 1)
+            if len(out) == 100:
+                population.record(out.pop(0), 0.0)
+        population.close_generation()
+    assert population.awaited == population.pending == 99
+
+
 @pytest.mark.parametrize("saved", [False, True])
 def test_the_state_knows_what_is_extra(saved: bool) -> None:
     population, xs = drawn_for_a_test(4, 6, again=2)  # two extra ones are queued

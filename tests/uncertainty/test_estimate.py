@@ -152,3 +152,47 @@ def test_more_features_than_samples_change_nothing() -> None:
         stds.append(std)
     ratios = stds[0] / stds[1]
     assert (ratios > 0.99).all()
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_points_may_come_back_in_single_precision(kind: type) -> None:
+    """The cell of 2 in 1 to 7 has its middle at 3/14, which single precision does not have."""
+    space = Space(a=Float(0, 1), b=Float(0, 1), n=Int(1, 7))
+    y, x = np.mgrid[0:16, 0:16] / 15
+
+    def spot(p: dict[str, float]) -> Float64:
+        far: Float64 = np.square(x - p["a"]) + np.square(y - p["b"])
+        return np.exp(-20 * far) * p["n"] / 7
+
+    opt = FIDE(space, spot({"a": 0.4, "b": 0.6, "n": 2}), seed=0)
+    while opt.evaluations < 300:
+        X = opt.ask()
+        opt.tell(X.astype(kind), [spot(p) for p in space.decode_many(X)])
+    assert opt.best is not None and opt.best.std is not None
+    assert np.isnan(opt.best.std).tolist() == [False, False, True]
+
+
+def test_a_parameter_that_never_moved_is_open() -> None:
+    X = np.random.default_rng(0).random((200, D))
+    X[:, 1] = 0.5
+    opt = FIDE(D, render(TRUTH[None])[0], seed=1, encoder="patch")
+    opt.tell(X, render(X))
+    assert opt.best is not None and opt.best.std is not None
+    assert opt.best.std[1] == pytest.approx(12**-0.5)
+
+
+def test_a_solution_keeps_no_samples_once_it_was_read() -> None:
+    best = run(200).best
+    assert best is not None and best.std is not None
+    assert isinstance(best.estimate, LocalEstimate) and not best.estimate.samples
+
+
+def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    blocks, x = np.arange(12).reshape(4, 3), rng.random(12)
+    points = x + 0.05 * rng.standard_normal((50, 12))
+    points[:, blocks] = points[:, blocks[rng.permutation(4)]]
+    whole = aligned(points, x, blocks, Axes(12))
+    monkeypatch.setattr(module, "_NUMBERS", 100)
+    for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
+        np.testing.assert_array_equal(one, other)
