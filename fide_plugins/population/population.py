@@ -71,7 +71,7 @@ class Population:
         self._withdrawn = 0  # of its own candidates, in whose place extra ones count
         self._generation_from = 0  # candidates of a lower index belong to an earlier generation
         self._newest = 0  # highest index handed out
-        self._lags = (0, 0)  # candidates handed out while one was rendered, at most: now, before
+        self._lags = (0, 0)  # by how much more than a generation a result was late: now, before
 
     # -- asking ------------------------------------------------------------------------------------
 
@@ -98,7 +98,7 @@ class Population:
     @property
     def awaited(self) -> int:
         """Those of the pending that are not much later than all others: a lost one never comes."""
-        oldest = self._newest - _LONG * max(self.size, *self._lags)
+        oldest = self._newest - _LONG * (self.size + max(self._lags))
         n = 0
         for several in reversed(self._pending.values()):  # the last that were handed out come first
             if several[-1].index < oldest:
@@ -229,7 +229,8 @@ class Population:
         candidate = self._take(x)
         if candidate is None:
             return None
-        self._lags = max(self._lags[0], self._newest - candidate.index), self._lags[1]
+        lag = self._newest - candidate.index - self.size
+        self._lags = max(self._lags[0], lag), self._lags[1]
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
         (self._extra if candidate.extra else self._evaluated).append((candidate, loss))

@@ -160,15 +160,15 @@ def test_failed_renders_of_earlier_calls_are_counted(tmp_path: Path) -> None:
     assert learn(fragile, 2, renders=300, **arguments).report.failed > first.failed
 
 
-def deadly(x: Float64) -> Float64:
-    """Ends its process for small x; a function of this file travels by name."""
-    if x[0] < 0.02:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return plain(x)
-
-
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_render_that_ends_its_worker_is_one_that_failed(tmp_path: Path) -> None:
+    side = SIDE
+
+    def deadly(x: Float64) -> Float64:
+        if x[0] < 0.02:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
+
     store = RenderStore(tmp_path, settings())
     failed = fill(store, as_renderer(deadly, 2), 300, workers=2)
     x = np.concatenate([store.parameters(shard) for shard in range(3)])
@@ -189,16 +189,17 @@ def test_a_renderer_that_always_ends_its_worker_is_given_up(tmp_path: Path) -> N
     assert store.missing(300) == [0, 1, 2]
 
 
-class Noisy:
-    """Renders nothing but noise, by the seeds that it gets."""
-
-    dim, name = 2, "noisy"
-
-    def render(self, X: Float64, seed: Any = None) -> list[Float64]:
-        return [np.random.default_rng(s).random((SIDE, SIDE)) for s in seed]
-
-
 def test_each_render_has_noise_of_its_own_whoever_renders_it(tmp_path: Path) -> None:
+    side = SIDE
+
+    class Noisy:
+        """Renders nothing but noise, by the seeds that it gets."""
+
+        dim, name = 2, "noisy"
+
+        def render(self, X: Float64, seed: Any = None) -> list[Float64]:
+            return [np.random.default_rng(s).random((side, side)) for s in seed]
+
     stores = [RenderStore(tmp_path / name, settings()) for name in ("one", "two")]
     fill(stores[0], as_renderer(Noisy(), 2), 200)
     fill(stores[1], as_renderer(Noisy(), 2), 200, workers=2)
