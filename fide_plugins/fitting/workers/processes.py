@@ -134,8 +134,7 @@ class _Worker:
         process = self._context.started
         if process is None:
             return ""
-        process.join(1.0)  # its pipe closes before it does
-        code = process.exitcode
+        code = _exit_code(process)
         if code is None:
             return ""
         if code < 0:
@@ -153,6 +152,19 @@ class _Worker:
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _exit_code(process: SpawnProcess) -> int | None:
+    """Exit code of a process that ends, if it is known within a second; its pipe closes before.
+
+    A thread of the executor waits for the process, too.  Where that one gets the code from the
+    system, `join` returns at once, and a moment later the code is known here.
+    """
+    limit = time.monotonic() + 1.0
+    process.join(1.0)
+    while process.exitcode is None and time.monotonic() < limit:
+        time.sleep(0.005)
+    return process.exitcode
 
 
 class _Context(SpawnContext):
