@@ -35,8 +35,8 @@ class ProposalOptions:
         `proposers.image_gate`; rate 0 keeps it as it is.
     channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
         own.  Moves compare images in the first of them.
-    buffer_generations: generations that the linear proposer remembers; of many parameters
-        (d > 4 k) at least 3 d / 2 candidates; 600 at most.
+    buffer_generations: generations that the linear proposer remembers; None: 4, but 8 of few
+        parameters (d <= k); of many (d > 4 k) at least 3 d / 2 candidates; 600 at most.
     select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
     rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
         see `proposers.linear`.
@@ -48,7 +48,7 @@ class ProposalOptions:
     fraction_rate: float = _option(0.1, rules.fraction)
 
     channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
-    buffer_generations: int = _option(4, rules.whole(1))
+    buffer_generations: int | None = _option(None, rules.whole(1))
     select_tokens: bool = _option(True, rules.switch)
     rank_weight_scale: float = _option(0.5, rules.positive)
     ridge: float = _option(0.02, rules.positive)

@@ -41,7 +41,8 @@ def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> 
 
     o = options.proposal
     enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
-    remembered = min(max(o.buffer_generations * popsize, enough), _MOST_REMEMBERED)
+    generations = o.buffer_generations or (4 if dim > popsize else 8)
+    remembered = min(max(generations * popsize, enough), _MOST_REMEMBERED)
     return LinearProposer(
         dim,
         capacity=remembered,

@@ -5,8 +5,9 @@ predict; p, the penalty.  The coefficients (G + p)^-1 u predict of features with
 values g^T (G + p)^-1 u.  The residuals are p (G + p)^-1 u, and the leverages, how much of its own
 prediction each example makes, are the diagonal of G (G + p)^-1 = 1 - p (G + p)^-1 (Allen 1974).
 
-Of few examples the eigenvalues of G are as quick as anything, and good at any penalty.  Of many
-they take most of a generation's time, and (G + p)^-1 itself, by Cholesky, a quarter of that.
+(G + p)^-1 by Cholesky takes a fifth of the time of the eigenvalues of G (0.05 and 0.25 ms for 60
+examples, 0.23 and 1.2 ms for 120; one core of an AMD EPYC).  Those are for penalties so small that
+G + p may be singular.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from fide_plugins.types import Float64
 
 __all__ = ["Ridge", "ridge"]
 
-_MANY = 200  # examples, from which on the inverse is quicker
 _SAFE = 1e-4  # smallest penalty for the inverse; then G + p is conditioned well enough
 
 
@@ -38,7 +38,7 @@ def ridge(gram: Float64, u: Float64, penalty: float, rounding: float) -> Ridge:
     penalty: p, in units of the trace of `gram` over min(n, 64); rounding: added to it.
     """
     n = len(gram)
-    if n > _MANY and penalty >= _SAFE:
+    if penalty >= _SAFE:
         p = penalty * float(np.trace(gram)) / min(n, 64) + rounding
         factor, failed = torch.linalg.cholesky_ex(torch.from_numpy(gram + p * np.eye(n)))
         if not failed:

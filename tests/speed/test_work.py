@@ -29,12 +29,12 @@ BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are
 MORE = 1.2
 
 # For one candidate: calls of functions, Python's and C's; thousands of n^3 of eigendecompositions
-# (n, n), while one search goes on; images that are encoded. Calls were 125 and 145 before
-# searches were left by moves, and samples kept for the next target.
+# and of Cholesky's (n, n), while one search goes on; images that are encoded. Calls were 125 and
+# 145 before searches were left by moves, and samples kept for the next target.
 WORK: dict[str, dict[str, float]] = {
-    "fast": {"calls": 140, "eigen": 10.5, "images": 1},
-    "balanced": {"calls": 157, "eigen": 33.2, "images": 1},
-    "accurate": {"calls": 157, "eigen": 33.2, "images": 1},
+    "fast": {"calls": 140, "eigen": 4.3, "factors": 6.2, "images": 1},
+    "balanced": {"calls": 157, "eigen": 4.3, "factors": 29, "images": 1},
+    "accurate": {"calls": 157, "eigen": 4.3, "factors": 29, "images": 1},
 }
 # Million floating-point operations, as published at 112: of training, for an example and an epoch;
 # of proposing, for a candidate.
@@ -69,7 +69,7 @@ def work(preset: str, restarts: str | None) -> dict[str, float]:
     task = fide_tasks.make("voronoi", size=56, seed=0)
     own: dict[str, Any] = {} if restarts is None else {"restarts": restarts}
     opt = FIDE(task.dim, task.target, preset=preset, seed=0, device="cpu", **own)
-    compute, eigh = opt.encoder.compute, np.linalg.eigh
+    compute, eigh, factor = opt.encoder.compute, np.linalg.eigh, torch.linalg.cholesky_ex
 
     def counted_compute(batch: Any) -> Any:
         count["images"] += len(batch)
@@ -79,7 +79,12 @@ def work(preset: str, restarts: str | None) -> dict[str, float]:
         count["eigen"] += len(matrix) ** 3
         return eigh(matrix)
 
+    def counted_factor(matrix: Any) -> Any:
+        count["factors"] += len(matrix) ** 3
+        return factor(matrix)
+
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.linalg, "cholesky_ex", counted_factor)
         patch.setattr(opt.encoder, "compute", counted_compute)
         patch.setattr(np.linalg, "eigh", counted_eigh)
         began = 0
@@ -93,14 +98,14 @@ def work(preset: str, restarts: str | None) -> dict[str, float]:
             with calls(count):
                 opt.tell(X, images)
     n = opt.evaluations - began
-    return {"calls": count["calls"] / n, "eigen": count["eigen"] / n / 1000,
-            "images": count["images"] / n}  # fmt: skip
+    cubes = {name: count[name] / n / 1000 for name in ("eigen", "factors")}
+    return {"calls": count["calls"] / n, "images": count["images"] / n, **cubes}
 
 
-@pytest.mark.parametrize("what", ["calls", "eigen", "images"])
+@pytest.mark.parametrize("what", ["calls", "eigen", "factors", "images"])
 @pytest.mark.parametrize("preset", WORK)
 def test_work_for_one_candidate(preset: str, what: str) -> None:
-    restarts = "none" if what == "eigen" else None
+    restarts = "none" if what in ("eigen", "factors") else None
     found, stated = work(preset, restarts)[what], WORK[preset][what]
     assert found < MORE * stated, f"{preset} does {found:.4g} {what} a candidate, not {stated}"
     assert found > stated / MORE, f"{preset} does less {what}, {found:.4g}: lower the number"

@@ -17,6 +17,7 @@ file                idea
 `relocate`          a parameter group at a random place
 `swap`              two groups with their values exchanged
 `crossover`         a segment of parameters from another local optimum
+`half_turn`         angles that look alike: half a turn away, mirrored, or both
 `values`            other values of integers and choices, and which of them were searched
 `change_value`      another value of an integer or a choice, held while all else adapts
 `refine`            a narrow, patient search around a local optimum

@@ -32,6 +32,7 @@ from fide_plugins.search.moves.change_value import ChangeValue
 from fide_plugins.search.moves.choice import Choice
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.modes import probabilities
 from fide_plugins.search.moves.optima import Optima
@@ -91,7 +92,8 @@ class MovePolicy:
         self._candidates = max(_CANDIDATES, popsize)
         self._anew = BeginAnew()
         family: list[Move] = [
-            Split(), Swap(), Crossover(), RelocateGroup(), RelocateSegment(), Refine(), self._anew,
+            Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
+            Refine(), self._anew,
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
@@ -113,8 +115,8 @@ class MovePolicy:
     @property
     def goal(self) -> float:
         """Loss that the search has to beat; +inf for none."""
-        new = self.move is None or self.move == BeginAnew.name
-        return np.inf if new or self.known.incumbent is None else self.known.incumbent.loss
+        free = self.move in (None, BeginAnew.name, Refine.name)
+        return np.inf if free or self.known.incumbent is None else self.known.incumbent.loss
 
     @property
     def ended(self) -> list[int]:
@@ -157,9 +159,9 @@ class MovePolicy:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
         best = known.optima.note(found, known.exchangeability.distance)
-        move = None if self.move == Hypotheses.name else self.move
-        if self.goal < np.inf and incumbent is not None and move is not None:
-            self._choice.note(move, _gain(incumbent.loss, found.loss), evaluations)
+        begun = self.move in (None, BeginAnew.name, Hypotheses.name)
+        if incumbent is not None and self.move is not None and not begun:
+            self._choice.note(self.move, _gain(incumbent.loss, found.loss), evaluations)
             if found.loss >= incumbent.loss:
                 known.optima.fail(incumbent)
         if best:

@@ -15,10 +15,12 @@ from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.refine import Refine
 from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
 from fide_plugins.search.moves.removal import Removal
 from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.moves.values import Values
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -126,3 +128,16 @@ def test_without_choices_and_periodic_parameters_nothing_changes(rng: np.random.
     np.testing.assert_array_equal(axes.inside(x), np.clip(x, 0, 1))
     chosen = np.array([1, 4])
     assert axes.together(chosen) is chosen and len(axes.units) == 6
+
+
+def test_half_a_turn_of_a_periodic_parameter_is_exact(
+    known: Known, rng: np.random.Generator
+) -> None:
+    known.values = Values(known.axes, SPACE.layout)
+    X = HalfTurn().draw(known, 200, rng)
+    np.testing.assert_array_equal(
+        X[:, FLOOR + LAMP + [6]], np.tile(HERE[FLOOR + LAMP + [6]], (200, 1))
+    )
+    angle = X[:, 1]
+    turned = ~np.isin(angle, [HERE[1], 1 - HERE[1]])
+    assert turned.any() and np.allclose(angle[turned], HERE[1] + 0.5)

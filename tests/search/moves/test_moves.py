@@ -12,6 +12,7 @@ from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.refine import Refine
 from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment, segment
 from fide_plugins.search.moves.removal import Removal
@@ -191,6 +192,47 @@ def test_children_have_parameters_of_two_optima(rng: np.random.Generator) -> Non
     assert share.min() > 0 and share.max() < 1, "each has some of both"
 
 
+def test_neighbors_are_turned_and_mirrored_by_turns(rng: np.random.Generator) -> None:
+    assert not HalfTurn().possible(scene(STALLED, STAR)), "blocks tell what belongs together"
+    known = scene(np.full(8, 0.3), STAR, exchangeable=False)
+    assert HalfTurn().possible(known)
+    kinds = set()
+    for x in HalfTurn().draw(known, 2000, rng):
+        changed = np.flatnonzero(x != 0.3)
+        turned = (x[changed] >= 0.8) & (x[changed] <= 0.88)
+        mirrored = x[changed] == 0.7
+        assert (turned ^ mirrored).all()
+        assert len(changed) <= 3 and np.ptp(changed) == len(changed) - 1, "neighbors"
+        kinds.add("".join(np.where(turned, "t", "m").tolist()))
+    assert kinds == {"t", "m", "tm", "mt", "tmt"}
+
+
+def test_the_other_description_of_a_rotation_is_proposed(rng: np.random.Generator) -> None:
+    """(a, b, c) and (a + 180, -b, c + 180) degrees are one rotation; joints reach 160 to 180."""
+
+    def rotation(x: Float64, reach: float) -> Float64:
+        a, b, c = np.radians(reach) * (2 * x[2:5] - 1)
+        return turn_z(a) @ turn_x(b) @ turn_z(c)
+
+    here = np.array([0.5, 0.5, 0.2, 0.3, 0.9, 0.5, 0.5, 0.5])
+    known = scene(here, STAR, exchangeable=False)
+    for reach in (160.0, 170.0, 180.0):
+        X = HalfTurn().draw(known, 500, rng)
+        far = X[np.abs(X - here)[:, 2:5].min(axis=1) > 0.1]
+        misfit = [np.abs(rotation(x, reach) - rotation(here, reach)).max() for x in far]
+        assert min(misfit) < 0.2, reach
+
+
+def turn_z(angle: float) -> Float64:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def turn_x(angle: float) -> Float64:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
 def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     assert not Refine().possible(known)
@@ -235,7 +277,7 @@ def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
     known.optima.note(
         TrainingSample(1, np.full(dim, 0.7), tokens, 2.0), known.exchangeability.distance
     )
-    for move in (RelocateSegment(), Crossover(), BeginAnew(), Refine()):
+    for move in (RelocateSegment(), Crossover(), HalfTurn(), BeginAnew(), Refine()):
         if move.possible(known):
             x = move.draw(known, 9, rng)
             assert x.shape == (9, dim) and x.min() >= 0 and x.max() <= 1

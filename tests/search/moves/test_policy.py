@@ -78,7 +78,25 @@ def test_without_blocks_other_moves_follow() -> None:
     stages = [stage for stage, _ in seen]
     assert Stage.REMOVAL not in stages and stages.count(Stage.SENSITIVITY) == 1
     names = {name for _, name in seen[4:]}
-    assert names == {"crossover", "relocate group", "relocate segment", "refine", "begin anew"}
+    assert names == {
+        "crossover", "half turn", "relocate group", "relocate segment", "refine", "begin anew",
+    }  # fmt: skip
+
+
+def test_a_refined_optimum_has_nothing_to_beat() -> None:
+    """It begins behind its own loss, and needs the time to come back."""
+    moves = policy(mixed)
+    goals = {}
+    rng = np.random.default_rng(0)
+    while "refine" not in goals:
+        if moves.stage is Stage.SEARCH:
+            goals[moves.move] = moves.goal
+            x = np.clip(moves.start.mean + 0.02 * rng.standard_normal(8), 0, 1)
+            moves.after_search(mixed(x), 150, guided=True)
+        else:
+            round_of(moves, mixed, rng)
+    assert goals.pop("refine") == np.inf
+    assert any(goal < np.inf for goal in goals.values())
 
 
 def test_declared_groups_need_no_test() -> None:
