@@ -55,6 +55,8 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # seconds of a cell; far more than it needs
 nb_execution_in_temp = True  # what a notebook writes stays out of this folder
 nb_merge_streams = True
+nb_code_prompt_show = "Show the code"
+nb_code_prompt_hide = "Hide the code"
 os.environ.pop("MPLBACKEND", None)  # that of notebooks, which puts figures into the page
 
 # -- the API ---------------------------------------------------------------------------------------
