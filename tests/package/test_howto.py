@@ -45,7 +45,9 @@ class Block(NamedTuple):
 
 
 def blocks_of(page: Path) -> list[Block]:
-    pattern = r"(<!-- not run: .*? -->\n)?```(python|shell|toml|\{code-cell\})\n(?::.*\n)*(.*?)```"
+    pattern = (
+        r"(<!-- not run: .*? -->\n)?```(python|shell|toml|\{code-cell\})\n(?::[^\n]*\n)*(.*?)```"
+    )
     found = re.findall(pattern, page.read_text("utf-8"), re.DOTALL)
     return [Block(language, code, not excused) for excused, language, code in found]
 
