@@ -312,8 +312,7 @@ class FIDE(Retargeting):
     ) -> None:
         """Draw a generation of the present stage into a population; changes nothing else.
 
-        rng: random numbers of the draw.
-        extra: whether the population waits for just those that are out; others are drawn.
+        rng: of the draw.  extra: whether the population waits for just those that are out.
         """
         state = self.state
         if extra:

@@ -63,6 +63,13 @@ def test_an_answer_that_is_three_clicks_away(check_site: ModuleType, tmp_path: P
     assert "far.html" in wrong
 
 
+def test_a_notebook_whose_figures_are_missing(check_site: ModuleType, tmp_path: Path) -> None:
+    cell = '<div class="cell_input docutils container">x</div>'
+    folder = site(tmp_path, bare=cell, shown=f'{cell}<img src="_images/x.png">', page="x")
+    (wrong,) = check_site.without_pictures(check_site.read(folder))
+    assert "bare.html" in wrong
+
+
 def test_lists_of_a_docstring() -> None:
     lines = [
         "x, y: places in [0, 1],",
