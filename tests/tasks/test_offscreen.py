@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import multiprocessing
 import os
 import pickle
 import subprocess
@@ -178,29 +177,59 @@ def test_threads_take_turns(task: Robot) -> None:
     assert not wrong
 
 
+PROCESSES = """
+import multiprocessing
+import numpy as np
+from fide_tasks.robot import Robot
+
+X = np.random.default_rng(0).random((3, 7))
+task = Robot(64)
+expected = task.render(X)  # this process draws first
+context = multiprocessing.get_context(METHOD)
+with context.Pool(2) as pool:
+    sent = [pool.apply_async(one.render, (X,)) for one in (task, Robot(64))]
+    for result in sent:
+        np.testing.assert_array_equal(result.get(timeout=60), expected)
+np.testing.assert_array_equal(task.render(X), expected)
+"""
+
+
 @pytest.mark.parametrize("method", ["spawn", "fork"])
-def test_processes_have_contexts_of_their_own(task: Robot, method: str) -> None:
-    expected = task.render(random_x(3))  # this process draws first
-    context: Any = multiprocessing.get_context(method)
-    with context.Pool(2) as pool:
-        # A method of the task: a process that is spawned cannot always import this file.
-        sent = [pool.apply_async(one.render, (random_x(3),)) for one in (task, Robot(64))]
-        for result in sent:
-            np.testing.assert_array_equal(result.get(timeout=60), expected)
-    np.testing.assert_array_equal(task.render(random_x(3)), expected)
+def test_processes_have_contexts_of_their_own(method: str) -> None:
+    alone(PROCESSES.replace("METHOD", repr(method)))
 
 
-def test_a_forked_process_goes_on_with_what_was_open(task: Robot) -> None:
-    expected = task.render(random_x(3))
-    context: Any = multiprocessing.get_context("fork")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=lambda: sender.send(task.render(random_x(3))))
-    child.start()
-    assert receiver.poll(60)
-    images = receiver.recv()  # before joining: a pipe holds less than this
-    child.join(timeout=60)
-    assert child.exitcode == 0
-    np.testing.assert_array_equal(images, expected)
+FORKED = """
+import multiprocessing
+import numpy as np
+from fide_tasks.robot import Robot
+
+X = np.random.default_rng(0).random((3, 7))
+task = Robot(64)
+expected = task.render(X)
+context = multiprocessing.get_context("fork")
+receiver, sender = context.Pipe(duplex=False)
+child = context.Process(target=lambda: sender.send(task.render(X)))
+child.start()
+assert receiver.poll(60)
+images = receiver.recv()  # before joining: a pipe holds less than this
+child.join(timeout=60)
+assert child.exitcode == 0
+np.testing.assert_array_equal(images, expected)
+"""
+
+
+def test_a_forked_process_goes_on_with_what_was_open() -> None:
+    alone(FORKED)
+
+
+def alone(script: str) -> str:
+    """Output of a script in a process of its own: contexts of other libraries outlive no fork."""
+    done = subprocess.run(
+        [sys.executable, "-c", script], timeout=250, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_where_a_fork_cannot_draw_it_says_so(task: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -254,11 +283,7 @@ kept = []
 
 def measured(expression: str) -> float:
     """Value of an expression of `MEMORY`'s names, in a process where nothing else allocates."""
-    script = f"{MEMORY}\nprint({expression})"
-    done = subprocess.run(
-        [sys.executable, "-c", script], check=True, timeout=250, capture_output=True, text=True
-    )
-    return float(done.stdout)
+    return float(alone(f"{MEMORY}\nprint({expression})"))
 
 
 @needs_proc

@@ -28,8 +28,8 @@ def render(X: Float64) -> Float32:
     return images
 
 
-def run(evaluations: int = 400, **options: object) -> FIDE:
-    opt = FIDE(D, render(TRUTH[None])[0], seed=1, popsize=10, encoder="patch", **options)  # type: ignore[arg-type]
+def run(evaluations: int = 400, seed: int = 1, **options: object) -> FIDE:
+    opt = FIDE(D, render(TRUTH[None])[0], seed=seed, popsize=10, encoder="patch", **options)  # type: ignore[arg-type]
     while opt.evaluations < evaluations:
         X = opt.ask()
         opt.tell(X, render(X))
@@ -42,10 +42,10 @@ def samples_of(points: Float64, tokens: Float64) -> list[TrainingSample]:
 
 
 def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:
-    best = run().best
-    assert best is not None and best.std is not None
-    assert best.std[3] > 0.2 and best.std.max() <= 12**-0.5 + 1e-9
-    assert np.delete(best.std, 3).max() < 0.05
+    several = [run(seed=seed).best for seed in range(5)]
+    stds = np.array([best.std for best in several if best is not None])
+    assert np.median(stds[:, 3]) > 0.2 and stds.max() <= 12**-0.5 + 1e-9
+    assert np.delete(stds, 3, axis=1).max() < 0.05
 
 
 def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
