@@ -19,6 +19,8 @@ HASWELL := OPENBLAS_CORETYPE=Haswell ATEN_CPU_CAPABILITY=avx2 \
   NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"
 SANDYBRIDGE := OPENBLAS_CORETYPE=Sandybridge ATEN_CPU_CAPABILITY=default \
   NPY_DISABLE_CPU_FEATURES="X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+# builds of OpenCV whose files would be in the way of the required one; FIDE once required one of them
+OPENCVS := opencv-python opencv-python-headless opencv-contrib-python
 # of `docs`: installed when the site is first built, so that `make setup` stays as fast as it is
 DOCS   := $(VENV)/.docs
 SITE   := build/docs/html
@@ -34,6 +36,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  { echo "FIDE needs Python 3.11 or later; name one with: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@echo "Setting up $(VENV) (PyTorch is large: this can take some minutes) ..."
 	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) uninstall -qq -y $(OPENCVS) 2>/dev/null
 	@$(PIP) install -qq -c constraints.txt -e ".[dev]"
 	@touch $@
 	@echo "Ready: $(BIN)/fide --help"

@@ -4,6 +4,8 @@
     python benchmarks/encoders.py losses voronoi spline robot
     python benchmarks/encoders.py table                     # of the recorded runs
     python benchmarks/encoders.py paired                    # is `dense` better than `patch`?
+    python benchmarks/encoders.py encoders robot --configurations dense patch learned \
+        --out runs/learned_encoders.jsonl                   # of the model runs/robot.fide
 
 Every run (task, target, encoder or loss, seed) is one line of benchmarks/results/encoders.jsonl,
 appended when it ends.  A second call does the missing runs.  All encoders and losses have the same
@@ -11,7 +13,8 @@ targets and seeds: a seed also chooses the target.  Every loss judges each resul
 reference image.  Times are CPU times, one thread, without rendering.
 
 Encoders without weights on this machine are left out, with a message.  The control is the small
-DINOv3 with random weights; transformers creates its files in runs/.
+DINOv3 with random weights; transformers creates its files in runs/.  `learned` is the encoder of
+the model runs/TASK.fide, which `fide learn` makes.
 """
 
 from __future__ import annotations
@@ -65,6 +68,7 @@ ENCODERS = {
     "random ViT-S/16": f"dinov3:{CONTROL}",
     "dinov3": "dinov3",
     "vgg19": "vgg19",
+    "learned": "learned:runs/{task}.fide",
 }
 
 
@@ -91,6 +95,7 @@ class Clocked:
 def measure(cell: Row, loss: str, options: dict[str, Any]) -> Row:
     """One run: its curve, its time unless it was resumed, and the judgment of what it found."""
     scene = SCENES[cell["task"]]
+    options = {key: for_task(value, cell["task"]) for key, value in options.items()}
     task = Clocked(fide_tasks.make(cell["task"], cell["size"], cell["target"], **scene.options))
     start = time.process_time()
     result = harness.run(
@@ -112,6 +117,11 @@ def measure(cell: Row, loss: str, options: dict[str, Any]) -> Row:
         "date": time.strftime("%Y-%m-%d"),
         "machine": machine(),
     }
+
+
+def for_task(value: Any, task: str) -> Any:
+    """An option, with the name of the task in place of {task}."""
+    return value.format(task=task) if isinstance(value, str) else value
 
 
 def directory(cell: Row) -> dict[str, Any]:
@@ -151,7 +161,7 @@ def run_encoders(arguments: argparse.Namespace) -> None:
     configurations = [
         configuration
         for configuration in arguments.configurations
-        if usable("encoder", ENCODERS[configuration])
+        if all(usable("encoder", name) for name in names_of(configuration, arguments.tasks))
     ]
     table = {
         f"encoder {configuration}": ("mse", {"encoder": ENCODERS[configuration]})
@@ -165,6 +175,11 @@ def run_losses(arguments: argparse.Namespace) -> None:
     names = [name for name in LOSSES if name != "mse" and usable("loss", name)]
     table: dict[str, tuple[str, dict[str, Any]]] = {f"loss {name}": (name, {}) for name in names}
     run_missing(cells(arguments, list(table)), table, arguments.out, "0/1", measure)
+
+
+def names_of(configuration: str, tasks: list[str]) -> set[str]:
+    """Names of the encoders of a configuration, one or one a task."""
+    return {for_task(ENCODERS[configuration], task) for task in tasks or list(SCENES)[:3]}
 
 
 def problem(kind: str, name: str) -> str | None:
@@ -214,7 +229,7 @@ def main() -> None:
     add(
         "--configurations",
         nargs="+",
-        default=list(ENCODERS),
+        default=[name for name in ENCODERS if name != "learned"],
         choices=list(ENCODERS),
         metavar="CONFIGURATION",
     )

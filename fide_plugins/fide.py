@@ -31,7 +31,6 @@ from typing import Any
 import numpy as np
 
 from fide_plugins import encoders
-from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Makers, Population
 from fide_plugins.population.preview import make_next
@@ -152,8 +151,7 @@ class FIDE(Retargeting):
         """Whether the present search is over, where others decide that; see `distributed`."""
         self.search_guided: bool | None = None
         """Whether images say where the next one begins, where others decide that."""
-        space = self.space or self.dim
-        self.state = self._initial_state(hypotheses_of(learned, space, self.target, self.seed))
+        self.begin_with(learned)
 
     def _initial_state(self, hypotheses: Float64 | None = None) -> State:
         """Lines 1 and 2; hypotheses: (n, d), of a learned model, where the search begins."""

@@ -17,7 +17,15 @@ from typing import Any, TypeAlias
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.validation import option_rules as rules
 
-__all__ = ["PRESETS", "NetworkOptions", "Options", "ProposalOptions", "flat", "make_options"]
+__all__ = [
+    "GLOBAL",
+    "PRESETS",
+    "NetworkOptions",
+    "Options",
+    "ProposalOptions",
+    "flat",
+    "make_options",
+]
 
 Rule: TypeAlias = rules.Rule
 
@@ -135,6 +143,9 @@ PRESETS: Mapping[str, Options] = {
     ),
 }
 
+GLOBAL = "global"
+"""Preset of `fit` and of the run loop, which render before the search, see `learning.rounds`."""
+
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
 _FORMER_NAMES = {
@@ -157,6 +168,11 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
     None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
     """
+    if preset == GLOBAL:
+        raise OptionError(
+            "preset='global' renders by itself before it searches, so it is of fit(...), fide fit "
+            "and fide run; for ask and tell, learn a model and give learned=MODEL"
+        )
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, PRESETS)
     changes = {_FORMER_NAMES.get(name, name): value for name, value in changes.items()}

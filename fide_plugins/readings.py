@@ -197,8 +197,8 @@ class Readings(Saved):
         self.state = fresh
 
     @abstractmethod
-    def _initial_state(self) -> State:
-        """Return a state in which nothing was asked."""
+    def _initial_state(self, hypotheses: Float64 | None = None) -> State:
+        """Return a state in which nothing was asked; hypotheses: (n, d), where it begins."""
 
     @classmethod
     def check_settings(cls, settings: Mapping[str, Any]) -> None:

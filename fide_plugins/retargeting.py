@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from fide_plugins.learning.hypotheses import hypotheses_of
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.training_sample import TrainingSample, columns
 from fide_plugins.readings import Readings
@@ -27,6 +29,15 @@ __all__ = ["Retargeting"]
 
 class Retargeting(Readings):
     """An optimizer whose target can be changed."""
+
+    def begin_with(self, learned: Any) -> None:
+        """Begin with hypotheses of a learned model, or without; what was told is forgotten.
+
+        learned: argument of `FIDE`; raises and warns as that does, before anything changes.
+        """
+        space = self.space or self.dim
+        hypotheses = hypotheses_of(learned, space, self.target, self.seed)
+        self.state = self._initial_state(hypotheses)
 
     @one_at_a_time
     @one_thread

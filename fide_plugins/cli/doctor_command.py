@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from fide_plugins.cli.availability import KINDS, names, problems
 from fide_plugins.cli.messages import plain
+from fide_plugins.runtime import opencv_distributions
 
 __all__ = ["add_arguments", "execute"]
 
@@ -54,6 +56,9 @@ def _summary() -> str:
     ]
     if missing:
         lines.append(f"missing: pip install 'fide-plugins[{','.join(missing)}]'")
+    lines += [
+        f"OpenCV: {collision}" for collision in [opencv_distributions.collision()] if collision
+    ]
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
@@ -76,10 +81,20 @@ def examine() -> dict[str, Any]:
     return {
         "versions": machine.versions(),
         "machine": machine.machine(),
+        "opencv": _try_opencv(),
         "mitsuba": _try_mitsuba(),
         **{kind: problems(kind) for kind in KINDS},
         "extras": {extra: machine.version_of(package) for extra, package in _EXTRAS.items()},
     }
+
+
+def _try_opencv() -> str | None:
+    """What is wrong with OpenCV; None if it can be used, and only one is installed."""
+    try:
+        import_module("fide_plugins.runtime.opencv")
+    except ImportError as error:
+        return plain(error)
+    return opencv_distributions.collision()
 
 
 def _try_mitsuba() -> dict[str, str]:
@@ -104,6 +119,7 @@ def _text(facts: dict[str, Any]) -> str:
     lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
     lines.append(f"{machine['cpu']}, {machine['cores']} cores, {machine['threads']} threads")
     lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the CPU'}")
+    lines.append(f"OpenCV: {facts['opencv'] or 'ok'}")
     lines.append("\nvariants of Mitsuba; the first one that runs is the default")
     width = max(map(len, facts["mitsuba"]))
     lines += [f"  {name:{width}}  {text}" for name, text in facts["mitsuba"].items()]

@@ -5,7 +5,7 @@ patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
-    ['dense', 'dinov3', 'patch', 'vgg19']
+    ['dense', 'dinov3', 'learned', 'patch', 'vgg19']
 
 `make` returns an object to call with a batch of images (any input of
 :func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
@@ -16,6 +16,7 @@ comparable if both are equal.  No large package is imported before `make`.
 `dense`          encoder `dense`: hand-made features of a grid of patches
 `patch`          encoder `patch`: raw pixels of patches
 `own`            a user's own encoder: any callable of a batch
+`learned`        encoder `learned:FILE`: the network of a model of `fide_plugins.learn`
 `pretrained/`    encoders with pretrained networks: `dinov3`, `vgg19`
 `whole_patches`  resizes images to whole patches
 `despeckle`      removes single bright or dark pixels
@@ -49,7 +50,8 @@ def names() -> list[str]:
 def make(name: str, *, device: str | torch.device = "cpu", **options: object) -> PatchEncoder:
     """Encoder of that name, on that device (``"auto"``: CUDA if it is available).
 
-    The name may be followed by a variant, ``"vgg19:relu4_1"`` or ``"dinov3:FOLDER"``.
+    The name may be followed by a variant, ``"vgg19:relu4_1"``, ``"dinov3:FOLDER"`` or
+    ``"learned:model.fide"``.
 
     options: arguments of the encoder's class.
 
@@ -95,5 +97,6 @@ def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> 
 
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
 register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
+register("learned", "fide_plugins.encoders.learned:LearnedEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
 register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")

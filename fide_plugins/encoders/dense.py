@@ -45,13 +45,13 @@ from __future__ import annotations
 from functools import lru_cache
 from math import sqrt
 
-import cv2
 import numpy as np
 import torch
 
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.despeckle import despeckled
 from fide_plugins.encoders.noise_level import noise_level
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32
 

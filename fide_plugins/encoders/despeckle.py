@@ -10,9 +10,9 @@ stay as they are.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32
 
 __all__ = ["SMALLEST", "despeckled"]

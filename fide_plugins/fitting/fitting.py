@@ -18,10 +18,12 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Workers
+from fide_plugins.fitting.workers.processes import Processes
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.saved_run import SavedRun
+    from fide_plugins.learning.rounds import Rounds
     from fide_plugins.types import Float64
 
 __all__ = ["FitInterrupted", "Fitting"]
@@ -55,7 +57,9 @@ class Fitting:
         timeout: float | None = None,
         progress: object = None,
         checkpoint_every: float = 5.0,
+        rounds: Rounds | None = None,
     ) -> None:
+        self._rounds = rounds
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
@@ -96,12 +100,29 @@ class Fitting:
         stopped = loop.over()
         if stopped is None and self._callbacks.call("on_start", self._as_run()):
             stopped = "callback"
+        if stopped is None and self._rounds is not None and not self.record.evaluations:
+            self._learn(self._rounds, interrupts, report)
         while stopped is None:
             stopped = loop.step()
             self._show(report)
             self._save_now_and_then()
             interrupts.check()
         return stopped
+
+    def _learn(self, rounds: Rounds, interrupts: Interrupts, report: Report | None) -> None:
+        """Learn before the search, which then begins with the model."""
+
+        def show(renders: int, doing: str) -> None:
+            self._report(report, renders, doing)
+
+        workers = self._workers.number if isinstance(self._workers, Processes) else 1
+        with interrupts.stoppable():
+            learned = rounds.learn(workers, show)
+        self.optimizer.begin_with(learned.model)
+        self._loop.note_learned(learned.renders)
+        if self.saved is not None:
+            self._save(self.saved)
+        rounds.remove_renders()
 
     # -- ending ------------------------------------------------------------------------------------
 
@@ -169,14 +190,17 @@ class Fitting:
         return Run(self.optimizer, self._workers.number, budget, done, out)
 
     def _show(self, report: Report | None) -> None:
+        loop = self._loop
+        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
+        self._report(report, self.record.evaluations, f"{loop.busy} rendering{failed}")
+
+    def _report(self, report: Report | None, renders: int, doing: str) -> None:
         now = time.perf_counter()
         if report is None or now - self._shown_at < _SHOW_INTERVAL:
             return
-        self._shown_at, r, loop = now, self.record, self._loop
-        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
+        self._shown_at, r = now, self.record
         budget = self._stopping.budget or 0
-        progress = Progress(r.evaluations, budget, r.best_loss, r.wall_s, dict(r.times))
-        report(progress, f"{loop.busy} rendering{failed}")
+        report(Progress(renders, budget, r.best_loss, r.wall_s, dict(r.times)), doing)
 
     def _save_now_and_then(self) -> None:
         """Save if the last checkpoint is old enough, in seconds and in times of writing one.

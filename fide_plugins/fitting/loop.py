@@ -78,6 +78,11 @@ class Loop:
         """Rule that says that there is nothing to be done; None: none of them."""
         return self._stopping.reached(*self._state(), True, self.optimizer)
 
+    def note_learned(self, renders: int) -> None:
+        """Enter renders that were learned from before the search."""
+        self._tick()
+        self.record.add_unjudged(renders)
+
     def step(self) -> str | None:
         """Wait for a render, and tell it; returns why the fit is over, None if it is not.
 

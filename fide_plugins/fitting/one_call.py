@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
@@ -17,6 +18,7 @@ from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, se
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
@@ -98,7 +100,10 @@ def fit(
     progress
         True: a bar; False: none; None: a bar in a terminal.
     **options
-        options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.
+        options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
+        be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
+        first, see `learning.rounds`.  Those renders count as evaluations, with a loss of infinity;
+        they are made in this process or in `workers` processes, without `timeout`.
 
     A render that raises, takes too long, loses its process, or returns something else than an image
     of the right size is withdrawn and counted; the first one is shown whole, as a warning.
@@ -166,7 +171,17 @@ def prepare(
     if resume and out is not None and seed is None:
         seed = seed_there(out)
     model = {"learned": model_for(options.get("learned"), render)}
-    optimizer = FIDE(space, target, seed=seed, **{**options, **model})
+    optimizer = FIDE(space, target, seed=seed, **{**search_options(options), **model})
+    rounds = rounds_of(
+        render,
+        space,
+        optimizer.target,
+        options,
+        budget=stopping.budget,
+        seed=optimizer.seed,
+        out=None if out is None else Path(out),
+        seconds=stopping.seconds,
+    )
     renderer = Renderer(render, optimizer.space)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
@@ -190,6 +205,7 @@ def prepare(
         timeout=limit,
         progress=progress,
         checkpoint_every=checkpoint_every,
+        rounds=rounds,
     )
 
 

@@ -22,6 +22,8 @@ file               idea
 `report`           how good a model is: likelihood, hypotheses, calibration
 `familiarity`      how much a picture is like those that were learned
 `hypotheses`       what the search is given
+`truncation`       where a second round renders: the region of one picture's posterior
+`rounds`           ``preset="global"``: two rounds, and then the search
 =================  =============================================================================
 """
 

@@ -50,7 +50,7 @@ def hypotheses_of(
             f"features are {far:.1f} times as far from those of renders as is usual): the search "
             "goes on without the model",
             RuntimeWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
         return None
     return learned.sample(target, _DRAWN, seed % 2**32)

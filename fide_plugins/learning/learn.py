@@ -23,6 +23,7 @@ from fide_plugins.learning.rendering import check_picklable, fill
 from fide_plugins.learning.report import Distance, Report, judge
 from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
+from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import check_writable
@@ -70,6 +71,8 @@ def learn(
     version: str | None = None,
     seed: int = 0,
     store_limit: float = 20.0,
+    after: str | os.PathLike[str] | None = None,
+    picture: object = None,
     on_progress: Callable[[LearnProgress], None] | None = None,
 ) -> Model:
     """Learn once what pictures say of a renderer's parameters, for every later picture.
@@ -107,6 +110,10 @@ def learn(
         of the parameters, the initial weights and the order of learning.
     store_limit
         GiB that the renders may take.
+    after, picture
+        for a second round: file of a model, with its renders beside it.  New renders are drawn
+        where its posterior of the picture is, see `learning.truncation`, and learned with the old
+        ones.  What comes of it is a model of that picture.
     on_progress
         called after every shard of renders and after every pass.
 
@@ -117,12 +124,14 @@ def learn(
     """
     _check(renders, size, passes, time, workers, head)
     renderer = as_renderer(render, space)
+    region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers, seed,
         version, *_kind(renderer, groups, head), time, clock.monotonic(),
-        on_progress or (lambda progress: None),
+        on_progress or (lambda progress: None), region,
     )  # fmt: skip
+    plan.check()
     if workers > 1:
         check_picklable(renderer)
     check_room(plan.settings, renders, store_limit * 2**30)
@@ -134,7 +143,8 @@ def learn(
                 raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
             check_writable(Path(out).absolute().parent)
             folder = Path(f"{os.fspath(out)}.renders")
-        store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source))
+        draw = None if region is None else region.parameters
+        store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source), draw)
         model = plan.model(store)
     if out is not None:
         model.save(out)
@@ -158,12 +168,27 @@ class _Plan:
     seconds: float | None
     start: float
     on_progress: Callable[[LearnProgress], None]
+    region: Truncated | None = None
+
+    def check(self) -> None:
+        """Raise OptionError where the renders of a first round do not fit this one."""
+        if self.region is None:
+            return
+        self.region.model.check_space(self.renderer.space or self.renderer.dim)
+        there = self.region.store.settings
+        for name in ("renderer", "size", "version"):
+            if there[name] != self.settings[name]:
+                raise OptionError(
+                    f"the {name} of the model is {there[name]!r}, and here {self.settings[name]!r}"
+                    ": both rounds must have the same"
+                )
 
     @property
     def settings(self) -> dict[str, Any]:
         """What the renders are of."""
         space = self.renderer.space
         return {
+            **({} if self.region is None else self.region.settings),
             "dim": self.renderer.dim,
             "size": list(self.size),
             "seed": self.seed,
@@ -195,6 +220,9 @@ class _Plan:
         if len(x) < _FEWEST:
             store.remove([*failed])  # so that a renderer that was mended renders them
             raise _too_few(len(x), sum(failed.values()), self.renders)
+        if self.region is not None:
+            earlier = self.region.renders()
+            x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
         training = self._train(network, x, images, store.folder / "training")
         network.eval()
@@ -253,6 +281,13 @@ class _Plan:
         if space is None:
             return [f"x[{i}]" for i in range(self.renderer.dim)]
         return [name for name, axes in space.axes.items() for _ in axes]
+
+
+def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) -> Truncated | None:
+    """Where a second round renders; None for a first one."""
+    if (after is None) != (picture is None):
+        raise OptionError("a second round needs both: after=MODEL and picture=PICTURE")
+    return None if after is None else Truncated.read(after, picture, seed)
 
 
 def _too_few(there: int, failed: int, renders: int) -> Exception:

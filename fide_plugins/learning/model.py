@@ -139,7 +139,12 @@ class Model:
     def _input(self, picture: object) -> Tensor:
         """Return the picture as the network takes it; ImageError for another aspect."""
         image = as_target(picture)
-        height, width = image.shape[:2]
+        self.check_aspect(*image.shape[:2])
+        pixels = np.rint(resized(image, self.size) * 255).astype(np.uint8)
+        return as_input(pixels[None])
+
+    def check_aspect(self, height: int, width: int) -> None:
+        """Raise ImageError unless a picture of that size has the aspect of the renders."""
         change = (height / width) / (self.shape[0] / self.shape[1])
         rounding = _ASPECT + 1 / min(height, width, *self.shape)
         if abs(np.log(change)) > rounding:
@@ -147,8 +152,6 @@ class Model:
                 f"the model has learned images of {self.shape[1]} x {self.shape[0]} pixels "
                 f"(width x height), and this picture is {width} x {height}: crop it to that aspect"
             )
-        pixels = np.rint(resized(image, self.size) * 255).astype(np.uint8)
-        return as_input(pixels[None])
 
     def check_space(self, space: Space | int) -> None:
         """Raise OptionError, naming the difference, unless the model has learned this space.

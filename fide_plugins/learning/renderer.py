@@ -8,12 +8,12 @@ from functools import partial
 from inspect import signature
 from typing import Any, TypeAlias
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target

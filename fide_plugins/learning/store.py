@@ -12,9 +12,9 @@ from __future__ import annotations
 import os
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class RenderStore:
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
     fingerprint: of the renderer, see `renderers.fingerprint`; None where nothing is known.
+    draw: parameters (SHARD, d) of a shard; None: uniform in the unit cube.
 
     Warns if the renderer was changed since the first renders were made: they stay.
     Raises OptionError if the folder holds other renders, naming the difference; OSError if it
@@ -50,8 +51,10 @@ class RenderStore:
         folder: str | os.PathLike[str],
         settings: Mapping[str, Any],
         fingerprint: str | None = None,
+        draw: Callable[[int], Float64] | None = None,
     ) -> None:
         self.folder, self.settings = Path(folder), dict(settings)
+        self._draw, self._drawn = draw or self._uniform, dict[int, Float64]()
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
         file = self.folder / "settings"
@@ -70,6 +73,13 @@ class RenderStore:
                 stacklevel=3,
             )
 
+    @classmethod
+    def there(cls, folder: str | os.PathLike[str]) -> Self:
+        """Renders of a folder as they are; raises OSError or CheckpointError."""
+        settings = checkpoint.read(Path(folder) / "settings", _KIND)
+        settings.pop("fingerprint", None)
+        return cls(folder, settings)
+
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the images."""
@@ -77,7 +87,12 @@ class RenderStore:
         return height, width
 
     def parameters(self, shard: int) -> Float64:
-        """Parameters (SHARD, d) of a shard, uniform in the unit cube."""
+        """Parameters (SHARD, d) of a shard, the same each time."""
+        if shard not in self._drawn:
+            self._drawn[shard] = self._draw(shard)
+        return self._drawn[shard]
+
+    def _uniform(self, shard: int) -> Float64:
         rng = np.random.default_rng((self.settings["seed"], shard))
         return rng.random((SHARD, self.settings["dim"]))
 
@@ -97,6 +112,7 @@ class RenderStore:
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=pixels)
+        del self._drawn[shard]
         return int((~good).sum())
 
     def remove(self, shards: Sequence[int]) -> None:
@@ -129,6 +145,11 @@ class RenderStore:
             images[start : start + len(some)] = some
             start += len(some)
         return x[:renders], images[:renders]
+
+    def read_all(self) -> tuple[Float64, Pixels]:
+        """As `read`, of all shards."""
+        last = max((int(path.stem) for path in self.folder.glob("*.npz")), default=-1)
+        return self.read(SHARD * (last + 1))
 
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
         arrays = self._load(shard, "x", "images")

@@ -27,6 +27,8 @@ class MeanSquaredError(LossOfTarget):
         if self.weights is not None:
             squared = np.square(np.subtract(image, self.target, dtype=np.float64)).mean(axis=-1)
             return float(np.average(squared, weights=self.weights))
-        import cv2  # here, since the import takes a tenth of a second
+        from fide_plugins.runtime.opencv import (
+            cv2,  # here, since the import takes a tenth of a second
+        )
 
         return float(cv2.norm(image, self.target, cv2.NORM_L2SQR)) / image.size

@@ -16,7 +16,7 @@ def space_of(parameters: Sequence[Parameter], alike: str | None) -> Space:
     groups: dict[str, dict[str, Float]] = {}
     for p in parameters:
         kind = Float(p.low, p.high, unit=p.unit, periodic=p.periodic)
-        groups.setdefault(p.group, {})[p.name] = kind
+        groups.setdefault(p.group, {})[p.name.replace(" ", "_")] = kind
     several = [Group(each) for name, each in groups.items() if name.split()[0] == alike]
     others = {
         name.replace(" ", "_"): Group(each)

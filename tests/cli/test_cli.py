@@ -188,6 +188,12 @@ def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixtu
         assert re.match(rf"{name} +not here: {needs} .*download=True", line)
 
 
+def test_list_says_what_a_learned_encoder_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("list", "encoders") == 0
+    (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("learned"))
+    assert re.match("learned +not here: the encoder 'learned' needs the file of a model: ", line)
+
+
 def test_list_finds_weights_that_are_there(
     cached_weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -224,7 +230,7 @@ def test_doctor_is_short_and_imports_nothing_heavy() -> None:
     *lines, heavy = done.stdout.splitlines()
     assert len(lines) <= 9 and heavy == ""
     assert lines[0].startswith("fide-plugins ") and "--verbose" in lines[-1]
-    assert any(line.startswith("encoders: dense, dinov3, patch") for line in lines)
+    assert any(line.startswith("encoders: dense, dinov3, learned, patch") for line in lines)
 
 
 # -- interruption ----------------------------------------------------------------------------------

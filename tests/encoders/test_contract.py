@@ -15,11 +15,21 @@ Make: TypeAlias = Callable[..., PatchEncoder]
 RNG = np.random.default_rng(2)
 SIZES = [(8, 8), (17, 16), (30, 50), (64, 8), (112, 112)]
 
+NOT_SQUARE = [(30, 50), (64, 8)]  # the model of `learned` is of square images
+
 every_encoder = pytest.mark.parametrize("name", encoders.names())
+every_size = pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        (name, size)
+        for name in encoders.names()
+        for size in SIZES
+        if name != "learned" or size not in NOT_SQUARE
+    ],
+)
 
 
-@every_encoder
-@pytest.mark.parametrize("size", SIZES)
+@every_size
 def test_shape_and_type(name: str, size: tuple[int, int], make: Make) -> None:
     encoder = make(name)
     tokens = encoder(RNG.random((3, *size, 3), dtype=np.float32))
@@ -28,8 +38,7 @@ def test_shape_and_type(name: str, size: tuple[int, int], make: Make) -> None:
     assert encoder(np.zeros((0, *size, 3), np.uint8)).shape == (0, *encoder.shape(*size))
 
 
-@every_encoder
-@pytest.mark.parametrize("size", SIZES)
+@every_size
 def test_tokens_of_an_image_do_not_depend_on_its_batch(
     name: str, size: tuple[int, int], make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,4 +107,4 @@ def test_tokens_can_be_trained_on(name: str, make: Make) -> None:
 @every_encoder
 def test_named_and_versioned(name: str, make: Make) -> None:
     encoder = make(name)
-    assert encoder.name == name and encoder.version.startswith(f"{name}-")
+    assert encoder.name.partition(":")[0] == name and encoder.version.startswith(f"{name}-")

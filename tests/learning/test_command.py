@@ -10,11 +10,12 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from fide_plugins.cli import main
-from fide_plugins.learning import Model
+from fide_plugins.learning import Model, rounds
 
 SCENE = """
 import numpy as np
@@ -103,6 +104,55 @@ def test_a_model_of_another_state_of_the_file_is_noticed(
     words = ("--renderer", "other/gradient.py:render", *words[2:])
     assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
     assert "learned 'gradient.py:render', and that is not what" in capsys.readouterr().err
+
+
+def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("gradient.py").write_text(SCENE)
+    learn = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
+    assert fide(*learn, "--renders", 100) == 0
+    Image.new("L", (16, 16), 100).save("t.png")
+    fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--workers", 0, "--out", "f")
+    words = (*fit, "--seed", 1, "--json", "--encoder")
+    assert fide(*words, "learned:m.fide", "--budget", 20) == 0
+    options = json.loads(Path("f/run.json").read_text())["settings"]["options"]
+    assert options == {"encoder": "learned:m.fide"}
+    assert fide(*words, "learned:m.fide", "--budget", 40, "--resume") == 0
+    resumed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert fide(*words, "learned:m.fide", "--budget", 40, "--out", "whole") == 0
+    whole = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (resumed["evaluations"], resumed["x_best"]) == (40, whole["x_best"])
+
+    assert fide(*words, "learned:absent.fide", "--budget", 60, "--out", "g") == 2
+    assert "absent.fide: No such file" in capsys.readouterr().err
+    assert fide(*learn, "--renders", 200, "--resume") == 0
+    assert fide(*words, "learned:m.fide", "--budget", 60, "--resume") == 2
+    assert "features of the encoder learned-1-" in capsys.readouterr().err
+
+
+def test_the_global_preset_of_a_fit_and_of_a_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("gradient.py").write_text(SCENE)
+    Image.fromarray(np.tile(np.arange(16, dtype=np.uint8) * 10 + 20, (16, 1))).save("t.png")
+    fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--preset", "global", "--json")
+    assert fide(*fit, "--budget", 9000) == 2
+    assert "needs a budget of at least 10,000 renders, not 9000" in capsys.readouterr().err
+    assert not Path("runs").exists()
+    monkeypatch.setattr(rounds, "LEAST", 500)
+    for words in (
+        (*fit, "--workers", 2, "--stop-at", 1e-5),
+        ("run", "gradient.py:render", "--target", "t.png", *fit[-3:]),
+    ):
+        assert fide(*words, "--budget", 500, "--out", words[0]) == 0
+        found = json.loads(capsys.readouterr().out.splitlines()[-1])
+        assert 350 < found["evaluations"] <= 500 and found["best_loss"] < 1e-4
+        settings = json.loads(Path(words[0], "run.json").read_text())["settings"]
+        assert settings["options"] == {"preset": "global"}
+        assert fide("solutions", words[0]) == 0
+        capsys.readouterr()
+    assert fide("run", "voronoi", "--optimizer", "cma", "--preset", "global") == 2
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals")

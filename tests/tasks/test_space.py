@@ -10,6 +10,7 @@ import pytest
 from fide_plugins import Float, Group, Space
 from fide_tasks.base import Image, Parameter, Task, Vector
 from fide_tasks.beads import Beads
+from fide_tasks.lens import Lens
 from fide_tasks.named import space_of
 from fide_tasks.san_miguel import SanMiguel
 from fide_tasks.spline import Spline
@@ -35,7 +36,7 @@ class Arm(Task):
         raise NotImplementedError
 
 
-TASKS = [Voronoi(16, cells=5), Voronoi(16, variant="distance"), Spline(16), Arm(8)]
+TASKS = [Voronoi(16, cells=5), Voronoi(16, variant="distance"), Spline(16), Arm(8), Lens(16)]
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: type(task).__name__)

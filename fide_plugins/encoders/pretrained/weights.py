@@ -201,5 +201,6 @@ def digest(*networks: nn.Module, extra: object = "") -> str:
     for network in networks:
         for key, value in sorted(network.state_dict().items()):
             sha.update(key.encode())
-            sha.update(value.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+            flat = value.detach().cpu().contiguous().reshape(-1)
+            sha.update(flat.view(torch.uint8).numpy().tobytes())
     return sha.hexdigest()[:8]

@@ -30,7 +30,7 @@ def as_png(image: Float32) -> bytes:
 
 def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
     """The image (H, W, 3), reduced if its longer side has more than `side` pixels."""
-    import cv2
+    from fide_plugins.runtime.opencv import cv2
 
     height, width = image.shape[:2]
     scale = side / max(height, width)

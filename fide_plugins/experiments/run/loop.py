@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from fide_plugins.experiments.run.outcome import result_of
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.signals import Interrupted, Interrupts
 from fide_plugins.experiments.run.task import Task, TaskInfo
+from fide_plugins.learning.rounds import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch
@@ -56,6 +58,7 @@ class Run:
     checkpoint_every: seconds between checkpoints.
     keep, metrics: what to record beside the loss, and the losses that this needs, by name.
     fidelity: numbers of samples per pixel that rise; None where they stay.
+    rounds: of learning before the search, for an optimizer that begins with a model; None: none.
     """
 
     def __init__(
@@ -71,11 +74,13 @@ class Run:
         keep: Keep,
         metrics: Mapping[str, ImageLoss],
         fidelity: Fidelity | None = None,
+        rounds: Rounds | None = None,
     ) -> None:
         self.task, self.target, self.optimizer, self.loss = task, target, optimizer, loss
         self.settings, self.record = settings, record
         self._directory, self._checkpoint_every = directory, checkpoint_every
         self._keep, self._metrics, self._fidelity = keep, metrics, fidelity
+        self._rounds = rounds
         self._budget: int = settings["budget"]
         self._piece = TaskInfo.of(task).piece or PIECE
         self._clipped = False
@@ -107,6 +112,8 @@ class Run:
             try:
                 if on_progress is not None:
                     on_progress(self.progress)
+                if self._rounds is not None and not self.record.evaluations:
+                    self._learn(self._rounds, interrupts, on_progress)
                 while self.record.evaluations < self._budget:
                     self._step(interrupts)
                     if on_progress is not None:
@@ -127,6 +134,27 @@ class Run:
                 raise
             # a signal no longer matters: everything is about to be written
             return self._finish(verdict)
+
+    def _learn(
+        self,
+        rounds: Rounds,
+        interrupts: Interrupts,
+        on_progress: Callable[[Progress], None] | None,
+    ) -> None:
+        """Learn before the search, which then begins with the model."""
+
+        def show(renders: int, doing: str) -> None:
+            if on_progress is not None:
+                on_progress(replace(self.progress, evaluations=renders))
+
+        with interrupts.stoppable():
+            learned = rounds.learn(1, show)
+        optimizer: Any = self.optimizer  # FIDE itself
+        optimizer.begin_with(learned.model)
+        self._tick()
+        self.record.add_unjudged(learned.renders)
+        self._save()
+        rounds.remove_renders()
 
     # -- one piece ---------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ _PACKAGES = (
     "torch",
     "numpy",
     "scipy",
+    "opencv-contrib-python-headless",
     "opencv-python-headless",
     "cma",
     "matplotlib",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from fide_plugins import losses as losses_module, optimizers
@@ -17,6 +18,7 @@ from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResul
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
@@ -120,6 +122,12 @@ def prepare(
     )
     if "learned" in options:
         options["learned"] = model_for(options["learned"], task)
+    rounds = None
+    if optimizer == "fide":
+        about = task, TaskInfo.of(task).search_space or task.dim, target, options
+        out_there = None if out is None else Path(out)
+        rounds = rounds_of(*about, budget=budget, seed=seed, out=out_there)
+        options = search_options(options)
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
     record, directory = Record(), None
     if out is not None:
@@ -129,7 +137,7 @@ def prepare(
         directory.write_run()
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
-        fidelity,
+        fidelity, rounds,
     )  # fmt: skip
 
 

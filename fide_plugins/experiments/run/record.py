@@ -218,6 +218,15 @@ class Record:
         self.seconds.extend([self.wall_s] * len(losses))
         return improved
 
+    def add_unjudged(self, renders: int) -> None:
+        """Add renders that were learned from and not compared with the target: a loss of infinity.
+
+        They count as evaluations.
+        """
+        self.losses.extend([math.inf] * renders)
+        self.seconds.extend([self.wall_s] * renders)
+        self.generations.append(renders)
+
     def judge_again(self, image: Float32, loss: float) -> None:
         """Replace image and loss of the best candidate by those of another render."""
         self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf

@@ -1,0 +1,96 @@
+"""Does `preset="global"` find one hard picture? At equal numbers of renders.
+
+    python benchmarks/global_preset.py robot --targets 420-422
+    python benchmarks/global_preset.py --table
+
+Every run (scene, target, preset) is one line of benchmarks/results/global_preset.jsonl, appended
+when it is done; a second call does what is missing. Scenes, and the loss at which each is solved,
+are those of moves.py. Times are CPU times of this process, renders included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from moves import SCENES, read, span
+
+import fide_tasks
+from fide_plugins.experiments import run as harness
+
+RESULTS = Path(__file__).parent / "results" / "global_preset.jsonl"
+
+
+def measure(scene_name: str, target: int, preset: str, budget: int) -> dict[str, Any]:
+    """One run: when it was solved, its best loss, and what it took."""
+    scene = SCENES[scene_name]
+    task = fide_tasks.make(scene.task, scene.size, target, **scene.options)
+    start = time.process_time()
+    result = harness.run(task, "fide", "mse", budget, 0, options={"preset": preset})
+    solved = np.flatnonzero(result.losses <= scene.solved)
+    return {
+        "scene": scene_name,
+        "target": target,
+        "preset": preset,
+        "budget": budget,
+        "solved_at": int(solved[0]) + 1 if len(solved) else None,
+        "best": result.best_loss,
+        "cpu_s": round(time.process_time() - start, 1),
+    }
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Runs solved, losses and times, in Markdown."""
+    lines = ["| scene | preset | renders | solved | median of the best loss | CPU time |"]
+    lines.append("|---|---|---:|---:|---:|---:|")
+    for kind in dict.fromkeys((row["scene"], row["preset"], row["budget"]) for row in rows):
+        group = [row for row in rows if (row["scene"], row["preset"], row["budget"]) == kind]
+        solved = sum(row["solved_at"] is not None for row in group)
+        loss, seconds = (float(np.median([row[k] for row in group])) for k in ("best", "cpu_s"))
+        lines.append(
+            f"| {kind[0]} | {kind[1]} | {kind[2]:,} | {solved} of {len(group)} | {loss:.2g} | "
+            f"{seconds:.0f} s |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Do what is asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=", ".join(SCENES))
+    parser.add_argument("--targets", type=span, default=range(420, 423), metavar="A-B")
+    parser.add_argument("--presets", nargs="+", default=["global", "balanced"], metavar="PRESET")
+    parser.add_argument("--budget", type=int, default=10_000)
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--table", action="store_true")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    for target in arguments.targets:
+        for scene in arguments.scenes:
+            for preset in arguments.presets:
+                done = [
+                    (r["scene"], r["target"], r["preset"], r["budget"]) for r in read(arguments.out)
+                ]
+                if (scene, target, preset, arguments.budget) in done:
+                    continue
+                row = measure(scene, target, preset, arguments.budget)
+                with arguments.out.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+                print(row, file=sys.stderr, flush=True)
+    if arguments.table:
+        print(table(read(arguments.out)))
+
+
+if __name__ == "__main__":
+    main()

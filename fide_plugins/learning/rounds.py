@@ -1,0 +1,206 @@
+"""``preset="global"``: rounds of renders and learning for one hard picture, and then the search.
+
+=========  ===================================================================================
+renders    of what
+=========  ===================================================================================
+40 %       the whole space; a model learns them
+30 %       the region where the model's posterior of the picture is; a second model learns all
+30 %       the search (`preset="balanced"`), which begins at hypotheses of the second model
+=========  ===================================================================================
+
+A picture unlike all renders of the first round has no posterior to be trusted: there is no second
+round, and the search gets its renders, too.
+
+The files lie in the folder `rounds` of the run directory, so an interrupted fit goes on where it
+was.  The renders are removed when the search begins; the model of the first round, `first.fide`,
+stays for other pictures of the renderer.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time as clock
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.errors import OptionError
+from fide_plugins.options import GLOBAL
+from fide_plugins.space import Space
+
+if TYPE_CHECKING:
+    from fide_plugins.learning.learn import LearnProgress
+    from fide_plugins.learning.model import Model
+
+__all__ = ["LEAST", "Learned", "Rounds", "rounds_of", "search_options"]
+
+LEAST = 10_000
+"""Renders of the whole budget."""
+_FIRST, _SECOND = 0.4, 0.3  # of the budget
+_TIME = 0.5  # of a time limit, for both rounds
+_SIZE = 64  # longer side of the renders, in pixels
+_SEARCH = "balanced"  # preset of the search
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What the rounds have learned.
+
+    model: of the last round.  renders: of all rounds.
+    """
+
+    model: Model
+    renders: int
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """Rounds for one picture; nothing is rendered before `learn`.
+
+    render, space: arguments of `fide_plugins.learn`.
+    picture: the target.
+    budget: renders in all, the search included.
+    folder: where files are kept; None: nowhere.
+    seconds: of rendering and learning at most; None: no limit.
+    """
+
+    render: Any
+    space: Space | int | None
+    picture: Any
+    budget: int
+    seed: int
+    folder: Path | None
+    seconds: float | None = None
+
+    def learn(
+        self, workers: int = 1, on_progress: Callable[[int, str], None] | None = None
+    ) -> Learned:
+        """Render and learn, or go on with it; raises as `fide_plugins.learn` does.
+
+        workers: processes that render; 1 for a `render` that cannot be pickled.
+        on_progress: called with the number of renders so far, and what is being done.
+        """
+        start = clock.monotonic()
+        with ExitStack() as stack:
+            folder = self.folder
+            if folder is None:
+                made = tempfile.TemporaryDirectory(prefix="fide-rounds-")
+                folder = Path(stack.enter_context(made))
+            folder.mkdir(parents=True, exist_ok=True)
+            end = None if self.seconds is None else start + self.seconds
+            middle = None if self.seconds is None else start + 0.5 * self.seconds
+            learn = partial(self._learn, folder, workers, on_progress)
+            first = learn("first", 0, self.renders[0], middle)
+            if not first.knows(self.picture):
+                return Learned(first, _number(first))
+            second = learn(
+                "second", self.renders[0], self.renders[1], end,
+                after=folder / "first.fide", picture=self.picture,
+            )  # fmt: skip
+            return Learned(second, _number(second) + first.report.failed)
+
+    def _learn(
+        self,
+        folder: Path,
+        workers: int,
+        on_progress: Callable[[int, str], None] | None,
+        name: str,
+        before: int,
+        renders: int,
+        end: float | None,
+        **more: Any,
+    ) -> Model:
+        """One round, by the clock until `end`; before: renders of the rounds before it.
+
+        A model that is there was finished before an interruption.
+        """
+        from fide_plugins.learning.learn import learn
+        from fide_plugins.learning.model import Model
+
+        file = folder / f"{name}.fide"
+        if file.exists():
+            return Model.load(file)
+
+        def report(at: LearnProgress) -> None:
+            if on_progress is not None and at.stage == "render":
+                on_progress(before + at.done, f"rendering for the {name} model")
+            elif on_progress is not None:
+                on_progress(before + renders, f"{name} model, pass {at.done}/{at.total}")
+
+        return learn(
+            self.render,
+            self.space,
+            renders=renders,
+            size=max(16, min(_SIZE, max(self.picture.shape[:2]))),
+            time=None if end is None else max(1.0, end - clock.monotonic()),
+            workers=workers,
+            out=file,
+            seed=self.seed,
+            on_progress=report,
+            **more,
+        )
+
+    def remove_renders(self) -> None:
+        """Remove the renders, which nothing needs once the search has begun."""
+        if self.folder is not None:
+            for name in ("first", "second"):
+                shutil.rmtree(self.folder / f"{name}.fide.renders", ignore_errors=True)
+
+    @property
+    def renders(self) -> tuple[int, int]:
+        """Of both rounds, whole shards."""
+        from fide_plugins.learning.store import SHARD
+
+        first, second = (round(share * self.budget) // SHARD * SHARD for share in (_FIRST, _SECOND))
+        return first, second
+
+
+def rounds_of(
+    render: Any,
+    space: Space | int | None,
+    picture: Any,
+    options: Mapping[str, Any],
+    *,
+    budget: int | None,
+    seed: int,
+    out: Path | None,
+    seconds: float | None = None,
+) -> Rounds | None:
+    """Rounds that the options ask for; None where the preset is another one.
+
+    picture: (H, W, 3), or a list of views.  out: run directory.  seconds: of the whole run.
+
+    Raises OptionError for a budget below `LEAST`, for several views, and for `learned` beside it.
+    """
+    if options.get("preset") != GLOBAL:
+        return None
+    if budget is None or budget < LEAST:
+        raise OptionError(
+            f"preset='global' renders and learns before it searches, and needs a budget of at "
+            f"least {LEAST:,} renders, not {budget}: raise the budget, or take preset='balanced'"
+        )
+    if options.get("learned") is not None:
+        raise OptionError("preset='global' learns a model itself: leave out learned, or the preset")
+    if isinstance(picture, list):
+        raise OptionError(
+            f"preset='global' learns from one picture, and the target is a list of {len(picture)} "
+            "views: take another preset"
+        )
+    folder = None if out is None else out / "rounds"
+    limit = None if seconds is None else _TIME * seconds
+    return Rounds(render, space, picture, budget, seed % 2**32, folder, limit)
+
+
+def search_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the search: those given, with its own preset in place of "global"."""
+    return {**options, "preset": _SEARCH} if options.get("preset") == GLOBAL else dict(options)
+
+
+def _number(model: Model) -> int:
+    """Renders that a model has seen, and those of its own that have failed."""
+    report = model.report
+    return report.renders + report.held_out + report.failed

@@ -1,0 +1,169 @@
+"""`preset="global"`: rounds of learning before the search."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, fit
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments import run as harness
+from fide_plugins.learning import Model, rounds
+from fide_plugins.types import Float64
+
+from .conftest import SIDE, SPACE, disk
+
+TRUTH = {"x": 0.3, "y": 0.65, "gray": 0.5, "hidden": 0.5}
+PICTURE = disk(TRUTH)
+BUDGET = 1000
+SHARES = (400, 300)  # renders of the two rounds
+
+
+class Stop(BaseException):
+    """As the end of a process."""
+
+
+class Disk:
+    """Renders the disk; counts, and stops once after some renders."""
+
+    name = "disk"
+
+    def __init__(self, stop: int | None = None) -> None:
+        self.renders, self._stop = 0, stop
+
+    def __call__(self, params: dict[str, Any]) -> Float64:
+        if self.renders == self._stop:
+            self._stop = None
+            raise Stop
+        self.renders += 1
+        return disk(params)
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Allow a small budget: what is tested does not depend on it."""
+    monkeypatch.setattr(rounds, "LEAST", 500)
+
+
+def fitted(render: Any = disk, picture: Float64 = PICTURE, **options: Any) -> Any:
+    options = {"budget": BUDGET, "workers": 0, "seed": 3, "preset": "global", **options}
+    return fit(render, picture, SPACE, **options)
+
+
+@pytest.mark.usefixtures("few")
+def test_all_renders_count_and_the_search_begins_at_the_answer(tmp_path: Path) -> None:
+    render = Disk()
+    result = fitted(render, out=tmp_path)
+    assert result.evaluations == BUDGET
+    assert render.renders == BUDGET + 2  # and one a round, to know the shape
+    learning = result.curve[: sum(SHARES), 1]
+    assert np.isinf(learning).all() and np.isfinite(result.curve[sum(SHARES) :, 1]).all()
+    assert result.best.loss < 1e-5
+    assert [result.params[name] for name in ("x", "y", "gray")] == pytest.approx(
+        [TRUTH[name] for name in ("x", "y", "gray")], abs=0.02
+    )
+    names = sorted(path.name for path in (tmp_path / "rounds").iterdir())
+    assert names == ["first.fide", "second.fide"]  # the renders are gone
+    first = Model.load(tmp_path / "rounds" / "first.fide")
+    assert first.report.renders + first.report.held_out == SHARES[0]
+    search = FIDE(SPACE, PICTURE, learned=tmp_path / "rounds" / "second.fide", seed=3)
+    assert result.curve[sum(SHARES), 1] == pytest.approx(  # the search is that of the model
+        np.square(disk(SPACE.decode(search.ask(1)[0])) - PICTURE).mean(), rel=1e-4
+    )
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("stop", [150, 550, 900])
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(stop: int, tmp_path: Path) -> None:
+    render = Disk(stop)
+    with pytest.raises(Stop):
+        fitted(render, out=tmp_path)
+    again = fitted(render, out=tmp_path, resume=True)
+    assert render.renders <= BUDGET + 2 + 100 + 2  # of a shard, what was not written is lost
+    whole = fitted()
+    np.testing.assert_array_equal(again.curve, whole.curve)
+    np.testing.assert_array_equal(again.best.x, whole.best.x)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_round_that_is_done_is_not_done_again(tmp_path: Path) -> None:
+    """Also where a time limit, or a larger budget, would make another model of it."""
+    render = Disk(stop=600)
+    with pytest.raises(Stop):
+        fitted(render, out=tmp_path)
+    first = (tmp_path / "rounds" / "first.fide").read_bytes()
+    result = fitted(render, out=tmp_path, resume=True, budget=1200, time=600)
+    assert (tmp_path / "rounds" / "first.fide").read_bytes() == first
+    assert result.evaluations == 1200
+    assert np.isinf(result.curve[:, 1]).sum() == SHARES[0] + round(0.3 * 1200) // 100 * 100
+
+
+@pytest.mark.usefixtures("few")
+def test_an_unknown_picture_has_no_second_round() -> None:
+    noise = np.random.default_rng(0).random((SIDE, SIDE, 3))
+    with pytest.warns(RuntimeWarning, match="learned nothing like this picture"):
+        result = fitted(picture=noise)
+    assert result.evaluations == BUDGET
+    assert np.isinf(result.curve[: SHARES[0], 1]).all()
+    assert np.isfinite(result.curve[SHARES[0] :, 1]).all()
+
+
+@pytest.mark.usefixtures("few")
+def test_a_time_limit_leaves_half_of_it_to_the_search() -> None:
+    made = rounds.rounds_of(
+        disk, SPACE, PICTURE, {"preset": "global"}, budget=1000, seed=0, out=None, seconds=60.0
+    )
+    assert made is not None and made.seconds == 30.0
+
+
+@pytest.mark.parametrize("budget", [None, 2000, 9999])
+def test_a_small_budget_is_refused(budget: int | None, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match=r"a budget of at least 10,000 renders, not (None|\d+)"):
+        fitted(budget=budget, time=60, out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_it_cannot_do_is_refused_before_anything_is_rendered(learned: Path) -> None:
+    render = Disk()
+    with pytest.raises(OptionError, match="leave out learned"):
+        fitted(disk, budget=10_000, learned=learned)
+    with pytest.raises(OptionError, match="the target is a list of 2 views"):
+        fitted(render, budget=10_000, views=[PICTURE])
+    with pytest.raises(OptionError, match=r"is of fit\(\.\.\.\), fide fit and fide run"):
+        FIDE(SPACE, PICTURE, preset="global")
+    assert render.renders == 0
+
+
+class Scene:
+    """The disk as a task."""
+
+    name, dim, space = "disk", SPACE.dim, SPACE
+    target = np.repeat(PICTURE[..., None], 3, axis=2).astype(np.float32)
+
+    def render(self, X: Float64, seed: Any = None) -> Any:
+        return np.stack([disk(SPACE.decode(x)) for x in X])
+
+
+@pytest.mark.usefixtures("few")
+def test_the_run_loop_has_it_too_and_resumes(tmp_path: Path) -> None:
+    options = {"preset": "global"}
+    arguments: dict[str, Any] = {"options": options, "out": tmp_path / "run"}
+    result = harness.run(Scene(), "fide", "mse", BUDGET, 3, **arguments)
+    assert result.evaluations == len(result.losses) == BUDGET
+    assert np.isinf(result.losses[: sum(SHARES)]).all() and result.best_loss < 1e-5
+    there = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert there["settings"]["options"] == options
+    again = harness.run(Scene(), "fide", "mse", BUDGET, 3, **arguments, resume=True)
+    np.testing.assert_array_equal(again.losses, result.losses)
+    with pytest.raises(OptionError, match="at least 500 renders"):
+        harness.run(Scene(), "fide", "mse", 400, 3, options=options)
+
+
+@pytest.mark.slow
+def test_the_least_budget_in_earnest() -> None:
+    result = fitted(budget=10_000)
+    assert result.evaluations == 10_000 and result.best.loss < 1e-8
