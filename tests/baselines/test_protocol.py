@@ -149,7 +149,7 @@ def test_no_thread_outlives_its_baseline(subject: Subject) -> None:
     opt = subject.make(2, seed=0)
     subject.minimize(opt, 10)
     own = set(threading.enumerate()) - before
-    assert len(own) == subject.sequential
+    assert len(own) == subject.threads
     del opt
     assert not own & set(threading.enumerate())
 
