@@ -10,6 +10,7 @@ import pytest
 
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
+from fide_plugins.baselines.penalty import quietly
 from fide_plugins.types import Float32, Float64
 
 from .small import OPTIONS
@@ -120,7 +121,8 @@ def subject(request: pytest.FixtureRequest) -> Subject:
     """Every baseline, one after the other."""
     chosen: Subject = request.param
     if chosen.name in ("composite-bo", "turbo"):
-        pytest.importorskip("botorch")
+        with quietly():
+            pytest.importorskip("botorch")
     return chosen
 
 

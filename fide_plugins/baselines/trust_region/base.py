@@ -14,7 +14,6 @@ from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.baselines.trust_region.region import REGION, Region, candidates
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, whole
-from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
 
@@ -37,7 +36,7 @@ class Surrogate:
 class TrustRegion(Stateful):
     """Bayesian optimization in a trust region.
 
-    popsize: points a round; None: 10.
+    popsize: points a round; None: 4, which is stronger than 10 or 20 where renders are few.
     initial: points of a Latin hypercube at every start; None: 2 d.  The very first is the center.
     candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
     steps: of L-BFGS, by which the processes are fitted.
@@ -129,7 +128,6 @@ class TrustRegion(Stateful):
             if self._region.over:
                 self._start()
 
-    @user_threads
     def _propose(self) -> Float64:
         """One round: points (popsize, d)."""
         seed = int(self._rng.integers(2**31))
@@ -147,7 +145,7 @@ class TrustRegion(Stateful):
         return proposed
 
     def _default_popsize(self) -> int:
-        return 10
+        return 4
 
     def _own_settings(self) -> dict[str, Any]:
         own = {"initial": self.initial, "candidates": self.candidates, "steps": self.steps}

@@ -8,46 +8,27 @@ within narrow limits; and draws of the process without the noise of evaluations,
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from fide_plugins.baselines.trust_region.base import Surrogate, TrustRegion
-from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["LossModel", "TuRBO"]
 
-SCALES = ("linear", "log")
-OFFSET = 1e-3  # of the median's distance from the least loss, in the logarithm
-
 
 class TuRBO(TrustRegion):
-    """Trust-region Bayesian optimization of the loss; options of `TrustRegion`.
-
-    scale: "linear" models the loss, "log" the logarithm of its distance from the least one so far.
-    """
+    """Trust-region Bayesian optimization of the loss; options of `TrustRegion`."""
 
     name: ClassVar[str] = "turbo"
-
-    def __init__(
-        self, dim: int, target: object = None, *, scale: str = "linear", **options: Any
-    ) -> None:
-        if scale not in SCALES:
-            raise OptionError(f"scale must be one of {', '.join(SCALES)}, not {scale!r}")
-        super().__init__(dim, target, **options)
-        self.scale = scale
 
     def _outputs(self, losses: Float64, features: Float32 | None) -> tuple[Float64, Float64]:
         return losses[:, None], losses
 
     def _fit(self, X: Tensor, outputs: Tensor) -> Surrogate:
-        scaled = logarithm(outputs) if self.scale == "log" else outputs
-        return LossModel(X, scaled, self.steps)
-
-    def _own_settings(self) -> dict[str, Any]:
-        return {**super()._own_settings(), "scale": self.scale}
+        return LossModel(X, outputs, self.steps)
 
 
 class LossModel(Surrogate):
@@ -75,9 +56,3 @@ class LossModel(Surrogate):
         with torch.no_grad():
             chosen: Tensor = MaxPosteriorSampling(self.model, replacement=False)(points, n)
         return chosen
-
-
-def logarithm(losses: Tensor) -> Tensor:
-    """Logarithm of the distance of losses (n, 1) from the least of them."""
-    above = losses - losses.min()
-    return (above + OFFSET * above.median() + torch.finfo(losses.dtype).tiny).log()
