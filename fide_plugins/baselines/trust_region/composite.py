@@ -35,12 +35,14 @@ JITTER = 1e-8
 
 
 class CompositeBO(ImageBased, TrustRegion):
-    """Trust-region Bayesian optimization of the image; options of `TrustRegion` and `ImageBased`.
+    """Trust-region Bayesian optimization of the image; extra `botorch`.
 
+    popsize, initial, candidates, steps: as of `TuRBO`.
     components: principal components that are modelled; fewer while there are fewer images.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
 
     The search minimizes the distance of the features.  The loss decides only which point is `best`.
+    The other options are those of `ImageBased` and `Baseline`; `sigma0` is not used.
     """
 
     name: ClassVar[str] = "composite-bo"

@@ -20,7 +20,15 @@ __all__ = ["LossModel", "TuRBO"]
 
 
 class TuRBO(TrustRegion):
-    """Trust-region Bayesian optimization of the loss; options of `TrustRegion`."""
+    """Trust-region Bayesian optimization of the loss; extra `botorch`.
+
+    popsize: points a round, 4.
+    initial: points of a Latin hypercube at every start; None: 2 d.
+    candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
+    steps: of L-BFGS, by which the process is fitted.
+
+    The other options are those of `Baseline`; `sigma0` is not used.
+    """
 
     name: ClassVar[str] = "turbo"
 
