@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,6 @@ import pytest
 
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
-from fide_plugins.baselines.penalty import quietly
 from fide_plugins.types import Float32, Float64
 
 from .small import OPTIONS
@@ -72,6 +72,11 @@ class Subject:
         return int(self.sequential or self.name == "bipop-cma-es")
 
     @property
+    def installed(self) -> bool:
+        """Whether the package that it needs is there."""
+        return self.name not in ("composite-bo", "turbo") or bool(find_spec("botorch"))
+
+    @property
     def looks(self) -> bool:
         """Whether it needs images."""
         return self.name in ("composite-bo", "eki", "dfols", "fide-annealing", "inverse")
@@ -120,9 +125,8 @@ def target(dim: int = 3) -> Float32:
 def subject(request: pytest.FixtureRequest) -> Subject:
     """Every baseline, one after the other."""
     chosen: Subject = request.param
-    if chosen.name in ("composite-bo", "turbo"):
-        with quietly():
-            pytest.importorskip("botorch")
+    if not chosen.installed:
+        pytest.skip("needs BoTorch")
     return chosen
 
 
