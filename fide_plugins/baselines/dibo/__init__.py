@@ -164,7 +164,7 @@ class DiBO(Stateful):
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor; a run from before there was a choice goes on as it was."""
+        """Arguments of the constructor from `settings`; runs older than the choice stay exact."""
         return {"likelihood": "exact", **settings}
 
     def _default_popsize(self) -> int:
