@@ -53,6 +53,7 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "ZeroGrads": ("zerograds", {}),
     "ZeroGrads, naive": ("naive zerograds", {"learning_rate": 5e-4, "proxy_rate": 1e-3}),
     "DiBO": ("dibo", SMALL_DIBO),
+    "DiBO, exact likelihood": ("dibo", {**SMALL_DIBO, "likelihood": "exact"}),
     "DiBO, naive": ("dibo", {**SMALL_DIBO, "proposals": 1, "search_epochs": 0}),
     "Optuna TPE": ("optuna:TPESampler", {}),
 }
@@ -66,7 +67,7 @@ CONFIGURATIONS |= {
     for rate, proxy in RATES
 }
 """Of the parameter and of the network, to choose from."""
-BUDGETS = {"DiBO": 600, "DiBO, naive": 600, "Optuna TPE": 600}
+BUDGETS = {"DiBO": 600, "DiBO, exact likelihood": 600, "DiBO, naive": 600, "Optuna TPE": 600}
 BUDGET = 5000
 
 
@@ -150,7 +151,7 @@ def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument(
-        "--configurations", nargs="+", default=list(CONFIGURATIONS)[:8], metavar="CONFIGURATION"
+        "--configurations", nargs="+", default=list(CONFIGURATIONS)[:9], metavar="CONFIGURATION"
     )
     parser.add_argument("--functions", nargs="+", default=list(FUNCTIONS))
     parser.add_argument("--dims", nargs="+", type=int, default=[10, 20])

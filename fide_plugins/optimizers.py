@@ -2,7 +2,7 @@
 
     >>> from fide_plugins import optimizers
     >>> optimizers.names()[:4]
-    ['cma', 'dfols', 'dibo', 'dual-annealing']
+    ['bipop-cma-es', 'cma', 'composite-bo', 'dfols']
     >>> opt = optimizers.make("cma", 3, popsize=8, seed=0)
     >>> opt.ask().shape
     (8, 3)
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 __all__ = ["load", "make", "names", "options", "register"]
 
 _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
+    "bipop-cma-es": "fide_plugins.baselines.bipop:BIPOP",
     "cma": "fide_plugins.baselines.cma:CMA",
+    "composite-bo": "fide_plugins.baselines.trust_region.composite:CompositeBO",
     "dfols": "fide_plugins.baselines.dfols:DFOLS",
     "dibo": "fide_plugins.baselines.dibo:DiBO",
     "dual-annealing": "fide_plugins.baselines.dual_annealing:DualAnnealing",
@@ -38,7 +40,9 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "fide": "fide_plugins.fide:FIDE",
     "fide-annealing": "fide_plugins.baselines.fide_annealing:FIDEAnnealing",
     "inverse": "fide_plugins.baselines.inverse:Inverse",
+    "lq-cma-es": "fide_plugins.baselines.lq_cma:LQCMA",
     "random": "fide_plugins.baselines.random:Random",
+    "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
 }
 _WITH_SPACE = ("fide",)

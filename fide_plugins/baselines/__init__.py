@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fide_plugins.baselines.base import Baseline as Baseline
+    from fide_plugins.baselines.bipop import BIPOP as BIPOP
     from fide_plugins.baselines.cma import CMA as CMA
     from fide_plugins.baselines.dfols import DFOLS as DFOLS
     from fide_plugins.baselines.dibo import DiBO as DiBO
@@ -25,34 +26,45 @@ if TYPE_CHECKING:
     from fide_plugins.baselines.fide_annealing import FIDEAnnealing as FIDEAnnealing
     from fide_plugins.baselines.frameworks import nevergrad as nevergrad, optuna as optuna
     from fide_plugins.baselines.inverse import Inverse as Inverse
+    from fide_plugins.baselines.lq_cma import LQCMA as LQCMA
     from fide_plugins.baselines.random import Random as Random
+    from fide_plugins.baselines.trust_region.composite import CompositeBO as CompositeBO
+    from fide_plugins.baselines.trust_region.turbo import TuRBO as TuRBO
     from fide_plugins.baselines.zerograds import ZeroGrads as ZeroGrads
 
 _MODULES = {
+    "BIPOP": "bipop",
     "Baseline": "base",
     "CMA": "cma",
+    "CompositeBO": "trust_region.composite",
     "DFOLS": "dfols",
     "DiBO": "dibo",
     "DualAnnealing": "dual_annealing",
     "EKI": "eki",
     "FIDEAnnealing": "fide_annealing",
     "Inverse": "inverse",
+    "LQCMA": "lq_cma",
     "Random": "random",
+    "TuRBO": "trust_region.turbo",
     "ZeroGrads": "zerograds",
     "nevergrad": "frameworks",
     "optuna": "frameworks",
 }
 
 __all__ = [
+    "BIPOP",
     "CMA",
     "DFOLS",
     "EKI",
+    "LQCMA",
     "Baseline",
+    "CompositeBO",
     "DiBO",
     "DualAnnealing",
     "FIDEAnnealing",
     "Inverse",
     "Random",
+    "TuRBO",
     "ZeroGrads",
     "nevergrad",
     "optuna",

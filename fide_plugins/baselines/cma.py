@@ -16,7 +16,7 @@ from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["CMA"]
+__all__ = ["CMA", "library_settings"]
 
 RESTARTS = ("same", "ipop", "none")
 
@@ -62,13 +62,9 @@ class CMA(Replayed):
         import cma  # takes half a second
 
         settings = {
-            "bounds": [0.0, 1.0],
+            **library_settings(self.dim),
             "popsize": self.popsize,
             "randn": lambda *shape: self._rng.standard_normal(shape),  # not numpy's global state
-            "seed": np.nan,  # the library's sign for: leave the global state alone
-            "verbose": -10,  # silent, and no options read from files in the current folder
-            "verb_log": 0,
-            "signals_filename": None,
         }
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it comments on dimension 1 and small populations
@@ -98,6 +94,19 @@ class CMA(Replayed):
 
     def _own_settings(self) -> dict[str, Any]:
         return {"restarts": self.restarts, "popsize": self._first_popsize}
+
+
+def library_settings(dim: int) -> dict[str, Any]:
+    """Options of the library for all that use it here."""
+    unlimited = {"maxstd_boundrange": np.inf} if dim == 1 else {}  # the limit fails in dimension 1
+    return {
+        **unlimited,
+        "bounds": [0.0, 1.0],
+        "seed": np.nan,  # the library's sign for: leave the global state alone
+        "verbose": -10,  # silent, and no options read from files in the current folder
+        "verb_log": 0,
+        "signals_filename": None,
+    }
 
 
 def _finite(losses: Float64) -> Float64:

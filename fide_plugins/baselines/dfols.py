@@ -10,8 +10,8 @@ pip install 'fide-plugins[dfols]'.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any, ClassVar
 
@@ -20,7 +20,7 @@ import numpy as np
 from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.reverse_communication import Search
-from fide_plugins.baselines.sequential import Sequential, quietly
+from fide_plugins.baselines.sequential import Sequential
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.types import Float32, Float64
 
@@ -95,17 +95,11 @@ class DFOLS(ImageBased, Sequential):
         return residuals
 
     def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:
-        return partial(_with_random_numbers, self._global_random)
+        return self._global_random.lent_quietly
 
     def _own_settings(self) -> dict[str, Any]:
         switches = {"noisy": self.noisy, "soft_restarts": self.soft_restarts}
         return {**super()._own_settings(), "radius": self.radius, **switches}
-
-
-@contextmanager
-def _with_random_numbers(its_own: GlobalRandom) -> Iterator[None]:
-    with its_own.lent(), quietly():
-        yield
 
 
 def least_squares(

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_plugins.baselines.global_random import GlobalRandom
+from fide_plugins.baselines.penalty import Penalty, quietly
 from fide_plugins.baselines.replay import Replayed
-from fide_plugins.baselines.sequential import Penalty, quietly
 from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from fide_plugins.baselines.penalty import quietly
+
 __all__ = ["GlobalRandom"]
 
 
@@ -31,3 +33,9 @@ class GlobalRandom:
             self._python, self._numpy = random.getstate(), np.random.get_state()
             random.setstate(users[0])
             np.random.set_state(users[1])
+
+    @contextmanager
+    def lent_quietly(self) -> Iterator[None]:
+        """The same, without the library's warnings."""
+        with self.lent(), quietly():
+            yield

@@ -75,4 +75,5 @@ class ImageBased(Baseline):
         return super()._sides() | {"f": len(self.target_features)}
 
     def _own_settings(self) -> dict[str, Any]:
-        return {"encoder": self.encoder, "channels": self.channels}
+        own = {"encoder": self.encoder, "channels": self.channels}
+        return {**super()._own_settings(), **own}

@@ -21,6 +21,7 @@ _EXTRAS = {  # extra: a distribution that it installs
     "mitsuba": "mitsuba",
     "dinov3": "transformers",
     "dask": "distributed",
+    "botorch": "botorch",
     "report": "jinja2",
 }
 

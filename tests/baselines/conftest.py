@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -63,25 +64,39 @@ class Subject:
     @property
     def sequential(self) -> bool:
         """Whether it evaluates one point after the other."""
-        return self.name in ("dual-annealing", "fide-annealing", "dfols")
+        return self.name in ("dual-annealing", "fide-annealing", "dfols", "lq-cma-es")
+
+    @property
+    def threads(self) -> int:
+        """Threads of its own while it waits for results."""
+        return int(self.sequential or self.name == "bipop-cma-es")
+
+    @property
+    def installed(self) -> bool:
+        """Whether the package that it needs is there."""
+        return self.name not in ("composite-bo", "turbo") or bool(find_spec("botorch"))
 
     @property
     def looks(self) -> bool:
         """Whether it needs images."""
-        return self.name in ("eki", "dfols", "fide-annealing", "inverse")
+        return self.name in ("composite-bo", "eki", "dfols", "fide-annealing", "inverse")
 
 
 SUBJECTS = [
+    Subject("bipop-cma-es", evaluations=300, close=0.05),
     Subject("cma", evaluations=400, close=1e-4),
+    Subject("composite-bo", evaluations=30, close=0.1),
     Subject("dfols", evaluations=40),
     Subject("dibo", evaluations=60),
     Subject("dual-annealing"),
     Subject("eki", close=0.1),
     Subject("fide-annealing", evaluations=60),
     Subject("inverse"),
+    Subject("lq-cma-es", evaluations=60, close=0.1),
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
     Subject("random"),
+    Subject("turbo", evaluations=30),
     Subject("zerograds"),
 ]
 
@@ -110,6 +125,8 @@ def target(dim: int = 3) -> Float32:
 def subject(request: pytest.FixtureRequest) -> Subject:
     """Every baseline, one after the other."""
     chosen: Subject = request.param
+    if not chosen.installed:
+        pytest.skip("needs BoTorch")
     return chosen
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ import torch
 from torch import Tensor
 
 from fide_plugins.baselines.dibo import DiBO, Diffusion, Round, RoundOptions
+from fide_plugins.baselines.dibo.likelihood import program_likelihood, program_sigmas
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.dibo.round import trajectory_balance
 from fide_plugins.baselines.networks import make
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime import checkpoint
 
 DOUBLE = torch.float64
 
@@ -83,6 +86,53 @@ def test_its_gradient_without_the_divergence() -> None:
     x = torch.randn(5, 3, generator=seeded(), dtype=DOUBLE).requires_grad_()
     (slope,) = torch.autograd.grad(diffusion.log_likelihood(NormalData(diffusion, 1.0), x).sum(), x)
     torch.testing.assert_close(slope, -x.detach(), atol=2e-3, rtol=0.0)
+
+
+def test_the_noise_of_the_program_is_that_of_its_schedule() -> None:
+    sigmas = program_sigmas(30)
+    assert sigmas.shape == (31,) and (sigmas.diff() > 0).all()
+    torch.testing.assert_close(
+        sigmas[[0, -1]], torch.tensor([0.02764, 0.6302], dtype=DOUBLE), rtol=1e-3, atol=0.0
+    )
+
+
+def test_the_likelihood_of_the_program_is_its_odes_the_other_way_round() -> None:
+    """Of a linear model: one step of fourth order is its Taylor series, to that order."""
+    sigmas = program_sigmas(30)
+    clean, noisy = float(sigmas[0]), float(sigmas[-1])
+
+    def linear(x: Tensor, t: Tensor) -> Tensor:  # the flow is then -0.4 y / sqrt(1 + sigma^2)
+        return -0.4 * x
+
+    x = torch.randn(50, 3, generator=seeded(), dtype=DOUBLE)
+    found = program_likelihood(linear, x, 30, seeded(1))
+    along = float(np.arcsinh(clean) - np.arcsinh(noisy))
+    at_the_end = log_normal(x * np.exp(-0.4 * along), 0.0, clean).sum(dim=1)
+    gained = -0.4 * (clean - noisy) * 3  # of x, without the factor of y
+    torch.testing.assert_close(found, at_the_end + gained, rtol=1e-4, atol=0.0)
+    without = program_likelihood(linear, x, 30)
+    torch.testing.assert_close(found - without, torch.full_like(x[:, 0], gained))
+
+
+def test_its_time_runs_from_the_clean_end_to_the_noisy_one() -> None:
+    seen: list[float] = []
+
+    def predict(x: Tensor, t: Tensor) -> Tensor:
+        seen.append(float(t[0]))
+        return 0 * x
+
+    program_likelihood(predict, torch.zeros(2, 3, dtype=DOUBLE), 30)
+    assert seen[0] == 1.0 and seen[-1] == 0.0 and sorted(seen, reverse=True) == seen
+
+
+def test_it_pulls_to_the_mean_of_the_buffer_as_the_exact_one_does_not() -> None:
+    diffusion, far = Diffusion(30, DOUBLE), torch.full((1, 20), 2.0, dtype=DOUBLE)
+    model, alpha = NormalData(diffusion, 1.0), 1e-4
+    points = torch.cat([far, 0 * far])
+    theirs = alpha * program_likelihood(model, points, 30)
+    exact = alpha * diffusion.log_likelihood(model, points)
+    assert theirs[0] - theirs[1] < -1.0
+    assert -0.01 < exact[0] - exact[1] < 0.0
 
 
 def test_the_ratio_of_chains_is_that_of_their_transition_laws() -> None:
@@ -168,6 +218,17 @@ def test_the_buffer_keeps_the_best() -> None:
     np.testing.assert_array_equal(opt._losses, np.sort(losses)[:50])
 
 
+def test_a_run_from_before_the_choice_of_the_likelihood_goes_on_with_the_exact_one(
+    tmp_path: Path,
+) -> None:
+    DiBO(2, seed=0).save(tmp_path / "now")
+    assert DiBO.load(tmp_path / "now").round_options.likelihood == "authors"
+    saved = checkpoint.read(tmp_path / "now", "dibo")
+    del saved["settings"]["likelihood"]
+    checkpoint.write(tmp_path / "before", "dibo", saved)
+    assert DiBO.load(tmp_path / "before").round_options.likelihood == "exact"
+
+
 def test_it_minimizes() -> None:
     tiny = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
     epochs = {"proxy_epochs": 20, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 10}
@@ -184,7 +245,14 @@ def test_it_minimizes() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"initial": 1}, {"buffer": 0}, {"alpha": 0.0}, {"precision": "half"}, {"proposals": 0}],
+    [
+        {"likelihood": "none"},
+        {"initial": 1},
+        {"buffer": 0},
+        {"alpha": 0.0},
+        {"precision": "half"},
+        {"proposals": 0},
+    ],
     ids=str,
 )
 def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:

@@ -149,7 +149,7 @@ def test_no_thread_outlives_its_baseline(subject: Subject) -> None:
     opt = subject.make(2, seed=0)
     subject.minimize(opt, 10)
     own = set(threading.enumerate()) - before
-    assert len(own) == subject.sequential
+    assert len(own) == subject.threads
     del opt
     assert not own & set(threading.enumerate())
 
@@ -229,7 +229,7 @@ def test_options_out_of_range_are_named(subject: Subject, options: dict[str, Any
 
 def test_those_that_look_at_images_need_a_target(subjects: list[Subject]) -> None:
     for subject in subjects:
-        if subject.looks:
+        if subject.looks and subject.installed:
             with pytest.raises(ImageError, match="needs a target"):
                 optimizers.make(subject.name, 2)
 
@@ -246,7 +246,7 @@ def test_images_without_a_target_need_losses() -> None:
 def test_the_registry_knows_names_and_options(tmp_path: Path) -> None:
     assert {"cma", "fide", "random"} <= set(optimizers.names())
     assert optimizers.options("cma") == ["device", "loss", "popsize", "restarts", "seed", "sigma0"]
-    with pytest.raises(UnknownNameError, match=r"known are cma, .*did you mean 'cma'"):
+    with pytest.raises(UnknownNameError, match=r"known are .*, cma, .*did you mean 'cma'"):
         optimizers.make("cmaes", 2)
     with pytest.raises(OptionError, match="cma has no option 'pop'; its options: device, loss"):
         optimizers.make("cma", 2, pop=3)

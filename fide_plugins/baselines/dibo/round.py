@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from fide_plugins.baselines.dibo.diffusion import Diffusion, Predict, draw_normal
+from fide_plugins.baselines.dibo.likelihood import program_likelihood
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.networks import make
 
@@ -38,6 +39,7 @@ class RoundOptions:
     width: int = 512
     proxy_width: int = 256
     batch: int = 256
+    likelihood: str = "authors"
 
     def as_dict(self) -> dict[str, Any]:
         """All of them, by name."""
@@ -118,7 +120,10 @@ class Round:
 
     def _score(self, x: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Reward + alpha log p_prior, (n,); the latter's divergence only with a generator."""
-        likelihood = self.diffusion.log_likelihood(self.prior, x, generator)
+        if self.options.likelihood == "authors":
+            likelihood = program_likelihood(self.prior, x, self.options.diffusion_steps, generator)
+        else:
+            likelihood = self.diffusion.log_likelihood(self.prior, x, generator)
         score: Tensor = self.proxy(x) + self.options.alpha * likelihood
         return score
 

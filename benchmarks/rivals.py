@@ -1,0 +1,125 @@
+"""Settings of the rivals that came last, chosen on targets that no table reports.
+
+    python benchmarks/rivals.py --configurations "composite-bo, k = 4" turbo --out runs/rivals.jsonl
+    python benchmarks/rivals.py --table runs/rivals.jsonl
+
+Scenes of `moves.py` at 64 x 64 pixels; the number of a target is the seed of the optimizer.  Every
+run is one line of the output file; a second call does what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from moves import SCENES, make, span
+
+from fide_plugins import optimizers
+
+MARKS = (50, 100, 200, 300, 500)
+SIZE = 64
+
+Row = dict[str, Any]
+
+CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "bipop-cma-es": ("bipop-cma-es", {}),
+    "bipop-cma-es, sigma0 = 0.3": ("bipop-cma-es", {"sigma0": 0.3}),
+    "lq-cma-es": ("lq-cma-es", {}),
+    "lq-cma-es, sigma0 = 0.3": ("lq-cma-es", {"sigma0": 0.3}),
+}
+CONFIGURATIONS |= {
+    f"{name}, k = {k}": (name, {"popsize": k})
+    for name in ("turbo", "composite-bo")
+    for k in (4, 10, 20)
+}
+
+
+def main() -> None:
+    """Run what is missing, or print the table."""
+    arguments = parse_arguments()
+    if arguments.table:
+        print(table(read(arguments.table)))
+        return
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    done = {key(row) for row in read(arguments.out)} if arguments.out.exists() else set()
+    for configuration in arguments.configurations:
+        for scene in arguments.scenes:
+            for target in arguments.targets:
+                row = {"configuration": configuration, "scene": scene, "target": target}
+                if key(row) in done:
+                    continue
+                row |= run(row, arguments.budget)
+                with arguments.out.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--configurations", nargs="+", default=list(CONFIGURATIONS))
+    parser.add_argument("--scenes", nargs="+", default=["arm", "lens", "spline"])
+    parser.add_argument("--targets", type=span, default=range(50, 52), metavar="A-B")
+    parser.add_argument("--budget", type=int, default=300)
+    parser.add_argument("--out", type=Path, default=Path("runs/rivals.jsonl"))
+    parser.add_argument("--table", type=Path)
+    return parser.parse_args()
+
+
+def run(cell: Row, budget: int) -> Row:
+    """The best loss at every mark, and the processor's seconds with the renders."""
+    name, options = CONFIGURATIONS[cell["configuration"]]
+    dim, target, render = make(SCENES[cell["scene"]], SIZE, cell["target"])
+    opt = optimizers.make(name, dim, target, seed=cell["target"], **options)
+    losses: list[float] = []
+    start = time.process_time()
+    while len(losses) < budget:
+        X = opt.ask()[: budget - len(losses)]
+        images = render(X)
+        values = np.square(images - target).reshape(len(X), -1).mean(axis=1)
+        opt.tell(X, images, values)
+        losses.extend(values.tolist())
+    best = np.minimum.accumulate(losses)
+    marks = {str(mark): float(best[mark - 1]) for mark in MARKS if mark <= budget}
+    return {"best": marks, "cpu_s": round(time.process_time() - start, 1)}
+
+
+def read(path: Path) -> list[Row]:
+    """All rows of a file."""
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["configuration"], row["scene"], row["target"]
+
+
+def table(rows: list[Row]) -> str:
+    """Geometric means over targets, in Markdown."""
+    heads = " | ".join(map(str, MARKS))
+    lines = [f"| scene | | runs | {heads} | CPU s |", "|---" * (len(MARKS) + 4) + "|"]
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        for configuration in CONFIGURATIONS:
+            mine = [r for r in rows if (r["scene"], r["configuration"]) == (scene, configuration)]
+            if mine:
+                lines.append(f"| {scene} | {configuration} | {len(mine)} | {cells(mine)} |")
+    return "\n".join(lines)
+
+
+def cells(rows: list[Row]) -> str:
+    """The means at the marks, and of the seconds."""
+    means = []
+    for mark in map(str, MARKS):
+        reached = [row["best"][mark] for row in rows if mark in row["best"]]
+        means.append(f"{np.exp(np.mean(np.log(reached))):.2g}" if reached else "")
+    return " | ".join([*means, f"{np.mean([row['cpu_s'] for row in rows]):.0f}"])
+
+
+if __name__ == "__main__":
+    main()
