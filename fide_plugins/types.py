@@ -71,7 +71,8 @@ class Solution:
         has left, and by what the images do not show (at most 0.29, that of any value).  It is
         local: of other basins it knows nothing.  NaN on the axes of integers and choices; None
         where too few images are known.  It is that of the time at which this solution was read of
-        the optimizer, whenever it is asked for.
+        the optimizer, whenever it is asked for.  Until then the solution keeps what the optimizer
+        remembered (`memory_mb`): of solutions that are collected over a run, read it at once.
         """
         return None if self.estimate is None else self.estimate.std
 

@@ -26,7 +26,7 @@ from fide_plugins.uncertainty.local_fit import fit_locally
 __all__ = ["LocalEstimate"]
 
 _NUMBERS = 2**22  # differences of blocks that are held at once
-_NEAREST = 320  # samples
+_NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
 _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
@@ -41,7 +41,7 @@ class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
 
     x: (d,), the solution.
-    samples: evaluated candidates; some may be in it twice.
+    samples: evaluated candidates; some may be in it twice.  Kept until `std` is read.
     target: (T, C), tokens.
     channels: so many leading channels of the tokens count; None: all.
     axes: which of them are periodic.
@@ -82,7 +82,8 @@ class LocalEstimate:
         seen = self._features([samples[i].tokens for i in np.flatnonzero(kept).tolist()])
         here = seen[np.flatnonzero(kept).tolist().index(nearest)]
         distances = np.square(seen - here).sum(axis=1)  # (n,)
-        near = np.sort(np.argsort(distances, kind="stable")[:_NEAREST])
+        number = max(_NEAREST, _EACH * int(free.sum()))
+        near = np.sort(np.argsort(distances, kind="stable")[:number])
         e, target = _compressed(seen[near], self._features([self.target])[0])
         fit = fit_locally(u[kept][near][:, free], e, _floored(distances[near]))
         std = np.full(len(self.x), np.nan)

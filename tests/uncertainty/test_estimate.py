@@ -196,3 +196,28 @@ def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(module, "_NUMBERS", 100)
     for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
+    """A linear renderer with noise in each render; the samples are those of a search."""
+    d, n, rng = 200, 1500, np.random.default_rng(0)
+    mixing = rng.normal(size=(d, 768)) / d**0.5
+    truth = rng.uniform(0.3, 0.7, d)
+    spread = np.geomspace(0.15, 0.005, n)[:, None]
+    X = truth + spread * (0.5 * rng.normal(size=d) + rng.normal(size=(n, d)))
+    tokens = X @ mixing + 0.01 * rng.normal(size=(n, 768))
+    target = truth @ mixing + 0.01 * rng.normal(size=768)
+    x = X[np.square(tokens - target).sum(axis=1).argmin()]
+    known = torch.as_tensor(target.reshape(4, -1))
+    std = LocalEstimate(x, samples_of(X, tokens), known, None, Axes(d)).std
+    assert std is not None
+    errors = np.abs(x - truth)
+    assert (errors < 1.645 * std).mean() > 0.9
+    assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
+
+
+def test_who_has_read_it_keeps_no_samples() -> None:
+    read, unread = run(200).best, run(200).best
+    assert read is not None and unread is not None and read.std is not None
+    assert isinstance(read.estimate, LocalEstimate) and isinstance(unread.estimate, LocalEstimate)
+    assert not read.estimate.samples and unread.estimate.samples
