@@ -6,8 +6,8 @@
 
 A picture may have several explanations. Each column of the table is one of them, with its loss, its
 parameters in their units, and their standard deviations where they are known. Parameters that the
-picture does not determine are named. Nothing is rendered. A run with an encoder of your own needs it
-again; nothing in the directory is executed.
+picture does not determine are named. Nothing is rendered. A run with an encoder of your own needs
+it again; nothing in the directory is executed.
 """
 
 from __future__ import annotations
