@@ -50,8 +50,9 @@ class Own(Replayed):
     budget: evaluations that are planned.
     options: of the user's constructor.
 
-    It is saved as what it was asked and told.  One that takes images cannot be saved so: loading
-    raises CheckpointError (a ValueError), as it does if the replay asks for other candidates.
+    It is saved as what it was asked and told.  One that takes images cannot be saved so before its
+    budget is told: loading raises CheckpointError (a ValueError), as it does if the replay asks for
+    other candidates.
 
     Raises OptionError (a ValueError) if what the constructor makes breaks the protocol.
     """
@@ -83,11 +84,12 @@ class Own(Replayed):
         self._images_at = names.index("images") if "images" in names else None
         self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
         self._asked: Float64 | None = None  # last generation
+        self._last_word: Float64 | None = None  # recommended, where that is all that was loaded
 
     @property
     def resumable(self) -> bool:
-        """Whether what is saved can be loaded: not if it takes images."""
-        return self._images_at is None
+        """Whether what is saved can be loaded: not if it takes images and more are to come."""
+        return self._images_at is None or self._is_finished
 
     @classmethod
     def option_names(cls) -> list[str]:
@@ -100,6 +102,8 @@ class Own(Replayed):
 
         Raises PointsError (a ValueError) if that is no point of the unit cube.
         """
+        if self._last_word is not None:
+            return self._last_word.copy()
         if not self._recommends or self._best is None:
             return super().recommend()
         with self._global_random.lent():
@@ -124,6 +128,8 @@ class Own(Replayed):
         return {**common, "budget": self.budget, **self._options, "popsize": self.popsize}
 
     def _sample(self) -> Float64:
+        if self._last_word is not None:
+            raise CheckpointError(self._cannot_go_on())
         with self._global_random.lent():
             asked = self._user.ask(self.popsize)
         try:
@@ -154,17 +160,33 @@ class Own(Replayed):
             raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
         return batch.copy()  # a renderer may use its memory again
 
+    @property
+    def _is_finished(self) -> bool:
+        return len(self._losses) >= self.budget
+
+    def _cannot_go_on(self) -> str:
+        return (
+            f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
+            "be resumed; run it again from the beginning, in another directory"
+        )
+
     def _search_state(self) -> dict[str, Any]:
-        return {**super()._search_state(), "asked": self._asked}
+        state = {**super()._search_state(), "asked": self._asked}
+        if self._images_at is not None and self._is_finished:  # nothing else of it is needed again
+            state["recommended"] = self.recommend()
+        return state
 
     def _load_search_state(self, state: dict[str, Any]) -> None:
-        history = {name: value for name, value in state.items() if name != "asked"}
-        check(state["asked"], maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
-        if self._images_at is not None and state["asked"] is not None:
-            raise CheckpointError(
-                f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
-                "be resumed; run it again from the beginning, in another directory"
-            )
+        history = dict(state)
+        asked, last_word = history.pop("asked"), history.pop("recommended", None)
+        check(asked, maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
+        check(last_word, maybe(array("d", low=0.0, high=1.0)), self._sides(), "recommended")
+        if last_word is not None:
+            self._keep_history(history)
+            self._asked, self._last_word = asked, last_word
+            return
+        if self._images_at is not None and asked is not None:
+            raise CheckpointError(self._cannot_go_on())
         super()._load_search_state(history)
         now, then = self._asked, state["asked"]
         if (now is None) != (then is None) or (now is not None and not np.array_equal(now, then)):
