@@ -5,7 +5,8 @@
         def ask(self, n): ...                       # (n, dim) in [0, 1]
         def tell(self, X, losses): ...              # or tell(self, X, images, losses)
 
-The other parameters of the constructor are its options, as of ``--set``.  Two more attributes are
+The other parameters of the constructor are its options, as of ``--set``; any, if it has
+``**options``.  Two more attributes are
 optional: `popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `recommend()`, a point
 (dim,), by default the best.
 
@@ -18,7 +19,7 @@ wrong one does not cost the budget.  NumPy's and Python's global generators are 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -73,11 +74,11 @@ class Own(Replayed):
     ) -> None:
         super().__init__(dim, target, loss=loss, seed=seed, device=device)
         self.budget, self._options = whole_number("budget", budget, 1), options
-        known = {name: getattr(self, name) for name in _GIVEN} | options
         taken = inspect.signature(self.made_by).parameters
+        given = {name: getattr(self, name) for name in _GIVEN if name in taken}
         self._global_random = GlobalRandom(self.seed)
         with self._global_random.lent():
-            self._user = self.made_by(**{k: v for k, v in known.items() if k in taken})
+            self._user = self.made_by(**given, **options)
         _check_methods(self.name, self._user)
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
         names = list(inspect.signature(self._user.tell).parameters)
@@ -93,8 +94,11 @@ class Own(Replayed):
 
     @classmethod
     def option_names(cls) -> list[str]:
-        """Names of the options that it takes."""
-        names = set(inspect.signature(cls.made_by).parameters) - {"dim", "target"}
+        """Names of the options that it takes; empty where it takes any, by ``**options``."""
+        parameters = inspect.signature(cls.made_by).parameters.values()
+        if any(p.kind is p.VAR_KEYWORD for p in parameters):
+            return []
+        names = {p.name for p in parameters} - {"dim", "target"}
         return sorted(names | {"loss", "seed", "budget"})
 
     def recommend(self) -> Float64:
@@ -125,7 +129,13 @@ class Own(Replayed):
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
         common = {"dim": self.dim, "target": self.target, "seed": self.seed}
-        return {**common, "budget": self.budget, **self._options, "popsize": self.popsize}
+        return {**common, "budget": self.budget, "popsize": self.popsize, "options": self._options}
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor, by name, of what `settings` gave."""
+        given = {k: v for k, v in settings.items() if k not in ("popsize", "options")}
+        return given | settings["options"]
 
     def _sample(self) -> Float64:
         if self._last_word is not None:
