@@ -85,5 +85,6 @@ def _data(solution: Any) -> dict[str, Any]:
         "x": solution.x.tolist(),
         "params": solution.params,
         "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
+        "undetermined": list(solution.undetermined),
         "probability": solution.probability,
     }

@@ -142,13 +142,22 @@ def test_a_run_with_an_encoder_of_one_s_own(
 ) -> None:
     Path("features.py").write_text(ENCODERS)
     render, encoder = FunctionRenderer("scene.py:render"), referenced("features.py:blocks")
-    space = render.space
-    result = fit(render, target, space, budget=40, encoder=encoder, workers=0, seed=0, out="own")
+    result = fit(
+        render,
+        target,
+        render.space_or(None),
+        budget=40,
+        encoder=encoder,
+        workers=0,
+        seed=0,
+        out="own",
+    )
     assert fide("solutions", "own") == 2
     assert "--encoder FILE.py:blocks" in one_line(capsys)
     assert fide("solutions", "own", "--encoder", "features.py:blocks", "--json") == 0
     first, *_ = json.loads(capsys.readouterr().out)
-    assert first["loss"] == result.best.loss and first["params"] == result.params
+    assert result.best is not None and first["loss"] == result.best.loss
+    assert first["params"] == result.params
     for other, message in {"others": "encoder", "block": "did you mean 'blocks'?"}.items():
         assert fide("solutions", "own", "--encoder", f"features.py:{other}") == 2
         assert message in one_line(capsys)
