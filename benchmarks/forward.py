@@ -1,6 +1,6 @@
 """The forward model compared with the inverse one: loss against renders, asked in different ways.
 
-    python benchmarks/forward.py blobs lamps spline --configurations both/all both/8 both/1 dfols/1
+    python benchmarks/forward.py blobs lamps waves --targets 50-59 --configurations both/1 dfols/1
     python benchmarks/forward.py --table
 
 A run has a task, a target, a configuration and a seed, and is a line of the file
@@ -24,6 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from forward_scenes import SCENES, SmoothScene
+from moves import span
 from numpy.typing import NDArray
 
 import fide_tasks
@@ -40,11 +41,7 @@ PROPOSERS: dict[str, dict[str, Any]] = {
     "inverse-more": {"proposer": "linear", **MORE},
     "both-more": {"proposer": "both", **MORE},
 }
-TASKS: dict[str, tuple[range, dict[str, Any]]] = {
-    "spline": (range(60, 63), {"target": "random"}),
-    "voronoi": (range(40, 43), {}),
-    "robot": (range(500, 505), {}),
-}
+TASKS: dict[str, dict[str, Any]] = {"spline": {"target": "random"}, "voronoi": {}, "robot": {}}
 
 Row: TypeAlias = dict[str, Any]
 Floats: TypeAlias = NDArray[np.float64]
@@ -66,7 +63,7 @@ def parse_arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("tasks", nargs="*", default=[*SCENES, "spline", "voronoi", "robot"])
     add("--configurations", nargs="+", default=["inverse/all", "forward/all", "both/all", "both/1"])
-    add("--targets", type=int, default=3)
+    add("--targets", type=span, default=range(3), metavar="A-B")
     add("--seeds", type=int, default=1)
     add("--budget", type=int, default=2000)
     add("--set", nargs="*", default=[], metavar="KEY=VALUE", help="options of FIDE")
@@ -78,19 +75,12 @@ def parse_arguments() -> argparse.Namespace:
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, targets outermost."""
-    for number in range(arguments.targets):
+    for target in arguments.targets:
         for seed in range(arguments.seeds):
             for task in arguments.tasks:
                 for configuration in arguments.configurations:
-                    known = TASKS[task][0] if task in TASKS else range(100)
-                    if number < len(known):
-                        name = configuration + arguments.label
-                        yield {
-                            "task": task,
-                            "target": known[number],
-                            "configuration": name,
-                            "seed": seed,
-                        }
+                    name = configuration + arguments.label
+                    yield {"task": task, "target": target, "configuration": name, "seed": seed}
 
 
 def run_missing(cells: list[Row], arguments: argparse.Namespace) -> None:
@@ -139,7 +129,7 @@ def make_task(name: str, target: int) -> Any:
     """A scene of this benchmark, or a task at 112 px."""
     if name in SCENES:
         return SmoothScene(name, target)
-    return fide_tasks.make(name, size=112, seed=target, **TASKS[name][1])
+    return fide_tasks.make(name, size=112, seed=target, **TASKS[name])
 
 
 def read(path: Path) -> list[Row]:

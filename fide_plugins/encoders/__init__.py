@@ -70,8 +70,9 @@ def name_of(encoder: Any) -> str | None:
     """Name of an encoder, of a callable that is one, or of a name itself."""
     if encoder is None or isinstance(encoder, str):
         return encoder
-    name = getattr(encoder, "name", None) or getattr(encoder, "__name__", None)
-    return str(name or type(encoder).__name__)
+    from fide_plugins.runtime.callables import own_name
+
+    return own_name(encoder)
 
 
 def uses_network(name: str) -> bool:

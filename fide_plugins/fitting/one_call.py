@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.task import name_of
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks
 from fide_plugins.fitting.durations import seconds_of
@@ -18,6 +17,7 @@ from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, se
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
 
@@ -173,7 +173,7 @@ def prepare(
         check(optimizer)
     record, saved = None, None
     if out is not None:
-        settings = settings_of(name_of(render), optimizer, options)
+        settings = settings_of(own_name(render), optimizer, options)
         own = callable(options.get("encoder"))  # others are known by name and version
         facts = {"features": features_of(optimizer)} if own else None
         saved = SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)

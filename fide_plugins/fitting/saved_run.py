@@ -17,9 +17,9 @@ from fide_plugins.experiments.run.directory import RunDirectory, RunDirectoryErr
 from fide_plugins.experiments.run.judge import Verdict
 from fide_plugins.experiments.run.outcome import result_of
 from fide_plugins.experiments.run.record import Record
-from fide_plugins.experiments.run.task import name_of
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
+from fide_plugins.runtime.callables import own_name
 
 __all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]
 
@@ -182,7 +182,7 @@ def _recorded(value: Any) -> Any:
         return value.item()
     if hasattr(value, "__array__"):
         return _digest(np.asarray(value))
-    return name_of(value)
+    return own_name(value)
 
 
 def _digest(array: Any) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
+from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
@@ -118,8 +119,7 @@ def as_renderer(render: Any, space: Space | int | None) -> Renderer:
     dim = named.dim if named is not None else whole_number("space", space, 1)
     if batch and getattr(render, "dim", dim) != dim:
         raise OptionError(f"the task has {render.dim} parameters, and the space {dim}")
-    name = getattr(render, "name", None) or getattr(render, "__name__", type(render).__name__)
-    return Renderer(render, named, dim, str(name))
+    return Renderer(render, named, dim, own_name(render))
 
 
 def small_size(shape: tuple[int, ...], size: int) -> tuple[int, int]:

@@ -10,14 +10,20 @@ import numpy as np
 from fide_plugins.errors import FideError
 from fide_plugins.types import Float32
 
-__all__ = ["differs", "name_of", "tried_on"]
+__all__ = ["differs", "name_of", "own_name", "tried_on"]
 
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-5  # kernels of networks round differently for each batch size
 
 
-def name_of(function: Callable[..., object]) -> str:
+def name_of(function: object) -> str:
     """Name of a function, or of the class of another callable."""
     return str(getattr(function, "__name__", type(function).__name__))
+
+
+def own_name(thing: object) -> str:
+    """Name that a thing gives itself, or else that of its function or class."""
+    name = getattr(thing, "name", None)
+    return name if isinstance(name, str) and name else name_of(thing)
 
 
 def tried_on(

@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import threading
+from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files as resources
@@ -38,6 +39,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _PATIENCE = 10.0  # seconds for a request to arrive
+_POLL = 0.05  # seconds after which `close` is noticed
 
 
 class Server(ThreadingHTTPServer):
@@ -84,7 +86,8 @@ def serve(directory: str | os.PathLike[str], port: int = 0) -> tuple[Server, str
     if not 0 <= port <= 65535:
         raise OptionError(f"a port is a number from 0 to 65535, not {port}")
     server = Server(directory, port)
-    threading.Thread(target=server.serve_forever, name="fide-watch", daemon=True).start()
+    serving = partial(server.serve_forever, poll_interval=_POLL)
+    threading.Thread(target=serving, name="fide-watch", daemon=True).start()
     return server, server.url
 
 

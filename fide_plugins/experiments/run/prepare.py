@@ -14,9 +14,10 @@ from fide_plugins.experiments.run.directory import RunDirectory
 from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
-from fide_plugins.experiments.run.task import Task, TaskInfo, name_of
+from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
@@ -192,7 +193,7 @@ def settings_of(
         "size": list(target.shape[:2]),
         "dim": task.dim,
         "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
-        "optimizer": optimizer if isinstance(optimizer, str) else name_of(optimizer),
+        "optimizer": optimizer if isinstance(optimizer, str) else own_name(optimizer),
         "options": dict(options),
         "loss": loss,
         "budget": budget,
@@ -235,7 +236,7 @@ def target_of(task: Task) -> Float32:
     except FideError:
         raise
     except RuntimeError as error:
-        raise RenderError(f"{name_of(task)} failed to render its target: {error}") from error
+        raise RenderError(f"{own_name(task)} failed to render its target: {error}") from error
 
 
 def _words(command: Sequence[str] | None) -> list[str] | None:

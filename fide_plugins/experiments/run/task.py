@@ -6,12 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
+from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
     from fide_plugins.space import Space
 
-__all__ = ["Task", "TaskInfo", "name_of"]
+__all__ = ["Task", "TaskInfo"]
 
 
 class Task(Protocol):
@@ -61,10 +62,4 @@ class TaskInfo:
         """What this task says of itself now."""
         optional = [field.name for field in fields(cls) if field.name != "name"]
         said = {name: getattr(task, name) for name in optional if hasattr(task, name)}
-        return cls(name_of(task), **said)
-
-
-def name_of(thing: object) -> str:
-    """Name that a task or a factory gives itself, or else that of its class or function."""
-    name = getattr(thing, "name", None) or getattr(thing, "__name__", None)
-    return name if isinstance(name, str) else type(thing).__name__
+        return cls(own_name(task), **said)

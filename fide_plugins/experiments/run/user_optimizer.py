@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.task import name_of
+from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float64, Optimizer, Solution
 
 __all__ = ["AskTell", "UserOptimizer", "complete"]
@@ -36,7 +36,7 @@ class UserOptimizer:
     """
 
     def __init__(self, optimizer: AskTell, dim: int) -> None:
-        self.name, self.dim = name_of(optimizer), dim
+        self.name, self.dim = own_name(optimizer), dim
         for method in ("ask", "tell"):
             if not callable(getattr(optimizer, method, None)):
                 raise OptionError(f"an optimizer needs a method {method}, and {self.name} has none")
