@@ -24,7 +24,7 @@ DOCS   := $(VENV)/.docs
 SITE   := build/docs/html
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-kernels lint format docs wheel clean
+.PHONY: setup demo test test-kernels lint format docs docs-links wheel clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -64,12 +64,17 @@ $(DOCS): $(STAMP)
 	@$(PIP) install -qq -c constraints.txt -e ".[docs]"
 	@touch $@
 
-# The site, from nothing; a warning, such as of a link that leads nowhere, is an error.
+# The site, from nothing; a warning, such as of a link that leads nowhere, is an error.  Notebooks run
+# again when they or FIDE have changed: build/notebooks keeps what they wrote.
 docs: $(DOCS)
 	@rm -rf build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs $(SITE)
 	$(BIN)/python docs/check_site.py $(SITE)
 	@echo "Open $(SITE)/index.html"
+
+# Links that lead out of the site, which needs a network; the others are checked by `docs`.
+docs-links: $(DOCS)
+	$(BIN)/python -m sphinx -q -b linkcheck -d build/docs/doctrees docs build/docs/links
 
 # Built into dist/ and tested away from this folder, as a user would have it.
 wheel: setup

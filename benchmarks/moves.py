@@ -15,7 +15,8 @@ import ast
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,15 +70,8 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    done = {key(row) for row in read(arguments.out)}
-    for planned_run in planned_runs(arguments):
-        if key(planned_run) in done:
-            continue
-        row = run(planned_run, arguments.optimizer, arguments.options)
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(f"{key(row)}: {row['solved_at']} {row['best']:.2g}", file=sys.stderr, flush=True)
+    measured = partial(run, optimizer=arguments.optimizer, options=arguments.options)
+    run_missing(planned_runs(arguments), measured, arguments.out)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -118,6 +112,19 @@ def literal(text: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError):
         return text
+
+
+def run_missing(planned: Iterable[Row], measured: Callable[[Row], Row], out: Path) -> None:
+    """Measure those planned runs that the file does not have yet, and add them to it."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    done = {key(row) for row in read(out)}
+    for planned_run in planned:
+        if key(planned_run) in done:
+            continue
+        row = measured(planned_run)
+        with out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{key(row)}: {row['solved_at']} {row['best']:.2g}", file=sys.stderr, flush=True)
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:

@@ -3,7 +3,8 @@
     python docs/check_site.py build/docs/html
 
 Every link within the site leads somewhere, anchors included; no page loads anything from elsewhere;
-every page that answers a question is two clicks from the front page; the site is at most 30 MB.
+every page that answers a question is two clicks from the front page; a notebook shows pictures; the
+site is at most 30 MB.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Page(HTMLParser):
     loaded: list[str] = field(default_factory=list)
     anchors: set[str] = field(default_factory=set)
     in_text: int = 0
+    is_notebook: bool = False
 
     def __post_init__(self) -> None:
         super().__init__(convert_charrefs=True)
@@ -42,6 +44,7 @@ class Page(HTMLParser):
                 self.text_links.append(given["href"])
         if tag == "article":
             self.in_text += 1
+        self.is_notebook |= "cell_input" in given.get("class", "").split()
         self.loaded += [value for name, value in given.items() if (tag, name) in _LOADED]
         if tag == "link" and given.get("rel") in ("stylesheet", "icon", "preload"):
             self.loaded.append(given.get("href", ""))
@@ -100,12 +103,19 @@ def distant(pages: dict[Path, Page], site: Path, clicks: int = 2) -> list[str]:
     return [f"{file}: more than {clicks} clicks away" for file in answers if file not in reached]
 
 
+def without_pictures(pages: dict[Path, Page]) -> list[str]:
+    """Notebooks whose cells have left no picture on the page."""
+    cells = [file for file, page in pages.items() if page.is_notebook]
+    shown = [f for f in cells if any("_images/" in source for source in pages[f].loaded)]
+    return [f"{file}: a notebook without a picture" for file in cells if file not in shown]
+
+
 def main() -> int:
     """Print what is wrong; 1 if anything is."""
     site = Path(sys.argv[1]).resolve()
     pages = read(site)
     size = sum(file.stat().st_size for file in site.rglob("*") if file.is_file())
-    wrong = broken(pages) + distant(pages, site)
+    wrong = broken(pages) + distant(pages, site) + without_pictures(pages)
     if size > LARGEST:
         wrong.append(f"{site}: {size / 1e6:.0f} MB, more than {LARGEST / 1e6:.0f}")
     print("\n".join(wrong) or f"{len(pages)} pages, {size / 1e6:.1f} MB, no broken link")

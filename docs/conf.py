@@ -1,11 +1,14 @@
 """How Sphinx builds the site: `make docs`.
 
 Everything is read from this repository.  Nothing is fetched, and nothing is executed but the
-imports of the packages, so the build needs no renderer, no weights and no network.
+imports of the packages and the notebooks of docs/start, so the build needs no renderer, no weights
+and no network.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
 import sys
 from pathlib import Path
 
@@ -23,7 +26,7 @@ root_doc = "index"
 exclude_patterns = ["extensions"]
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx_design",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
@@ -42,13 +45,27 @@ suppress_warnings = [
     "ref.python",  # two classes are called Run; either is a fair goal
 ]
 
+# -- notebooks: executed, and executed again when they or FIDE have changed ------------------------
+_code = hashlib.sha256()
+for _file in sorted((ROOT / "fide_plugins").rglob("*.py")):
+    _code.update(_file.read_bytes())
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(ROOT / "build" / "notebooks" / _code.hexdigest()[:16])
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # seconds of a cell; far more than it needs
+nb_execution_in_temp = True  # what a notebook writes stays out of this folder
+nb_merge_streams = True
+nb_code_prompt_show = "Show the code"
+nb_code_prompt_hide = "Hide the code"
+os.environ.pop("MPLBACKEND", None)  # that of notebooks, which puts figures into the page
+
 # -- the API ---------------------------------------------------------------------------------------
 default_role = "py:obj"  # `fit` in a docstring is a link if the reference has it, else plain code
 autosummary_generate = False  # tables only: what they list is written on the same page
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 add_module_names = False
 maximum_signature_line_length = 88
 python_use_unqualified_type_names = True

@@ -283,7 +283,7 @@ class FIDE(Retargeting):
 
     @one_at_a_time
     def withdraw(self, X: object) -> None:
-        """Say that candidates (n, dim) that were asked will not be told, so nobody waits for them.
+        """Say that candidates X (n, dim) that were asked will not be told: nobody waits for them.
 
         Others count in their place.  Points that are not pending are ignored.  Raises PointsError.
         """
@@ -292,7 +292,7 @@ class FIDE(Retargeting):
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        """Go on where `state_dict` gave `state`; ValueError if it is none, and nothing changes."""
         super().load_state_dict(state)
         self._propose_with(self.state.population, self.state.rng)
 
@@ -311,7 +311,7 @@ class FIDE(Retargeting):
     ) -> None:
         """Draw a generation of the present stage into a population; changes nothing else.
 
-        extra: whether it waits for its own; others are drawn, just enough if none is out.
+        rng: of the draw.  extra: whether it waits for its own; others, just enough if none is out.
         """
         state = self.state
         if extra:

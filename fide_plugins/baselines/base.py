@@ -115,7 +115,7 @@ class Baseline(Saved):
     @one_at_a_time
     @one_thread
     def tell(self, X: object, images: object = None, losses: object = None) -> None:
-        """Report results: points (n, dim), and their losses (n,) or images to compute them of.
+        """Report results: points X (n, dim), and their losses (n,) or images to compute them of.
 
         A point that was asked may come back in single precision.  Everything is checked before
         anything changes.  Raises PointsError, ImageError or LossError (all ValueErrors).

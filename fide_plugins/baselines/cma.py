@@ -29,6 +29,8 @@ class CMA(Replayed):
         (Auger and Hansen 2005), "none" goes on with the search as it is.
 
     The other options are those of `Baseline`.
+
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "cma"

@@ -45,6 +45,8 @@ class DFOLS(ImageBased, Sequential):
     Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
     search does not use the loss, which only decides which point is `best`.  The other options are
     those of `ImageBased` and `Baseline`; popsize is 1.
+
+    Raises OptionError (a ValueError), and DependencyError (an ImportError) without DFO-LS.
     """
 
     name: ClassVar[str] = "dfols"

@@ -33,6 +33,8 @@ class Inverse(ImageBased, Stateful):
     batch_size, width, blocks: of the training and the network, see `denoiser`.
 
     The features of all uniform points are kept in memory until the training.
+
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "inverse"

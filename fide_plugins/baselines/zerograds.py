@@ -85,6 +85,8 @@ class ZeroGrads(Stateful):
     sigma0: standard deviation of the offsets, at all times.
 
     The other options are those of `Baseline`.
+
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "zerograds"

@@ -116,7 +116,7 @@ class Model:
 
     @torch.no_grad()
     def log_prob(self, picture: object, X: object) -> Float64:
-        """Logarithm of the posterior's density (n,) at points X (n, dim) of the cube.
+        """Logarithm of the posterior's density (n,), given a picture, at points X (n, dim).
 
         In nats; the uniform prior has 0.  A lower bound where blocks are exchangeable.
         """
@@ -176,7 +176,7 @@ class Model:
     # -- files -------------------------------------------------------------------------------------
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model into one file, without pickle; raises OSError if that cannot be done."""
+        """Write the model into the file `path`, without pickle; raises OSError if that fails."""
         state = {
             "dim": self.dim,
             "space": None if self.space is None else self.space.to_dict(),
@@ -196,7 +196,7 @@ class Model:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Model of a file that `save` wrote.
+        """Model of the file `path` that `save` wrote.
 
         Raises OSError, or CheckpointError (a ValueError) if the file is damaged or no model.
         """

@@ -71,7 +71,7 @@ class Report:
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Self:
-        """What `state_dict` gave."""
+        """Report of a state that `state_dict` gave."""
         lists = {"within", "ranks", "unseen"}
         plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
         plain["curve"] = tuple(tuple(row) for row in state["curve"])

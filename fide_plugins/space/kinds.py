@@ -107,7 +107,7 @@ class Float(_Number):
         return float(number)
 
     def number(self, name: str, value: Any) -> float:
-        """Number of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
         number = _plain_real(value)
         if number is None or not self.low <= number <= self.high:
             raise SpaceError(_outside(name, self, f"a number in [{self.low}, {self.high}]", value))
@@ -155,7 +155,7 @@ class Int(_Number):
         return int(number)
 
     def number(self, name: str, value: Any) -> float:
-        """Number of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
         number = _plain_real(value)
         if number is None or not self.low <= number <= self.high or number != round(number):
             rule = f"a whole number in [{self.low}, {self.high}]"
@@ -216,11 +216,11 @@ class Choice:
         return Scale(0.0, len(self.values) - 1.0, 1.0, False)
 
     def value(self, number: float) -> Any:
-        """Value of an index."""
+        """Value of a number, its index."""
         return self.values[int(number)]
 
     def number(self, name: str, value: Any) -> float:
-        """Index of a value; SpaceError, naming the parameter, if the value is none of its own."""
+        """Index of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
         index: dict[Any, int] = self.__dict__["_index"]
         try:
             found = index.get(value)

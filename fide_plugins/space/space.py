@@ -129,7 +129,7 @@ class Space:
         return [self._nested(row) for row in numbers]
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
-        """Point (dim,) of values, as `decode` gives them: decode(encode(p)) is p but for rounding.
+        """Point (dim,) of `params`, as of `decode`: decode(encode(p)) is p but for rounding.
 
         An integer or a choice is put in the middle of its cell.
 
@@ -140,7 +140,7 @@ class Space:
         return x
 
     def encode_many(self, many: Sequence[Mapping[str, Any]]) -> Float64:
-        """Points (n, dim) of n dictionaries, see `encode`."""
+        """Points (n, dim) of `many`, n dictionaries; see `encode`, for its errors as well."""
         rows = [self._numbers(params) for params in many]
         return self.layout.points(np.array(rows, np.float64).reshape(len(rows), len(self._leaves)))
 
@@ -178,7 +178,7 @@ class Space:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """Space of a dictionary as `to_dict` gives it, or as a TOML file holds it.
+        """Space of `data`, a dictionary as `to_dict` gives it, or as a TOML file holds it.
 
         Raises SpaceError, naming table and key.
         """
@@ -194,12 +194,12 @@ class Space:
         return cls.from_dict(toml_file.parse(text))
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML file; raises OSError if that cannot be done."""
+        """Write a TOML file at `path`; raises OSError if that cannot be done."""
         toml_file.write(path, self.to_dict())
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Space of a TOML file: a table for each parameter.
+        """Space of the TOML file at `path`: a table for each parameter.
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """

@@ -44,7 +44,7 @@ class LiveFile:
         self._out, self._workers, self._budget = run.out, max(1, run.workers), run.budget  # type: ignore[assignment]
 
     def on_evaluation(self, event: Event) -> None:
-        """Write what is known, unless that was done just now."""
+        """Write what is known at an event, unless that was done just now."""
         known = self._improvements[-1][1] if self._improvements else float("inf")
         if event.best_loss < known:
             self._new_best = True
@@ -58,7 +58,7 @@ class LiveFile:
             self._write(event, event.busy)
 
     def on_end(self, result: Any) -> None:
-        """Write the end of it, and that no worker is busy."""
+        """Write the end of it, and that no worker is busy; the result is not read."""
         if self._newest is not None:
             self._write(self._newest, 0)
 

@@ -1,8 +1,9 @@
 """Every page of docs/howto and docs/start begins with its answer, and its code runs as it stands.
 
 Blocks run in the order of the page, in one folder.  A block whose first line is ``# NAME.py`` or
-``# NAME.toml`` is that file.  Pages that import `scene` get the one of "Fit my own function".  A
-comment ``<!-- not run: reason -->`` before a block leaves it out, but for its syntax.
+``# NAME.toml`` is that file.  Cells of notebooks run; one that is a file is written as well.  Pages
+that import `scene` get the one of "Fit my own function".  A comment ``<!-- not run: reason -->``
+before a block leaves it out, but for its syntax.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ class Block(NamedTuple):
 
 
 def blocks_of(page: Path) -> list[Block]:
-    pattern = r"(<!-- not run: .*? -->\n)?```(python|shell|toml)\n(.*?)```"
+    pattern = (
+        r"(<!-- not run: .*? -->\n)?```(python|shell|toml|\{code-cell\})\n(?::[^\n]*\n)*(.*?)```"
+    )
     found = re.findall(pattern, page.read_text("utf-8"), re.DOTALL)
     return [Block(language, code, not excused) for excused, language, code in found]
 
@@ -99,9 +102,10 @@ def run(page: Path) -> dict[str, Any]:
     """Run a page; returns what its Python has defined."""
     names: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks_of(page):
+        is_cell = block.language == "{code-cell}"
         if block.file is not None and block.runs:
             Path(block.file).write_text(block.code, "utf-8")
-        elif block.language == "python":
+        if is_cell or (block.language == "python" and block.file is None):
             code = compile(block.code, str(page), "exec")
             if block.runs:
                 exec(code, names)
@@ -130,8 +134,11 @@ def execute(words: list[str]) -> None:
 
 def found(names: dict[str, Any]) -> bool:
     """Whether the result is the scene's own parameters, as far as an easy scene allows."""
-    params = names["result"].params
-    return all(abs(params[name] - value) < 0.05 for name, value in TRUTH.items())
+    return close(names["result"].params, TRUTH)
+
+
+def close(params: dict[str, float], truth: dict[str, float]) -> bool:
+    return all(abs(params[name] - value) < 0.05 * max(1, value) for name, value in truth.items())
 
 
 CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
@@ -139,6 +146,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
     "budget": lambda names: names["result"].stopped in ("stop_at", "until_stalled"),
     "function": found,
     "gpu": lambda names: str(names["result"].optimizer.encoder.device) in ("cpu", "cuda:0"),
+    "inside": lambda names: close(names["opt"].best.params, names["moved"]),
     "index": lambda names: "result" not in names or names["result"].best.loss < 1e-3,
     "learn_once": lambda names: names["model"].sample(names["target"], 3).shape == (3, 3),
     "nevergrad": lambda names: names["optimizer"].num_images == 200,
@@ -146,6 +154,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
     "optuna": lambda names: names["study"].best_value < 0.01,
     "photo": lambda names: abs(names["result"].params["x"] - 0.6) < 0.05,
     "preset": found,
+    "renderer": lambda names: close(names["result"].params, names["truth"]),
     "resume": lambda names: names["result"].evaluations == 300 and names["opt"].dim == 3,
     "shader": lambda names: names["result"].best.loss < 0.05,
     "stalled": lambda names: names["error"][:8].mean() > 0.1,

@@ -1,4 +1,4 @@
-"""The check of the site finds what it is there to find; docstrings become lists as they should."""
+"""The checks of the site find what they are for; docstrings become lists as they should."""
 
 from __future__ import annotations
 
@@ -63,6 +63,13 @@ def test_an_answer_that_is_three_clicks_away(check_site: ModuleType, tmp_path: P
     assert "far.html" in wrong
 
 
+def test_a_notebook_whose_figures_are_missing(check_site: ModuleType, tmp_path: Path) -> None:
+    cell = '<div class="cell_input docutils container">x</div>'
+    folder = site(tmp_path, bare=cell, shown=f'{cell}<img src="_images/x.png">', page="x")
+    (wrong,) = check_site.without_pictures(check_site.read(folder))
+    assert "bare.html" in wrong
+
+
 def test_lists_of_a_docstring() -> None:
     lines = [
         "x, y: places in [0, 1],",
@@ -95,6 +102,39 @@ def test_lists_of_a_docstring() -> None:
     before = list(lines)
     load("extensions/field_lists")._process(None, "", "", None, None, lines)
     assert lines == before
+
+
+def test_docstrings_of_public_names_say_parameters_and_errors() -> None:
+    names = load("extensions/public_names")
+    assert len(list(names.public())) > 100
+    assert list(names.gaps()) == []
+
+
+def test_a_gap_of_a_docstring_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = load("extensions/public_names")
+
+    class Thing:
+        """A thing of a size."""
+
+        def __init__(self, size: int) -> None:
+            if size < 0:
+                raise ValueError("size must be >= 0")
+
+        def grow(self, much: int) -> None:
+            """Make it larger."""
+
+        def shrink(self, much: int) -> None:
+            """Make it smaller by so much; ValueError if that is more than there is."""
+            raise ValueError(much)
+
+        def forget(self) -> None: ...
+
+    monkeypatch.setattr(names, "public", lambda: [("x.Thing", Thing)])
+    assert list(names.gaps()) == [
+        "the docstring of x.Thing does not say that it raises ValueError",
+        "the docstring of x.Thing.grow does not name its parameter 'much'",
+        "x.Thing.forget has no docstring",
+    ]
 
 
 @pytest.mark.parametrize("page", sorted((DOCS / "measurements").glob("*.md")), ids=lambda p: p.stem)

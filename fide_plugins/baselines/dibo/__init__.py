@@ -61,6 +61,8 @@ class DiBO(Stateful):
 
     The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
     the FIDE paper, which took them from the authors' for problems of like size.
+
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "dibo"

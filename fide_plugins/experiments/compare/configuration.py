@@ -37,7 +37,7 @@ class Configuration:
 
     @classmethod
     def parse(cls, text: str) -> Configuration:
-        """Parse ``NAME[:KEY=VALUE]...``; `budget` is one of the keys.
+        """Parse a text ``NAME[:KEY=VALUE]...``; `budget` is one of the keys.
 
         Raises OptionError (a ValueError).
         """

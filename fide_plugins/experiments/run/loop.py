@@ -95,6 +95,8 @@ class Run:
     def execute(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
         """Run until the budget is spent.
 
+        on_progress: called with what is known, at the start and after each generation; None: never.
+
         Raises Interrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, RenderError if the
         renderer fails, any error of the optimizer, OSError if the directory cannot be written.  In
         all these cases the state is saved first if it is consistent.

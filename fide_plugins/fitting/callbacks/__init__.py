@@ -103,7 +103,7 @@ class Callbacks:
         return any(self._methods.values())
 
     def call(self, name: str, argument: object) -> bool:
-        """Call the method of that name of all; returns whether one of them stops the fit.
+        """Call the method of that name of all with an argument; returns whether one stops the fit.
 
         Raises CallbackError (a FitError) if one of them raises anything else.
         """
