@@ -42,7 +42,7 @@ from fide_plugins.runtime import files
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Written", "companion", "page_path", "write"]
+__all__ = ["Written", "write"]
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def page_path(page: str | os.PathLike[str]) -> Path:
 
 
 def companion(page: Path, name: str) -> Path:
-    """Path of another file of the report; reports in one folder do not share files."""
+    """Path of the file `name` of the report `page`: reports in one folder do not share files."""
     return page.with_name(name if page.stem == "report" else f"{page.stem}-{name}")
 
 
