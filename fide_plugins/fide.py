@@ -211,9 +211,8 @@ class FIDE(Retargeting):
 
         While these are rendered the network trains, see `proposers.background`.
         """
-        population = self.state.population
-        with timed(self.times, "search"):
-            if not population.remaining:
+        if not (population := self.state.population).remaining:
+            with timed(self.times, "search"):
                 self.draw_generation()
         return self.ask(population.ready)
 
@@ -299,22 +298,23 @@ class FIDE(Retargeting):
 
     def draw_generation(self) -> None:
         """Sample candidates (line 4), and say which become proposals (line 5)."""
-        state = self.state
-        extra = state.population.pending > 0 and state.needs_its_own
-        self.draw(state.population, state.rng, extra=extra)
+        state, population = self.state, self.state.population
+        extra = state.needs_its_own and population.pending + population.evaluated > 0
+        self.draw(population, state.rng, extra=extra)
         if state.proposer is None or not state.proposer.background:
-            state.population.settle()
+            population.settle()
 
     def draw(
         self, population: Population, rng: np.random.Generator, *, extra: bool = False
     ) -> None:
         """Draw a generation of the present stage into a population; changes nothing else.
 
-        rng: of the draw.  extra: whether the population waits for just those that are out.
+        rng: of the draw.  extra: whether it waits for its own; others, just enough if none is out.
         """
         state = self.state
         if extra:
-            x, _ = state.descent.sample(population.size, rng)
+            n = population.size if population.pending else max(1, population.missing)
+            x, _ = state.descent.sample(n, rng)
             population.draw(x, x, extra=True)
             return
         if state.stage is not Stage.SEARCH:

@@ -108,7 +108,8 @@ class Options:
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
     background_training: train the network while the user renders, see `proposers.background`; the
         result is the same.
-    memory_mb: MiB of tokens that are kept for `FIDE.retarget`, see `search.memory`; 0 for none.
+    memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
+        `search.memory`; 0 for none: then no std is known.
     """
 
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))

@@ -21,6 +21,9 @@ Float32: TypeAlias = npt.NDArray[np.float32]
 """Images and features."""
 
 
+_OPEN = 0.2  # standard deviation of a parameter that is not determined (a uniform one has 0.29)
+
+
 class Estimate(Protocol):
     """Of a solution, from what was known when the solution was read."""
 
@@ -28,12 +31,17 @@ class Estimate(Protocol):
     def std(self) -> Float64 | None:
         """(dim,), standard deviation of each parameter; None where it is not known."""
 
+    @property
+    def ambiguous(self) -> npt.NDArray[np.bool_] | None:
+        """(dim,), axes of integers and choices of which another value may be the true one."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
     """An estimate that was made."""
 
     std: Float64 | None
+    ambiguous: npt.NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,13 +79,32 @@ class Solution:
         has left, and by what the images do not show (at most 0.29, that of any value).  It is
         local: of other basins it knows nothing.  NaN on the axes of integers and choices; None
         where too few images are known.  It is that of the time at which this solution was read of
-        the optimizer, whenever it is asked for.
+        the optimizer, whenever it is asked for.  Until then the solution keeps what the optimizer
+        remembered (`memory_mb`): of solutions that are collected over a run, read it at once.
         """
         return None if self.estimate is None else self.estimate.std
 
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the parameters that the images do not determine; without a space "x[i]".
+
+        Numbers whose `std` is at least 0.2, nearly that of a uniform distribution; integers and
+        choices of which another value was rendered that explains the target as well, whatever the
+        other parameters are.  Empty where nothing is known, as `std` is None.
+        """
+        if self.estimate is None or self.std is None:
+            return ()
+        open_axes = self.std >= _OPEN  # False for NaN
+        if self.estimate.ambiguous is not None:
+            open_axes |= self.estimate.ambiguous
+        if self.space is None:
+            return tuple(f"x[{i}]" for i in np.flatnonzero(open_axes).tolist())
+        return tuple(name for name, axes in self.space.axes.items() if open_axes[list(axes)].any())
+
     def __reduce__(self) -> tuple[Any, ...]:
         fields = (self.x, self.loss, self.evaluation, self.image, self.probability, self.space)
-        return Solution, (*fields, Estimated(self.std))
+        known = None if self.estimate is None else self.estimate.ambiguous
+        return Solution, (*fields, Estimated(self.std, known))
 
     def __repr__(self) -> str:
         what = f"dim={len(self.x)}" if self.space is None else f"params={self.params}"

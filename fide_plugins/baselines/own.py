@@ -5,7 +5,8 @@
         def ask(self, n): ...                       # (n, dim) in [0, 1]
         def tell(self, X, losses): ...              # or tell(self, X, images, losses)
 
-The other parameters of the constructor are its options, as of ``--set``.  Two more attributes are
+The other parameters of the constructor are its options, as of ``--set``; any, if it has
+``**options``.  Two more attributes are
 optional: `popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `recommend()`, a point
 (dim,), by default the best.
 
@@ -18,7 +19,7 @@ wrong one does not cost the budget.  NumPy's and Python's global generators are 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -50,8 +51,9 @@ class Own(Replayed):
     budget: evaluations that are planned.
     options: of the user's constructor.
 
-    It is saved as what it was asked and told.  One that takes images cannot be saved so: loading
-    raises CheckpointError (a ValueError), as it does if the replay asks for other candidates.
+    It is saved as what it was asked and told.  One that takes images cannot be saved so before its
+    budget is told: loading raises CheckpointError (a ValueError), as it does if the replay asks for
+    other candidates.
 
     Raises OptionError (a ValueError) if what the constructor makes breaks the protocol.
     """
@@ -72,27 +74,31 @@ class Own(Replayed):
     ) -> None:
         super().__init__(dim, target, loss=loss, seed=seed, device=device)
         self.budget, self._options = whole_number("budget", budget, 1), options
-        known = {name: getattr(self, name) for name in _GIVEN} | options
         taken = inspect.signature(self.made_by).parameters
+        given = {name: getattr(self, name) for name in _GIVEN if name in taken}
         self._global_random = GlobalRandom(self.seed)
         with self._global_random.lent():
-            self._user = self.made_by(**{k: v for k, v in known.items() if k in taken})
+            self._user = self.made_by(**given, **options)
         _check_methods(self.name, self._user)
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
         names = list(inspect.signature(self._user.tell).parameters)
         self._images_at = names.index("images") if "images" in names else None
         self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
         self._asked: Float64 | None = None  # last generation
+        self._last_word: Float64 | None = None  # recommended, where that is all that was loaded
 
     @property
     def resumable(self) -> bool:
-        """Whether what is saved can be loaded: not if it takes images."""
-        return self._images_at is None
+        """Whether what is saved can be loaded: not if it takes images and more are to come."""
+        return self._images_at is None or self._is_finished
 
     @classmethod
     def option_names(cls) -> list[str]:
-        """Names of the options that it takes."""
-        names = set(inspect.signature(cls.made_by).parameters) - {"dim", "target"}
+        """Names of the options that it takes; empty where it takes any, by ``**options``."""
+        parameters = inspect.signature(cls.made_by).parameters.values()
+        if any(p.kind is p.VAR_KEYWORD for p in parameters):
+            return []
+        names = {p.name for p in parameters} - {"dim", "target"}
         return sorted(names | {"loss", "seed", "budget"})
 
     def recommend(self) -> Float64:
@@ -100,6 +106,8 @@ class Own(Replayed):
 
         Raises PointsError (a ValueError) if that is no point of the unit cube.
         """
+        if self._last_word is not None:
+            return self._last_word.copy()
         if not self._recommends or self._best is None:
             return super().recommend()
         with self._global_random.lent():
@@ -121,9 +129,17 @@ class Own(Replayed):
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""
         common = {"dim": self.dim, "target": self.target, "seed": self.seed}
-        return {**common, "budget": self.budget, **self._options, "popsize": self.popsize}
+        return {**common, "budget": self.budget, "popsize": self.popsize, "options": self._options}
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor, by name, of what `settings` gave."""
+        given = {k: v for k, v in settings.items() if k not in ("popsize", "options")}
+        return {**given, **settings["options"]}
 
     def _sample(self) -> Float64:
+        if self._last_word is not None:
+            raise CheckpointError(self._cannot_go_on())
         with self._global_random.lent():
             asked = self._user.ask(self.popsize)
         try:
@@ -154,17 +170,33 @@ class Own(Replayed):
             raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
         return batch.copy()  # a renderer may use its memory again
 
+    @property
+    def _is_finished(self) -> bool:
+        return len(self._losses) >= self.budget
+
+    def _cannot_go_on(self) -> str:
+        return (
+            f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
+            "be resumed; run it again from the beginning, in another directory"
+        )
+
     def _search_state(self) -> dict[str, Any]:
-        return {**super()._search_state(), "asked": self._asked}
+        state = {**super()._search_state(), "asked": self._asked}
+        if self._images_at is not None and self._is_finished:  # nothing else of it is needed again
+            state["recommended"] = self.recommend()
+        return state
 
     def _load_search_state(self, state: dict[str, Any]) -> None:
-        history = {name: value for name, value in state.items() if name != "asked"}
-        check(state["asked"], maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
-        if self._images_at is not None and state["asked"] is not None:
-            raise CheckpointError(
-                f"{self.name} learns from images, which a checkpoint does not hold, so it cannot "
-                "be resumed; run it again from the beginning, in another directory"
-            )
+        history = dict(state)
+        asked, last_word = history.pop("asked"), history.pop("recommended", None)
+        check(asked, maybe(array("k", "d", low=0.0, high=1.0)), self._sides(), "asked")
+        check(last_word, maybe(array("d", low=0.0, high=1.0)), self._sides(), "recommended")
+        if last_word is not None:
+            self._keep_history(history)
+            self._asked, self._last_word = asked, last_word
+            return
+        if self._images_at is not None and asked is not None:
+            raise CheckpointError(self._cannot_go_on())
         super()._load_search_state(history)
         now, then = self._asked, state["asked"]
         if (now is None) != (then is None) or (now is not None and not np.array_equal(now, then)):

@@ -61,6 +61,12 @@ class Replayed(Baseline):
             "features": np.array(self._history, np.float32) if self._history else None,
         }
 
+    def _keep_history(self, state: dict[str, Any]) -> None:
+        """Take over a history without asking and telling it again."""
+        self._events = numbers("q", _checked_events(state, self._sides()))
+        self._losses = numbers("d", state["losses"].tolist())
+        self._injected = numbers("d", state["injected"].ravel().tolist())
+
     def _load_search_state(self, state: dict[str, Any]) -> None:
         """Ask and tell what the saved baseline was asked and told."""
         events = _checked_events(state, self._sides())

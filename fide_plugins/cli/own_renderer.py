@@ -44,30 +44,36 @@ def task_of(args: argparse.Namespace) -> str:
 
 
 def options_of(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the task from the arguments of `add_own_task`; OptionError for a wrong one."""
+    """Options of the task from the arguments of `add_own_task`; OptionError for a wrong one.
+
+    `args.size` is None where no --size is given.
+    """
     from fide_plugins.fitting.durations import seconds_of
 
     if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")
-    if args.target is not None:
-        _check_takes_target(args)
+    built_in = _built_in(args)
+    if args.target is not None and built_in:
+        raise OptionError(
+            f"--target is for a renderer of your own, and {built_in[0]} makes its own target; "
+            "leave it out, or fit the picture, see: fide fit --help"
+        )
+    if args.size is not None and not built_in:
+        raise OptionError(
+            "--size is for built-in tasks; a renderer of your own has its own size: change it there"
+        )
     given = {"space": args.space, "target": args.target, "command": args.template}
     if args.timeout is not None:
         given["timeout"] = seconds_of("timeout", args.timeout)
     return {name: value for name, value in given.items() if value is not None}
 
 
-def _check_takes_target(args: argparse.Namespace) -> None:
-    """Raise OptionError if --target stands beside a built-in task."""
+def _built_in(args: argparse.Namespace) -> list[str]:
+    """Tasks that are no renderers of the user."""
     from fide_plugins.runtime.reference import is_reference
 
     named = args.tasks if "tasks" in args else [args.task]
-    built_in = [] if args.template is not None else [t for t in named if not is_reference(t)]
-    if built_in:
-        raise OptionError(
-            f"--target is for a renderer of your own, and {built_in[0]} makes its own target; "
-            "leave it out, or fit the picture, see: fide fit --help"
-        )
+    return [] if args.template is not None else [task for task in named if not is_reference(task)]
 
 
 def space_of(file: str | None) -> Space | None:

@@ -33,12 +33,14 @@ from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
+_SIZE = 224
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide run``."""
     parser.add_argument("task", nargs="?", metavar="TASK",
                         help="see: fide list tasks; or FILE.py:NAME")  # fmt: skip
-    add_run_arguments(parser, size="side of the image")
+    add_run_arguments(parser, size=f"side of the image ({_SIZE})", side=None)
     add = parser.add_argument
     add("--task-seed", type=whole(0), default=0, metavar="N", help="chooses the target (0)")
     add("--spp", type=whole(1), metavar="N", help="samples per pixel, for tasks of Mitsuba")
@@ -69,7 +71,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             args.loss,
             args.budget,
             args.seed,
-            size=args.size,
+            size=args.size or _SIZE,
             task_seed=args.task_seed,
             task_options=_task_options(args),
             options=_learned(args) | optimizer_options(args),

@@ -2,10 +2,12 @@
 
     fide solutions runs/scene
     fide solutions runs/scene -k 3 -o answers.png
+    fide solutions runs/scene --encoder features.py:blocks
 
 A picture may have several explanations. Each column of the table is one of them, with its loss, its
 parameters in their units, and their standard deviations where they are known. Parameters that the
-picture does not determine are named. Nothing is rendered.
+picture does not determine are named. Nothing is rendered. A run with an encoder of your own needs
+it again; nothing in the directory is executed.
 """
 
 from __future__ import annotations
@@ -28,17 +30,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("directory", type=Path, metavar="DIR", help="run directory")
     add("-o", "--output", type=Path, metavar="FILE", help="the picture (DIR/solutions.png)")
     add("-k", type=whole(1), default=5, metavar="K", help="at most so many (5)")
+    add("--encoder", metavar="FILE.py:NAME", help="your own, if the run was made with one")
     add("--json", action="store_true", help="one line of JSON instead of the table")
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.cli.running import USAGE_ERRORS
+    from fide_plugins.encoders.own import referenced
     from fide_plugins.experiments import solutions
     from fide_plugins.runtime import files
 
     try:
-        found = solutions.read(args.directory, args.k)
+        encoder = None if args.encoder is None else referenced(args.encoder)
+        found = solutions.read(args.directory, args.k, encoder)
         if not found.solutions:
             return complain("fide solutions", f"{args.directory} has no image yet; let it run")
         output = args.output or args.directory / "solutions.png"
@@ -80,5 +85,6 @@ def _data(solution: Any) -> dict[str, Any]:
         "x": solution.x.tolist(),
         "params": solution.params,
         "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
+        "undetermined": list(solution.undetermined),
         "probability": solution.probability,
     }

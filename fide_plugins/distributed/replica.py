@@ -83,7 +83,7 @@ class Replica:
         self.alone = False
         """Whether the present search began where losses alone said, without images."""
         self._batches: dict[int, list[Candidate]] = {}  # of the present generation
-        self._taken: set[int] = set()  # slots of the present generation that were told
+        self._taken: set[int] = set()  # slots of the present generation that have counted
 
     @property
     def _population(self) -> Population:
@@ -206,6 +206,9 @@ class Replica:
         state = self.optimizer.state
         z = state.descent.near(x[None])[0]
         extra = state.needs_its_own and (not is_open or slot in self._taken)
+        if state.needs_its_own and not extra:  # it counts in the place of that slot's candidate
+            self._taken.add(slot)
+            self._population.take(self.candidate(slot).x)
         self._population.adopt(x, z, proposed=proposed, late=True, extra=extra)
         late = generation < self.generation or (beyond and (extra or not is_known))
         return (Role.LATE if late else Role.ALTERED), x

@@ -211,15 +211,8 @@ class Loop:
     def _tell(self, x: Float64, images: Any) -> float:
         """Tell images of the point x (d,); returns its loss."""
         self.whole = False
-        opt, times = self.optimizer, self.record.times
-        before, start = dict(opt.times), time.perf_counter()
-        losses = opt.tell(x[None], images)  # (1,)
-        elapsed = time.perf_counter() - start
-        for part in ("encode", "train"):
-            spent = opt.times[part] - before[part]
-            times[part] += spent
-            elapsed -= spent
-        times["search"] += max(0.0, elapsed)
+        with self.record.timing(self.optimizer):
+            losses = self.optimizer.tell(x[None], images)  # (1,)
         return float(losses[0])
 
     def _note(self, x: Float64, image: Any, loss: float) -> bool:

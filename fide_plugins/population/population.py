@@ -123,7 +123,7 @@ class Population:
         """
         unmade = np.empty((0, 0)) if unmade is None else unmade
         if not extra:
-            self.size = len(x) + len(unmade)
+            self.size, self._withdrawn = len(x) + len(unmade), 0
         pair = pair and len(x) >= 2
         for i, point in enumerate(zip(x, z, strict=True)):
             self._queue.append(Candidate(self.drawn, *point, mirrored=pair and i < 2, extra=extra))
@@ -226,7 +226,7 @@ class Population:
 
     def record(self, x: Float64, loss: float) -> Candidate | None:
         """Enter the loss of x (d,); returns the candidate as it was asked, or None: injected."""
-        candidate = self._take(x)
+        candidate = self.take(x)
         if candidate is None:
             return None
         lag = self._newest - candidate.index - self.size
@@ -243,20 +243,17 @@ class Population:
 
     def withdraw(self, x: Float64) -> None:
         """Say that x (d,) will not be told; if it is not pending, nothing happens."""
-        candidate = self._take(x)
+        candidate = self.take(x)
         if candidate is not None and not candidate.extra:
             self._withdrawn += candidate.index >= self._generation_from
 
-    def _take(self, x: Float64) -> Candidate | None:
+    def take(self, x: Float64) -> Candidate | None:
         """Take x (d,) from the pending candidates; returns it, or None if it is not pending."""
         key = _key(x)
-        waiting = self._pending.get(key)
-        if not waiting:
+        if not (waiting := self._pending.get(key)):
             return None
-        if len(waiting) == 1:
-            return self._pop(key, 0)
-        exact = (i for i, candidate in enumerate(waiting) if np.array_equal(candidate.x, x))
-        return self._pop(key, next(exact, 0))
+        likeness = [(not np.array_equal(one.x, x), not one.extra) for one in waiting]
+        return self._pop(key, likeness.index(min(likeness)))
 
     def _pop(self, key: bytes, which: int) -> Candidate:
         candidate = self._pending[key].pop(which)
@@ -270,6 +267,11 @@ class Population:
         """Candidates of the present generation that were told."""
         return len(self._evaluated)
 
+    @property
+    def missing(self) -> int:
+        """Candidates that the present generation lacks, be they out, withdrawn or lost."""
+        return self.size - len(self._evaluated) - min(len(self._extra), self._withdrawn)
+
     def members(self) -> tuple[list[Candidate], Float64]:
         """Those in the order in which they were asked, and their losses (n,)."""
         counted = self._evaluated or self._extra  # extra ones if no other ever came back
@@ -280,14 +282,10 @@ class Population:
     @property
     def complete(self) -> bool:
         """Whether a whole generation has been told, or what is missing is lost."""
-        told, extra = len(self._evaluated), len(self._extra)
-        if not self.size:
-            return False
-        if not extra:
-            return told >= self.size
-        in_their_place = min(extra, self._withdrawn)
-        lost = extra >= _LOST * max(self.size, self.awaited)
-        return lost or told + in_their_place >= self.size
+        if not self.size or self.missing <= 0:
+            return self.size > 0
+        extra = len(self._extra)
+        return extra > 0 and extra >= _LOST * max(self.size, self.awaited)
 
     def close_generation(self) -> tuple[list[Candidate], Float64]:
         """Members of the generation and their losses (n,), see `members`.

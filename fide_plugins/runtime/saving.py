@@ -80,16 +80,21 @@ class Saved(Locked, ABC):
 
     @classmethod
     def restore(
-        cls, snapshot: Mapping[str, Any], loss: object = None, device: str = "auto"
+        cls,
+        snapshot: Mapping[str, Any],
+        loss: object = None,
+        device: str = "auto",
+        encoder: object = None,
     ) -> Self:
         """Optimizer in the state in which `snapshot` was called.
 
-        loss: None for the loss named in the snapshot.
+        loss, encoder: None for those named in the snapshot.
 
         Raises ValueError and other errors if the snapshot is impossible.
         """
         used = loss or snapshot["loss"] or loss_not_stored
         arguments = cls.arguments(snapshot["settings"])
+        arguments |= {} if encoder is None else {"encoder": encoder}
         optimizer = cls(loss=used, device=device, **arguments)  # type: ignore[call-arg]
         optimizer.load_state_dict(snapshot["state"])
         return optimizer
@@ -102,10 +107,12 @@ class Saved(Locked, ABC):
         *,
         loss: str | Callable[..., object] | None = None,
         device: str = "auto",
+        encoder: Callable[..., object] | None = None,
     ) -> Self:
         """Optimizer in the state that was saved at `path`.
 
-        A checkpoint stores a loss only by name: give a callable again as `loss`, or tell losses.
+        A checkpoint stores a loss and an encoder only by name: give a callable again as `loss` (or
+        tell losses) or `encoder`, of optimizers that have one.
 
         Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged, of
         another version, or of another optimizer; and the errors of the constructor for a wrong
@@ -121,7 +128,7 @@ class Saved(Locked, ABC):
             cls.check_settings(settings)
         given = None if loss is None else cls.resolve_loss(loss, settings, device)
         with _possible(path):
-            return cls.restore(saved, given, device)
+            return cls.restore(saved, given, device, encoder)
 
     @one_at_a_time
     @one_thread
@@ -162,7 +169,10 @@ def _possible(path: str | os.PathLike[str]) -> Iterator[None]:
         why = f"{os.fspath(path)}: a checkpoint with impossible contents ({error!r})"
         remedy = "start again, or use an earlier copy"
         if isinstance(error, UnknownNameError):
-            remedy = "register what it names first (encoders.register, losses.register)"
+            remedy = (
+                "give an encoder of your own again, load(path, encoder=...), or register what it "
+                "names first (encoders.register, losses.register)"
+            )
         raise CheckpointError(f"{why}; {remedy}") from error
 
 

@@ -46,8 +46,30 @@ class Scale(NamedTuple):
     log: bool
 
 
+class _Number:
+    """What `Float` and `Int` share: one axis, from low to high."""
+
+    low: Any
+    high: Any
+    step: Any
+    log: bool
+
+    def __repr__(self) -> str:
+        return _show(self, "low", "high")
+
+    @property
+    def width(self) -> int:
+        """Number of axes."""
+        return 1
+
+    @property
+    def scale(self) -> Scale:
+        """Its numbers."""
+        return Scale(self.low, self.high, self.step or 0.0, self.log)
+
+
 @dataclass(frozen=True, repr=False)
-class Float:
+class Float(_Number):
     """A real number in [low, high].
 
     low, high: finite, low < high.
@@ -80,19 +102,6 @@ class Float:
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
 
-    def __repr__(self) -> str:
-        return _show(self, "low", "high")
-
-    @property
-    def width(self) -> int:
-        """Number of axes."""
-        return 1
-
-    @property
-    def scale(self) -> Scale:
-        """Its numbers."""
-        return Scale(self.low, self.high, self.step or 0.0, self.log)
-
     def value(self, number: float) -> float:
         """Value of a number of the scale."""
         return float(number)
@@ -111,7 +120,7 @@ class Float:
 
 
 @dataclass(frozen=True, repr=False)
-class Int:
+class Int(_Number):
     """A whole number in [low, high], both included.
 
     low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
@@ -140,19 +149,6 @@ class Int:
         high = int(_last_on_grid(self, low, high, step))
         for name, value in (("low", low), ("high", high), ("step", step)):
             object.__setattr__(self, name, value)
-
-    def __repr__(self) -> str:
-        return _show(self, "low", "high")
-
-    @property
-    def width(self) -> int:
-        """Number of axes."""
-        return 1
-
-    @property
-    def scale(self) -> Scale:
-        """Its numbers."""
-        return Scale(self.low, self.high, self.step, self.log)
 
     def value(self, number: float) -> int:
         """Value of a number of the scale."""
@@ -239,7 +235,7 @@ class Choice:
 Kind: TypeAlias = Float | Int | Choice
 
 
-def _show(kind: Float | Int, *positional: str) -> str:
+def _show(kind: Any, *positional: str) -> str:
     """Return the expression that makes it, without what is as by default."""
     words = [repr(getattr(kind, name)) for name in positional]
     for name, parameter in kind.__dataclass_fields__.items():

@@ -20,7 +20,7 @@ import numpy as np
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.local_fit import LocalFit
 
-__all__ = ["WIDER", "covariance"]
+__all__ = ["WIDER", "covariance", "scale_of", "unexplained"]
 
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]
@@ -36,7 +36,7 @@ def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
     target: (f',), its features; f: how many there are, where they are turned into fewer.
     """
     d = len(fit.J)
-    scale = _scale(fit, target, f)
+    scale = scale_of(fit, target, f)
     cloud = WIDER**2 * fit.cloud
     cloud += 1e-12 * (1 + float(np.trace(cloud)) / d) * np.eye(d)
     still = np.diag(fit.cloud) < _STILL  # such a parameter never moved: nothing is known of it
@@ -50,18 +50,23 @@ def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
     return np.asarray(np.linalg.inv(precision), np.float64)
 
 
-def _scale(fit: LocalFit, target: Float64, f: int) -> float:
+def scale_of(fit: LocalFit, target: Float64, f: int) -> float:
     """Variance of a feature that the truth is away."""
     residual = target - fit.here
-    d = len(fit.J)
-    energy = fit.J @ fit.J.T
-    slope = fit.J @ residual
-    ridge = _RIDGE * float(np.trace(energy)) / d + np.finfo(np.float64).tiny
-    left = residual - np.linalg.solve(energy + ridge * np.eye(d), slope) @ fit.J
+    left = unexplained(fit, residual)
     noise = float(left @ left)
     explained = float(residual @ residual) - noise
     rounding = _ROUNDING * float(target @ target) + np.finfo(np.float64).tiny
-    return max(noise / f, explained / d, rounding / f)
+    return max(noise / f, explained / len(fit.J), rounding / f)
+
+
+def unexplained(fit: LocalFit, residual: Float64) -> Float64:
+    """What the parameters cannot explain of a residual (f,)."""
+    d = len(fit.J)
+    energy = fit.J @ fit.J.T
+    ridge = _RIDGE * float(np.trace(energy)) / d + np.finfo(np.float64).tiny
+    left: Float64 = residual - np.linalg.solve(energy + ridge * np.eye(d), fit.J @ residual) @ fit.J
+    return left
 
 
 def _information(fit: LocalFit) -> Float64:

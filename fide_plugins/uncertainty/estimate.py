@@ -3,7 +3,8 @@
 The samples come from the run's memory (`search.memory`), in which every part of the run is found,
 and the ends of searches.  Exchangeable blocks are matched to those of the solution; a sample whose
 blocks cannot be matched one to one is left out.  So are samples in which an integer or a choice
-has another value: they have no standard deviation themselves.
+has another value: they have no standard deviation themselves, and their samples say whether the
+picture tells the values apart (`values`).
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.covariance import covariance
-from fide_plugins.uncertainty.local_fit import fit_locally
+from fide_plugins.uncertainty.local_fit import LocalFit, fit_locally
+from fide_plugins.uncertainty.values import FEWEST, Pairs, looks_alike
 
 __all__ = ["LocalEstimate"]
 
 _NUMBERS = 2**22  # differences of blocks that are held at once
-_NEAREST = 320  # samples
+_NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
 _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
@@ -41,7 +43,7 @@ class LocalEstimate:
     """How sure the parameters of a solution are, computed when it is first read.
 
     x: (d,), the solution.
-    samples: evaluated candidates; some may be in it twice.
+    samples: evaluated candidates; some may be in it twice.  Kept until `std` is read.
     target: (T, C), tokens.
     channels: so many leading channels of the tokens count; None: all.
     axes: which of them are periodic.
@@ -57,37 +59,91 @@ class LocalEstimate:
     discrete: Mask | None = None
     blocks: Indices | None = None
 
-    @cached_property
+    @property
     def std(self) -> Float64 | None:
         """(d,), NaN for integers and choices; None where too few samples are known."""
-        std = self._computed()
+        return self._both[0]
+
+    @property
+    def ambiguous(self) -> Mask:
+        """(d,), integers and choices of which another value may be the true one."""
+        return self._both[1]
+
+    @cached_property
+    def _both(self) -> tuple[Float64 | None, Mask]:
+        both = self._computed()
         object.__setattr__(self, "samples", ())  # a history of solutions would keep them all
-        return std
+        return both
 
     @one_thread
-    def _computed(self) -> Float64 | None:
-        free = np.ones(len(self.x), bool) if self.discrete is None else ~self.discrete
+    def _computed(self) -> tuple[Float64 | None, Mask]:
+        nothing = np.zeros(len(self.x), bool)
+        held = nothing if self.discrete is None else self.discrete
+        free = ~held
         least = int(_FEWEST * free.sum()) + _MORE
         if not free.any() or len(self.samples) < least:
-            return None
+            return None, nothing
         samples = in_order({(one.index, one.x.tobytes()): one for one in self.samples}.values())
         points = np.array([sample.x for sample in samples])
-        points, kept = aligned(points, self.x, self.blocks, self.axes)
-        if self.discrete is not None:
-            kept &= (np.abs(points[:, ~free] - self.x[~free]) < _ROUNDING).all(axis=1)
+        points, matched = aligned(points, self.x, self.blocks, self.axes)
+        others = np.abs(points - self.x) >= _ROUNDING  # (n, d)
+        kept = matched & ~others[:, held].any(axis=1)
         u = _signed(points - self.x, self.axes)
         nearest = int(np.argmin(np.where(kept, np.abs(u).max(axis=1), np.inf)))
         if kept.sum() < least or np.abs(u[nearest]).max() > _APART:
-            return None
-        seen = self._features([samples[i].tokens for i in np.flatnonzero(kept).tolist()])
-        here = seen[np.flatnonzero(kept).tolist().index(nearest)]
-        distances = np.square(seen - here).sum(axis=1)  # (n,)
-        near = np.sort(np.argsort(distances, kind="stable")[:_NEAREST])
-        e, target = _compressed(seen[near], self._features([self.target])[0])
-        fit = fit_locally(u[kept][near][:, free], e, _floored(distances[near]))
+            return None, nothing
+        seen = self._features([sample.tokens for sample in samples])
+        distances = np.square(seen - seen[nearest]).sum(axis=1)  # (n,)
+        number = max(_NEAREST, _EACH * int(free.sum()))
+        own = np.flatnonzero(kept)
+        near = np.sort(own[np.argsort(distances[own], kind="stable")[:number]])
+        values = self._other_values(points, matched, others & held)
+        pairs = [(unit, rows, _nearest(own, rows)) for unit, rows in values]
+        rows = np.concatenate([near, *(one for _, *both in pairs for one in both)])
+        e, target = _compressed(seen[rows], self._features([self.target])[0])
+        fit = fit_locally(u[near][:, free], e[: len(near)], _floored(distances[near]))
         std = np.full(len(self.x), np.nan)
         std[free] = np.sqrt(np.diag(covariance(fit, target, seen.shape[1])))
-        return std
+        known = fit, target, seen.shape[1]
+        return std, self._ambiguous(pairs, known, u[:, free], e[len(near) :])
+
+    def _ambiguous(
+        self,
+        pairs: Sequence[tuple[Indices, Indices, Indices]],
+        known: tuple[LocalFit, Float64, int],
+        u: Float64,
+        e: Float64,
+    ) -> Mask:
+        """(d,), see `ambiguous`.
+
+        pairs: axes of a parameter, samples with another value of it, and with that of the solution.
+        known: see `looks_alike`.  u: (n, free), of all samples.  e: features of those of `pairs`.
+        """
+        ambiguous = np.zeros(len(self.x), bool)
+        for unit, rows, own in pairs:
+            n = len(rows)
+            pair = Pairs(u[rows], e[:n], u[own], e[n : 2 * n], own)
+            ambiguous[unit] |= looks_alike(*known, pair)
+            e = e[2 * n :]
+        return ambiguous
+
+    def _other_values(
+        self, points: Float64, matched: Mask, others: Mask
+    ) -> list[tuple[Indices, Indices]]:
+        """Axes of a parameter, and samples that have just another value of it, for each value."""
+        found = []
+        for unit in (unit for unit in self.axes.units if others[:, unit].any()):
+            rest = np.ones(len(self.x), bool)
+            rest[unit] = False
+            which = np.flatnonzero(
+                matched & others[:, unit].any(axis=1) & ~others[:, rest].any(axis=1)
+            )
+            values = np.round(points[which][:, unit], 6)
+            for value in np.unique(values, axis=0):
+                rows = which[(values == value).all(axis=1)]
+                if len(rows) >= FEWEST:
+                    found.append((unit, rows))
+        return found
 
     def _features(self, tokens: Sequence[Tensor]) -> Float64:
         """(n, f), of the channels that count."""
@@ -120,6 +176,13 @@ def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[
     ordered = points.copy()
     ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
     return np.where(which[:, None], ordered, points), which
+
+
+def _nearest(own: Indices, rows: Indices) -> Indices:
+    """Of the samples `own`, in the order of asking, that nearest in time to each of `rows`."""
+    after = np.clip(np.searchsorted(own, rows), 1, len(own) - 1)
+    before = after - 1
+    return np.where(rows - own[before] <= own[after] - rows, own[before], own[after])
 
 
 def _signed(u: Float64, axes: Axes) -> Float64:

@@ -39,6 +39,7 @@ class LocalFit:
     J: (d, f).  center: (d,), m.  features: (f,), a.
     normal: (d, d), (u - m)^T W (u - m).  cloud: (d, d), weighted second moment of u.
     error: (d, d), energy of the error of J: the sum over the features of its covariances.
+    s, rho, reach: a sample whose features are farther than `reach` misses by s + rho (D - reach).
     """
 
     J: Float64
@@ -47,6 +48,15 @@ class LocalFit:
     normal: Float64
     cloud: Float64
     error: Float64
+    s: float
+    rho: float
+    reach: float
+
+    def misses(self, u: Float64) -> Float64:
+        """Squared errors (n,) that are to be expected of the model at samples u (n, d)."""
+        beyond = np.maximum(np.square(u @ self.J).sum(axis=1) - self.reach, 0.0)
+        expected: Float64 = self.s + self.rho * beyond
+        return expected
 
     @property
     def here(self) -> Float64:
@@ -78,10 +88,11 @@ def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
         missed = np.square(ec - uc @ J).sum(axis=1) / np.maximum(left, _LOWEST)
         s = max(float(np.median(missed[near])), 1e-9 * reach)
         rho = np.median(np.maximum(missed - s, 0.0)[far] / (beyond[far] + 1e-9 * reach))
-        weights = 1 / (s + float(np.clip(rho, *_RHO)) * beyond)
+        rho = float(np.clip(rho, *_RHO))
+        weights = 1 / (s + rho * beyond)
     cloud = (u * shares[:, None]).T @ u
     error = _jackknife(weighted, uc, ec, J, normal, shares)
-    return LocalFit(J, center, origin, normal, cloud, error)
+    return LocalFit(J, center, origin, normal, cloud, error, s, rho, reach)
 
 
 def _jackknife(

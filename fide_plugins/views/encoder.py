@@ -48,9 +48,7 @@ class EncoderOfViews(PatchEncoder):
 
     def __call__(self, images: object) -> torch.Tensor:
         """Tokens (n, T, C) of renders, as `FIDE.tell` takes them; raises ImageError."""
-        first = images[0] if self.views.listed and isinstance(images, list | tuple) else images
-        n = len(first) if hasattr(first, "__len__") else 0
-        return self.compute(self.views.as_batch(images, n, lambda message: None))
+        return self.compute(self.views.as_batch(images, None, lambda message: None))
 
     def compute(self, batch: Float32) -> torch.Tensor:
         """Tokens (n, T, C) of packed renders (n, P, 1, 3), without further checks."""

@@ -75,9 +75,7 @@ class _OfViews:
 
     def __call__(self, images: object) -> Float64:
         """Losses (n,) of images, after validation."""
-        first = images[0] if self.views.listed and isinstance(images, list | tuple) else images
-        n = len(first) if hasattr(first, "__len__") else 0
-        return self.compute(self.views.as_batch(images, n, warn_clipped))
+        return self.compute(self.views.as_batch(images, None, warn_clipped))
 
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""

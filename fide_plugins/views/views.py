@@ -155,12 +155,16 @@ class Views:
         """Height x width of each view."""
         return " + ".join(f"{height} x {width}" for height, width in (v.size for v in self.views))
 
-    def as_batch(self, images: object, n: int, on_clip: Callable[[str], None]) -> Float32:
+    def as_batch(self, images: object, n: int | None, on_clip: Callable[[str], None]) -> Float32:
         """Renders of n candidates, (n, H, W, 3), packed if there are several views.
 
-        images: as `FIDE.tell` takes them, or what this method returned.
+        images: as `FIDE.tell` takes them, or what this method returned.  n: None for as many as
+            there are.
         Raises ImageError, naming the view, its shape and the rule.
         """
+        if n is None:
+            first = images[0] if self.listed and isinstance(images, list | tuple) else images
+            n = len(first) if hasattr(first, "__len__") else 0
         is_packed = isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape)
         if not self.listed or is_packed:
             return as_batch(images, self.target.shape, n=n, on_clip=on_clip)

@@ -96,5 +96,36 @@ def test_one_that_takes_images_cannot_be_resumed_and_says_so(
     (error,) = capsys.readouterr().err.splitlines()
     assert error.startswith("fide run: sees.py:Sees learns from images, which a checkpoint does no")
     assert "from the beginning, in another directory" in error
+    words[-1] = "whole"
+    source = (mine / "sees.py").read_text().replace("stops = True", "stops = False")
+    (mine / "sees2.py").write_text(source + "    def recommend(self): return [0.25] * 10\n")
+    words[words.index("sees.py:Sees")] = "sees2.py:Sees"
+    assert fide(*words) == 0
+    first, _ = capsys.readouterr()
+    assert fide(*words, "--resume") == 0, "a finished run needs nothing of its optimizer"
+    again = capsys.readouterr()
+    assert again.err.startswith("whole is finished") and "takes images" not in again.err
+    assert again.out.splitlines()[0] == first.splitlines()[0]
+    assert json.loads(Path("whole/run.json").read_text())["status"] == "finished"
     assert fide(*words[:-1], "again", "--optimizer", "mine.py:Mine") == 0
     assert "takes images" not in capsys.readouterr().err
+
+
+def test_a_class_that_takes_any_option_gets_them_all(
+    mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mine / "a=1").mkdir()
+    (mine / "a=1" / "any.py").write_text(
+        "from search import Elitist\n\n\nclass Any(Elitist):\n"
+        "    def __init__(self, dim, seed=None, **options):\n"
+        "        assert options == {'step': 0.1, 'label': 'x:y'}, options\n"
+        "        super().__init__(dim, seed)\n"
+    )
+    words = ["run", "voronoi", *SMALL, "--optimizer", "a=1/any.py:Any"]
+    given = ["--set", "step=0.1", "--set", "label=x:y"]
+    assert fide(*words, *given, "--out", "out") == 0
+    assert fide(*words, *given, "--out", "out", "--resume") == 0
+    words[-2:] = ["--optimizers", "a=1/any.py:Any:step=0.1:label=x:y", "--seeds", "1"]
+    assert fide("compare", *words[1:], "--out", "both") == 0
+    assert fide("run", "voronoi", *SMALL, "--optimizer", "mine.py:Mine", *given) == 2
+    assert "has no option 'label'; its options: budget, loss, seed, step" in capsys.readouterr().err

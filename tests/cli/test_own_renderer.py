@@ -14,7 +14,7 @@ from PIL import Image
 from fide_plugins import FIDE, Choice, Float, Int, Space, optimizers
 from fide_plugins.experiments.run.renderer_task import make
 
-from .conftest import fide
+from .conftest import fide, one_line
 
 
 @pytest.mark.usefixtures("scene")
@@ -100,6 +100,14 @@ def test_compare_takes_a_renderer_as_a_task(capsys: pytest.CaptureFixture[str]) 
     assert len(list(Path("out/cells").glob("scene.py+render/mse/*/seed-0/run.json"))) == 2
     assert "scene.py:render" in Path("out/report.md").read_text()
     assert "scene.py:render mse cma seed 0" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("scene")
+def test_the_size_of_one_s_own_renderer_is_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["run", "scene.py:render"], ["compare", "scene.py:render", "--seeds", 1]):
+        assert fide(*words, "--budget", 8, "--size", 16, "--out", "out") == 2
+        assert "--size is for built-in tasks" in one_line(capsys)
+        assert not Path("out").exists()
 
 
 DRAW = """

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Solution, images
+from fide_plugins import FIDE, Solution, fit, images
+from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.solutions import figure, pictures, read
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
 
-from .conftest import fide
+from .conftest import fide, one_line
 
 
 def two(optimizer: FIDE, k: int = 5) -> list[Solution]:
@@ -124,6 +125,42 @@ def test_images_belong_to_their_points(tmp_path: Path) -> None:
     assert pictures.of(known, np.array([0.5, 0.5])) is None
     wide = side_by_side([np.ones((2, 3, 3), np.float32), np.ones((1, 2, 3), np.float32)])
     assert wide.shape == (2, 5, 3) and wide[1, 3:].max() == 0 and wide[0].min() == 1
+
+
+ENCODERS = """
+def blocks(images):
+    return images.reshape(len(images), 3, 4, 4, 4, 3).mean(axis=(2, 4)).reshape(len(images), -1, 3)
+
+
+def others(images):
+    return images[:, ::4, ::4]
+"""
+
+
+def test_a_run_with_an_encoder_of_one_s_own(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("features.py").write_text(ENCODERS)
+    render, encoder = FunctionRenderer("scene.py:render"), referenced("features.py:blocks")
+    result = fit(
+        render,
+        target,
+        render.space_or(None),
+        budget=40,
+        encoder=encoder,
+        workers=0,
+        seed=0,
+        out="own",
+    )
+    assert fide("solutions", "own") == 2
+    assert "--encoder FILE.py:blocks" in one_line(capsys)
+    assert fide("solutions", "own", "--encoder", "features.py:blocks", "--json") == 0
+    first, *_ = json.loads(capsys.readouterr().out)
+    assert result.best is not None and first["loss"] == result.best.loss
+    assert first["params"] == result.params
+    for other, message in {"others": "encoder", "block": "did you mean 'blocks'?"}.items():
+        assert fide("solutions", "own", "--encoder", f"features.py:{other}") == 2
+        assert message in one_line(capsys)
 
 
 @pytest.mark.usefixtures("scene")

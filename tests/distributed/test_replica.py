@@ -244,3 +244,24 @@ def test_a_test_has_its_own_candidates_again_in_further_slots(bench: Bench) -> N
         np.testing.assert_array_equal(replica.candidate(slot).x, replica.candidate(slot % size).x)
         assert bench.told(replica, slot) is Role.MEMBER
     assert replica.generation == generation + 1
+
+
+@pytest.mark.parametrize("repeated", ["altered", "as itself"])
+def test_an_altered_candidate_of_a_test_counts_once(bench: Bench, repeated: str) -> None:
+    replica = Replica(bench.optimizer())
+    while stages(replica)[0] != "exchange":
+        bench.told(replica, 0)
+        for slot in range(1, replica.size):
+            bench.told(replica, slot)
+    size, generation = replica.size, replica.generation
+    population = replica.optimizer.state.population
+    own = replica.candidate(0).x
+    x = np.clip(own + 0.01, 0.0, 1.0)
+    again = x if repeated == "altered" else own
+    for told in (x, again, again):
+        replica.tell(told, *bench.look(told), generation=generation, slot=0)
+        assert population.evaluated == 1
+    for slot in range(1, size):
+        assert replica.generation == generation
+        assert bench.told(replica, slot) is Role.MEMBER
+    assert replica.generation == generation + 1

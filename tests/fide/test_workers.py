@@ -114,6 +114,26 @@ def test_lost_candidates_stop_nothing(
 
 
 @pytest.mark.parametrize("stage", TESTS)
+def test_a_test_with_failures_is_not_asked_again(
+    stage: Stage, target: Float32, render: Render
+) -> None:
+    """As many others are asked as failed, and they complete it; unless all of them failed."""
+    opt = until(stage, target, render, **settings(stage))
+    generations = opt.state.population.generations
+    own = opt.ask()
+    opt.withdraw(own)
+    again = opt.ask()
+    assert len(again) == len(own) and not any(one.extra for one in pending_now(opt))
+    opt.withdraw(again[:1])
+    opt.tell(again[1:], render(again[1:]))
+    assert opt.state.population.generations == generations
+    others = opt.ask()
+    assert len(others) == 1 and not (again == others).all(axis=1).any()
+    opt.tell(others, render(others))
+    assert opt.state.population.generations == generations + 1
+
+
+@pytest.mark.parametrize("stage", TESTS)
 def test_saved_while_extra_candidates_are_out(
     stage: Stage, target: Float32, render: Render, state_of: StateOf, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE
+from fide_plugins import FIDE, Solution
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
@@ -196,3 +196,104 @@ def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(module, "_NUMBERS", 100)
     for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
+    """A linear renderer with noise in each render; the samples are those of a search."""
+    d, n, rng = 200, 1500, np.random.default_rng(0)
+    mixing = rng.normal(size=(d, 768)) / d**0.5
+    truth = rng.uniform(0.3, 0.7, d)
+    spread = np.geomspace(0.15, 0.005, n)[:, None]
+    X = truth + spread * (0.5 * rng.normal(size=d) + rng.normal(size=(n, d)))
+    tokens = X @ mixing + 0.01 * rng.normal(size=(n, 768))
+    target = truth @ mixing + 0.01 * rng.normal(size=768)
+    x = X[np.square(tokens - target).sum(axis=1).argmin()]
+    known = torch.as_tensor(target.reshape(4, -1))
+    std = LocalEstimate(x, samples_of(X, tokens), known, None, Axes(d)).std
+    assert std is not None
+    errors = np.abs(x - truth)
+    assert (errors < 1.645 * std).mean() > 0.9
+    assert np.median(std) < 4 * np.median(errors), "320 samples would say 8"
+
+
+def test_who_has_read_it_keeps_no_samples() -> None:
+    read, unread = run(200).best, run(200).best
+    assert read is not None and unread is not None and read.std is not None
+    assert isinstance(read.estimate, LocalEstimate) and isinstance(unread.estimate, LocalEstimate)
+    assert not read.estimate.samples and unread.estimate.samples
+
+
+MANY = Space(
+    a=Float(0, 1), b=Float(0, 1), seen=Choice("u", "v", "w"), unseen=Choice("p", "q", "r"),
+    rows=Int(1, 3), pages=Int(1, 3), shift=Choice("left", "right"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("seed", range(3))
+def test_integers_and_choices_that_change_nothing_are_not_determined(
+    noise: float, seed: int
+) -> None:
+    """Nor one whose change another parameter makes good: `shift` is a step along `a`."""
+    rng = np.random.default_rng(seed)
+    truth = {"a": 0.4, "b": 0.6, "seen": "v", "unseen": "q", "rows": 2, "pages": 1, "shift": "left"}
+    x = MANY.encode(truth)
+    other = rng.random((1000, MANY.dim)) < 0.15
+    X = np.where(other, rng.random((1000, MANY.dim)), x)
+    X[:, :2] = x[:2] + np.geomspace(0.3, 0.02, 1000)[:, None] * rng.normal(size=(1000, 2))
+    X = np.array([MANY.snap(row) for row in np.clip(X, 0, 1)])
+    X[0] = x
+    a, b, floor, step = rng.normal(size=(4, 300)) * np.array([[1], [1], [0.3], [0.2]])
+
+    def features(x: Float64) -> Float64:
+        p = MANY.decode(x)
+        which = ("u", "v", "w").index(p["seen"])
+        moved = p["a"] + 0.1 * (p["shift"] == "right")
+        return np.asarray(moved * a + p["b"] * b + which * floor + p["rows"] * step, np.float64)
+
+    tokens = np.array([features(row) for row in X])
+    tokens += noise * rng.normal(size=tokens.shape)
+    target = torch.as_tensor((features(x) + 0.01 * rng.normal(size=300)).reshape(4, -1))
+    axes, discrete = Axes(MANY.dim, MANY.layout), MANY.layout.discrete
+    estimate = LocalEstimate(x, samples_of(X, tokens), target, None, axes, discrete)
+    one = Solution(x, 0.1, 0, space=MANY, estimate=estimate)
+    assert one.undetermined == ("unseen", "pages", "shift")
+    assert pickle.loads(pickle.dumps(one)).undetermined == one.undetermined
+
+
+def test_numbers_that_the_picture_does_not_show_are_named() -> None:
+    best = run().best
+    assert best is not None and best.undetermined == ("x[3]",)
+    assert Solution(best.x, best.loss, 0).undetermined == ()
+
+
+SCENE = Space(
+    x=Float(-0.7, 0.7), y=Float(-0.7, 0.7), gray=Float(0.1, 1), shape=Choice("disk", "square"),
+    paper=Choice("a4", "a5", "a6"), rows=Int(1, 4), pages=Int(1, 4),
+)  # fmt: skip
+
+
+def test_a_search_knows_which_choices_the_picture_does_not_show() -> None:
+    """Noise in every render; of six seeds, since how often a search tries a value is chance."""
+    v, u = np.mgrid[-1:1:16j, -1:1:16j]
+    named: list[str] = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+
+        def picture(x: Float64, rng: np.random.Generator = rng) -> Float32:
+            p = SCENE.decode(x)
+            far = (u - p["x"], v - p["y"])
+            reach = np.hypot(*far) if p["shape"] == "disk" else np.abs(far).max(axis=0)
+            inside = 1 / (1 + np.exp(20 * (reach - 0.5)))
+            lines = 0.25 + 0.2 * np.cos(np.pi * p["rows"] * v)
+            image = inside * p["gray"] + (1 - inside) * lines + 0.02 * rng.normal(size=v.shape)
+            return np.asarray(np.clip(image, 0, 1), np.float32)
+
+        opt = FIDE(SCENE, picture(rng.random(SCENE.dim)), seed=seed)
+        while opt.evaluations < 500:
+            X = opt.ask()
+            opt.tell(X, np.array([picture(x) for x in X])[..., None].repeat(3, axis=3))
+        assert opt.best is not None
+        named += opt.best.undetermined
+    assert named.count("paper") >= 3 and named.count("pages") >= 3
+    assert named.count("rows") == 0 and named.count("shape") <= 2

@@ -54,14 +54,22 @@ class Configuration:
 
 
 def split(text: str) -> tuple[str, list[str]]:
-    """Split ``NAME[:KEY=VALUE]...`` into the name, which may hold colons, and its options.
+    """Split ``NAME[:KEY=VALUE]...`` into the name and its options; both may hold colons.
 
-    >>> split("nevergrad:CMA:popsize=50")
-    ('nevergrad:CMA', ['popsize=50'])
+    >>> split("nevergrad:CMA:popsize=50"), split("fide:encoder=vgg19:relu4_1")
+    (('nevergrad:CMA', ['popsize=50']), ('fide', ['encoder=vgg19:relu4_1']))
+    >>> split("/runs/a=1/mine.py:Search:step=2")
+    ('/runs/a=1/mine.py:Search', ['step=2'])
     """
-    words = text.split(":")
-    name = ":".join(word for word in words if "=" not in word)
-    return name, [word for word in words if "=" in word]
+    first, *words = text.split(":")
+    parts = [first]  # the name, then options
+    for word in words:
+        key, equals, _ = word.partition("=")
+        if equals and key.isidentifier():
+            parts.append(word)
+        else:
+            parts[-1] += f":{word}"
+    return parts[0], parts[1:]
 
 
 def as_file_name(text: str) -> str:

@@ -72,27 +72,33 @@ def write(
     """
     from fide_plugins.experiments.report import page as page_module
 
-    path = Path(page)
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise OptionError(f"the page must be a file NAME.html, not {path.name!r}")
+    path = page_path(page)
     _check(results, thresholds or {})
     found = panels(results, thresholds or {})
     AllFailedError.check(results)
     if not found:
         raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
     page_module.environment()  # raises without Jinja2, before anything is written
-    figures = _companion(path, "figures")
+    figures = companion(path, "figures")
     figures.mkdir(parents=True, exist_ok=True)
     charts = [_write_figures(results, panel, figures) for panel in found]
-    files.write_text(_companion(path, "results.csv"), export.results_csv(results))
-    files.write_text(_companion(path, "curves.csv"), export.curves_csv(results))
+    files.write_text(companion(path, "results.csv"), export.results_csv(results))
+    files.write_text(companion(path, "curves.csv"), export.curves_csv(results))
     files.write_text(path.with_suffix(".md"), _markdown(results, found, figures.name))
     files.write_text(path, page_module.render(results, found, charts))
     return Written(path, "\n\n".join(_section(panel) for panel in found) + "\n")
 
 
-def _companion(page: Path, name: str) -> Path:
-    """Path of another file of the report; reports in one folder do not share files."""
+def page_path(page: str | os.PathLike[str]) -> Path:
+    """Path of a page; OptionError (a ValueError) without the suffix .html."""
+    path = Path(page)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OptionError(f"the page must be a file NAME.html, not {path.name!r}")
+    return path
+
+
+def companion(page: Path, name: str) -> Path:
+    """Path of the file `name` of the report `page`: reports in one folder do not share files."""
     return page.with_name(name if page.stem == "report" else f"{page.stem}-{name}")
 
 

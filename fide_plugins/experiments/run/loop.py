@@ -242,20 +242,13 @@ class Run:
             ) from error
 
     def _of_optimizer(self, step: Callable[[], Any]) -> Any:
-        """Result of a step of the optimizer, with its time split by the optimizer's own record.
+        """Result of a step of the optimizer, timed.
 
         Until the caller records the result, the state is not consistent and must not be saved.
         """
         self._whole = False
-        before, start = dict(self.optimizer.times), time.perf_counter()
-        result = step()
-        elapsed, times = time.perf_counter() - start, self.record.times
-        for part in ("encode", "train"):
-            spent = self.optimizer.times.get(part, 0.0) - before.get(part, 0.0)
-            times[part] += spent
-            elapsed -= spent
-        times["search"] += max(0.0, elapsed)
-        return result
+        with self.record.timing(self.optimizer):
+            return step()
 
     def _on_clip(self, message: str) -> None:
         if not self._clipped:  # warn once per run

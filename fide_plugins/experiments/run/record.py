@@ -7,7 +7,10 @@ time except rendering.
 from __future__ import annotations
 
 import math
+import time
 from array import array
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.experiments.run.parallel import rounds
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float32, Float64, Optimizer
 
 __all__ = ["PARTS", "Keep", "Progress", "Record", "RunResult"]
 
@@ -226,6 +229,18 @@ class Record:
         self.losses.extend([math.inf] * renders)
         self.seconds.extend([self.wall_s] * renders)
         self.generations.append(renders)
+
+    @contextmanager
+    def timing(self, optimizer: Optimizer) -> Iterator[None]:
+        """Enter the time of a step of the optimizer, split by the optimizer's own record."""
+        before, start = dict(optimizer.times), time.perf_counter()
+        yield
+        elapsed = time.perf_counter() - start
+        for part in ("encode", "train"):
+            spent = optimizer.times.get(part, 0.0) - before.get(part, 0.0)
+            self.times[part] += spent
+            elapsed -= spent
+        self.times["search"] += max(0.0, elapsed)
 
     def judge_again(self, image: Float32, loss: float) -> None:
         """Replace image and loss of the best candidate by those of another render."""

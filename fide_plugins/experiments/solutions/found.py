@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fide_plugins import encoders
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
 from fide_plugins.experiments.solutions import pictures
@@ -37,12 +39,16 @@ class Found:
     images: list[Float32 | None]
 
 
-def read(directory: str | os.PathLike[str], k: int = 5) -> Found:
+def read(
+    directory: str | os.PathLike[str], k: int = 5, encoder: Callable[..., object] | None = None
+) -> Found:
     """Up to k solutions of the run in a directory.
 
+    encoder: the user's own with which it was made; None: a named one.
+
     Raises OptionError for a directory without a run, or with one of another optimizer than FIDE,
-    which alone knows several; CheckpointError if its checkpoint is damaged or not kept (all
-    ValueErrors); OSError.
+    which alone knows several, and where the encoder must be given; CheckpointError if its
+    checkpoint is damaged or not kept, or if the encoder is another (all ValueErrors); OSError.
     """
     path = Path(directory)
     run = read_run(path)
@@ -54,7 +60,7 @@ def read(directory: str | os.PathLike[str], k: int = 5) -> Found:
             f"{path} is a run of {settings.get('optimizer')}, which keeps one solution: its best; "
             "only fide knows several"
         )
-    optimizer = _optimizer(path)
+    optimizer = _optimizer(path, encoder)
     solutions = optimizer.solutions(k)
     known = pictures.read(path)
     images = [pictures.of(known, one.x) for one in solutions]
@@ -68,7 +74,7 @@ def read(directory: str | os.PathLike[str], k: int = 5) -> Found:
     )
 
 
-def _optimizer(path: Path) -> FIDE:
+def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
     from fide_plugins.fide import FIDE
 
     if not (path / "run.ckpt").exists():
@@ -78,7 +84,9 @@ def _optimizer(path: Path) -> FIDE:
     name = _file_of(path)
     while True:
         try:
-            loaded = FIDE.load(path / name, loss=_no_loss)
+            if encoder is None:
+                _check_encoder(path / name)
+            loaded = FIDE.load(path / name, loss=_no_loss, encoder=encoder)
         except FileNotFoundError:
             newer = _file_of(path)
             if newer == name:
@@ -86,6 +94,17 @@ def _optimizer(path: Path) -> FIDE:
             name = newer  # the fit goes on, and has replaced its checkpoint
         else:
             return loaded
+
+
+def _check_encoder(path: Path) -> None:
+    """Raise OptionError if the optimizer at `path` has an encoder that no name stands for."""
+    settings: Any = checkpoint.read(path, "fide").get("settings")
+    name = settings.get("encoder") if isinstance(settings, dict) else None
+    if isinstance(name, str) and name.partition(":")[0] not in encoders.names():
+        raise OptionError(
+            f"{path.parent} is a run with an encoder of your own, {name!r}; give it again: "
+            f"--encoder FILE.py:{name}"
+        )
 
 
 def _file_of(path: Path) -> str:

@@ -15,17 +15,13 @@ from fide_plugins.types import Solution
 
 __all__ = ["Row", "rows"]
 
-_OPEN = 0.2  # standard deviation, in units of the cube, of a parameter that is not determined
-# (a uniform one has 0.29)
-
 
 @dataclass(frozen=True)
 class Row:
     """One parameter of several solutions.
 
     name: with its unit.  values: one text a solution, with its standard deviation if it is known.
-    determined: False if its standard deviation in the best solution is nearly that of a uniform
-    distribution.
+    determined: False if the best solution says so, see `Solution.undetermined`.
     """
 
     name: str
@@ -48,7 +44,7 @@ def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:
     deviations = [None if one.std is None else float(one.std[i]) for one in solutions]
     pairs = zip(solutions, deviations, strict=True)
     values = [_text(float(one.x[i]), deviation) for one, deviation in pairs]
-    return Row(f"x[{i}]", values, _is_determined(deviations[0]))
+    return Row(f"x[{i}]", values, f"x[{i}]" not in solutions[0].undetermined)
 
 
 def _row(
@@ -59,14 +55,13 @@ def _row(
     params: Sequence[dict[str, Any]],
 ) -> Row:
     axes = space.axes[name]
-    values, first = [], None
-    for i, (solution, given) in enumerate(zip(solutions, params, strict=True)):
+    values = []
+    for solution, given in zip(solutions, params, strict=True):
         std = None if solution.std is None or len(axes) != 1 else float(solution.std[axes[0]])
-        first = std if i == 0 else first
         scaled = None if std is None else _in_units(kind, given[name], std)
         values.append(_text(given[name], scaled))
     label = name if kind.unit is None else f"{name} [{kind.unit}]"
-    return Row(label, values, isinstance(kind, Choice) or _is_determined(first))
+    return Row(label, values, name not in solutions[0].undetermined)
 
 
 def _in_units(kind: Kind, value: Any, std: float) -> float | None:
@@ -77,10 +72,6 @@ def _in_units(kind: Kind, value: Any, std: float) -> float | None:
     if log:  # d value / d x, with x linear in the logarithm
         return std * float(value) * math.log((high + step / 2) / (low - step / 2))
     return std * (high - low + step)
-
-
-def _is_determined(std: float | None) -> bool:
-    return std is None or not std >= _OPEN  # NaN: an integer or a choice has none
 
 
 def _text(value: Any, std: float | None) -> str:

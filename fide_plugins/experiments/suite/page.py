@@ -5,13 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import os
-from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from fide_plugins.experiments.compare.results import Results
-from fide_plugins.experiments.report import Written, page as report_page, plots, sentences, svg
+from fide_plugins.experiments.report import (
+    Written,
+    companion,
+    page as report_page,
+    page_path,
+    plots,
+    sentences,
+    svg,
+)
 from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
 from fide_plugins.experiments.suite import profiles
 from fide_plugins.experiments.suite.remarks import remarks
@@ -42,24 +50,28 @@ _METHOD = (
 def write(results: Results, page: str | os.PathLike[str]) -> Written:
     """Write the page, report.md, solved.csv and figures/ into one folder.
 
-    page: path of report.html.
+    page: path of report.html.  For another name, the names of the other files start with it:
+        a.html, a.md, a-solved.csv.
 
     Raises NoResultsError (a FileNotFoundError) if no problem is finished by all or every run
-    failed, DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
+    failed, OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
+    ImportError) without Jinja2, OSError if a file cannot be written.
     """
-    path = Path(page)
+    path = page_path(page)
     found = scores(results)
     env = report_page.environment()
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [totals(found, names), by_scene(found, names), _thresholds(found)]
-    (path.parent / "figures").mkdir(parents=True, exist_ok=True)
+    folder = companion(path, "figures")
+    folder.mkdir(parents=True, exist_ok=True)
     charts = []
     for stem, title, figure in _figures(found, names, legend=True):
-        files.write_bytes(path.parent / "figures" / f"{stem}.png", svg.png(figure))
+        files.write_bytes(folder / f"{stem}.png", svg.png(figure))
         charts.append((stem, title))
     plain = [svg.as_file(figure) for _, _, figure in _figures(found, names, legend=False)]
-    files.write_text(path.parent / "solved.csv", _csv(found))
-    files.write_text(path.with_suffix(".md"), _markdown(results, found, tables, charts))
+    pictures = [(quote(f"{folder.name}/{stem}.png"), title) for stem, title in charts]
+    files.write_text(companion(path, "solved.csv"), _csv(found))
+    files.write_text(path.with_suffix(".md"), _markdown(results, found, tables, pictures))
     html: str = env.get_template("suite.html").render(
         title=f"Suite {found.suite.name}",
         facts=_facts(found),
@@ -168,15 +180,16 @@ def _csv(found: Scores) -> str:
 
 
 def _markdown(
-    results: Results, found: Scores, tables: list[Table], charts: list[tuple[str, str]]
+    results: Results, found: Scores, tables: list[Table], pictures: list[tuple[str, str]]
 ) -> str:
+    """The page in Markdown; pictures: link and title of each."""
     calls = (f"    {sentences.command(call)}" for call in results.calls)
     parts = [f"# Suite {found.suite.name}", *calls, _part(found)]
     parts += [*map(escaped, remarks(found)), f"{_facts(found)}."]
-    parts += [f"![{escaped(title)}](figures/{stem}.png)" for stem, title in charts[:1]]
+    parts += [f"![{escaped(title)}]({link})" for link, title in pictures[:1]]
     for table in tables:
         parts += [f"## {table.caption}", markdown(table)]
-    parts += [f"![{escaped(title)}](figures/{stem}.png)" for stem, title in charts[1:]]
+    parts += [f"![{escaped(title)}]({link})" for link, title in pictures[1:]]
     parts += ["## How to read it", *_METHOD]
     return "\n\n".join(parts) + "\n"
 

@@ -211,16 +211,15 @@ def test_point_8_a_late_trial_counts_once(bench: Bench) -> None:
     assert counted(crowd.optimizers()[0]) == 43
 
 
-def test_workers_without_a_seed_share_one(bench: Bench) -> None:
+def workers_of_one_study(bench: Bench, seeds: list[int | None]) -> list[optuna.Study]:
     storage = InMemoryStorage()
-    studies = []
-    for _ in range(3):
-        sampler = bench.sampler(seed=None, search_space=bench.space)
-        studies.append(
-            optuna.create_study(
-                storage=storage, study_name="shared", sampler=sampler, load_if_exists=True
-            )
-        )
+    samplers = [bench.sampler(seed=seed, search_space=bench.space) for seed in seeds]
+    shared: dict[str, Any] = {"study_name": "s", "storage": storage, "load_if_exists": True}
+    return [optuna.create_study(sampler=sampler, **shared) for sampler in samplers]
+
+
+def test_workers_without_a_seed_share_one(bench: Bench) -> None:
+    studies = workers_of_one_study(bench, [None, None, None])
     for _ in range(10):
         for study in studies:
             bench.run(study, 1)
@@ -230,15 +229,7 @@ def test_workers_without_a_seed_share_one(bench: Bench) -> None:
 
 
 def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Bench) -> None:
-    storage = InMemoryStorage()
-    studies = []
-    for seed in range(2):
-        sampler = bench.sampler(seed=seed, search_space=bench.space)
-        studies.append(
-            optuna.create_study(
-                storage=storage, study_name="seeds", sampler=sampler, load_if_exists=True
-            )
-        )
+    studies = workers_of_one_study(bench, [0, 1])
     for _ in range(40):
         for study in studies:
             bench.run(study, 1)

@@ -106,6 +106,13 @@ def test_a_part_from_the_command_line(
     assert "eki:popsize=20" in page and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
     assert "fide compare --suite" in (out / "report.md").read_text()
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    assert fide("report", out, "-o", out / "a b.html") == 0
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.name in before} == before
+    assert (out / "a b-solved.csv").read_text() == (out / "solved.csv").read_text()
+    assert (out / "a b-figures" / "data-profile.png").is_file()
+    assert "](a%20b-figures/data-profile.png)" in (out / "a b.md").read_text()
+    assert fide("report", out, "-o", out / "page.txt") == 2
 
 
 BREAKS = """
