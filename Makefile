@@ -3,9 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
-# of the tests: one process a core, with one thread each, up to eight; tests of a file mostly stay
-# together, so that what they share is made once
-PARALLEL := -n auto --maxprocesses 8 --dist worksteal
+# of the tests: one process a core, with one thread each, up to eight
+PARALLEL := -n auto --maxprocesses 8
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
 # browsers, databases, renderers and other processes; what they compute is tested in these.
 NUMERIC := $(addprefix tests/,adapters/nevergrad baselines fide search space speed validation)

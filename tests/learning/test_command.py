@@ -51,7 +51,7 @@ def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixtu
     assert fide(*words, "--renders", 200, "--resume") == 0
     assert Model.load("m.fide").report.renders == 196
 
-    run = ("run", "gradient.py:render", "--size", 16, "--budget", 60, "--json", "--out", "r")
+    run = ("run", "gradient.py:render", "--budget", 60, "--json", "--out", "r")
     capsys.readouterr()
     assert fide(*run, "--learned", "m.fide") == 0
     assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01

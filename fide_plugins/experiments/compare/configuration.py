@@ -44,7 +44,8 @@ class Configuration:
         name, words = split(text)
         pairs = [key_value.parse(word) for word in words]
         options = dict(sorted(pairs))
-        if not name or len(options) < len(pairs):
+        misplaced = "=" in name and ".py:" not in name  # only a path may have one
+        if not name or misplaced or len(options) < len(pairs):
             raise OptionError(f"an optimizer is NAME or NAME:KEY=VALUE:..., not {text!r}")
         label = ":".join([name, *(f"{key}={value}" for key, value in options.items())])
         budget = options.pop("budget", None)

@@ -104,7 +104,7 @@ def searched(opt: FIDE, renders: int) -> FIDE:
 
 
 def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fide_plugins.fide.hypotheses_of", lambda *_: posterior(256, 256))
+    monkeypatch.setattr("fide_plugins.retargeting.hypotheses_of", lambda *_: posterior(256, 256))
     opt = searched(FIDE(4, two_cells(A), seed=0, groups=[]), 1200)
     found = opt.solutions()
     likely = [one for one in found if one.probability is not None and one.probability > 0.1]
