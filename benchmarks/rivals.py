@@ -1,6 +1,6 @@
 """Settings of the rivals that came last, chosen on targets that no table reports.
 
-    python benchmarks/rivals.py --configurations "composite-bo, k = 4" turbo --out runs/rivals.jsonl
+    python benchmarks/rivals.py --configurations "composite-bo, k = 4" --out runs/rivals.jsonl
     python benchmarks/rivals.py --table runs/rivals.jsonl
 
 Scenes of `moves.py` at 64 x 64 pixels; the number of a target is the seed of the optimizer.  Every
@@ -63,7 +63,9 @@ def main() -> None:
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--configurations", nargs="+", default=list(CONFIGURATIONS))
+    parser.add_argument(
+        "--configurations", nargs="+", default=list(CONFIGURATIONS), choices=CONFIGURATIONS
+    )
     parser.add_argument("--scenes", nargs="+", default=["arm", "lens", "spline"])
     parser.add_argument("--targets", type=span, default=range(50, 52), metavar="A-B")
     parser.add_argument("--budget", type=int, default=300)

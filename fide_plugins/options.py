@@ -44,7 +44,8 @@ class ProposalOptions:
     channel_subsets: sets of leading channels of the tokens, such as (3, 16); empty: the encoder's
         own.  Moves compare images in the first of them.
     buffer_generations: generations that the linear proposer remembers; None: 4, but 8 of few
-        parameters (d <= k); of many (d > 4 k) at least 3 d / 2 candidates; 600 at most.
+        parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
+        600 candidates at most.
     select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
     rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
         see `proposers.linear`.

@@ -100,8 +100,10 @@ class Fitting:
         stopped = loop.over()
         if stopped is None and self._callbacks.call("on_start", self._as_run()):
             stopped = "callback"
-        if stopped is None and self._rounds is not None and not self.record.evaluations:
-            self._learn(self._rounds, interrupts, report)
+        if stopped is None and self._rounds is not None:
+            if not self.record.evaluations:
+                self._learn(self._rounds, interrupts, report)
+            self._rounds.remove_renders()  # also where an earlier call was killed before that
         while stopped is None:
             stopped = loop.step()
             self._show(report)
@@ -122,7 +124,6 @@ class Fitting:
         self._loop.note_learned(learned.renders)
         if self.saved is not None:
             self._save(self.saved)
-        rounds.remove_renders()
 
     # -- ending ------------------------------------------------------------------------------------
 

@@ -181,7 +181,8 @@ def rounds_of(
     if budget is None or budget < LEAST:
         raise OptionError(
             f"preset='global' renders and learns before it searches, and needs a budget of at "
-            f"least {LEAST:,} renders, not {budget}: raise the budget, or take preset='balanced'"
+            f"least {LEAST:,} renders, not {budget}: give one (of a run that is resumed, too), or "
+            "take preset='balanced' for another run"
         )
     if options.get("learned") is not None:
         raise OptionError("preset='global' learns a model itself: leave out learned, or the preset")

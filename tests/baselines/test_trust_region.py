@@ -159,6 +159,16 @@ def test_the_loss_plays_no_part_in_the_search_of_the_image(botorch: Any) -> None
     assert other.best is not None and other.best.evaluation == 5
 
 
+def test_images_that_are_all_equal_teach_nothing_and_do_no_harm(botorch: Any) -> None:
+    """The object is out of view."""
+    opt = CompositeBO(DIM, TARGET, popsize=4, initial=4, candidates=50, steps=5, seed=0)
+    for _ in range(4):
+        X = opt.ask()
+        assert ((X >= 0) & (X <= 1)).all()
+        opt.tell(X, np.zeros_like(picture(X)))
+    assert len(np.unique(X, axis=0)) == 4
+
+
 def test_a_small_region_is_followed_by_a_new_start(botorch: Any) -> None:
     opt = TuRBO(2, popsize=4, initial=4, candidates=16, steps=1, seed=0)
     while opt.starts == 1:

@@ -36,7 +36,7 @@ class Surrogate:
 class TrustRegion(Stateful):
     """Bayesian optimization in a trust region.
 
-    popsize: points a round; None: 4, which is stronger than 10 or 20 where renders are few.
+    popsize: points a round; None: 4; `composite-bo` with 10 and 20 was weaker.
     initial: points of a Latin hypercube at every start; None: 2 d.  The very first is the center.
     candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
     steps: of L-BFGS, by which the processes are fitted.

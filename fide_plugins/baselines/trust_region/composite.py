@@ -32,6 +32,7 @@ __all__ = ["CompositeBO", "ImageModel", "principal_components"]
 NOISE = (1e-8, 1e-1)  # least and largest variance of the noise, of the process's
 FIRST_NOISE = 1e-4
 JITTER = 1e-8
+_NOTHING = 1e-30  # variance of components where all images so far are equal
 
 
 class CompositeBO(ImageBased, TrustRegion):
@@ -140,7 +141,7 @@ class ImageModel(Surrogate):
         root = self._decomposed()
         white = torch.linalg.solve_triangular(root, Y, upper=False)  # (n, m)
         n, m = Y.shape
-        fit = n * (white.square().sum(dim=0) / n).log().sum()
+        fit = n * (white.square().sum(dim=0) / n).clamp_min(_NOTHING).log().sum()
         volume = 2 * m * root.diagonal().log().sum()
         prior = self._kernel.lengthscale_prior.log_prob(self._kernel.lengthscale).sum()
         loss: Tensor = (fit + volume - 2 * prior) / (n * m)
