@@ -25,6 +25,7 @@ import moves
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move
 from fide_plugins.search.moves.crossover import Crossover
+from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.refine import Refine
 from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
 from fide_plugins.search.moves.split import Split
@@ -60,6 +61,7 @@ CONFIGURATIONS: dict[str, Change] = {
     "no split": Change({}, without=(Split,)),
     "no swap": Change({}, without=(Swap,)),
     "no crossover": Change({}, without=(Crossover,)),
+    "no half turn": Change({}, without=(HalfTurn,)),
     "no relocation": Change({}, without=(RelocateGroup, RelocateSegment)),
     "no refinement": Change({}, without=(Refine,)),
     "no beginning anew": Change({}, without=(BeginAnew,)),
@@ -80,6 +82,7 @@ CONFIGURATIONS: dict[str, Change] = {
     "images not guarded": Change({"guard_images": False}),
     "injected candidates not guarded": Change({"guard_search": False}),
     "buffer of 2 generations": Change({"buffer_generations": 2}),
+    "buffer of 4 generations": Change({"buffer_generations": 4}),
     "buffer of 8 generations": Change({"buffer_generations": 8}),
     "buffer of 3 generations, first 3 channels (fast)": Change({"preset": "fast"}),
     "population of 30": Change({"popsize": 30}),
