@@ -153,7 +153,8 @@ def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
         assert code == -signal.SIGKILL, lines
         kills += 1
         told, kept = told_and_kept(lines, tmp_path / "run")
-        assert kept >= max(before, told - 7), (told, kept)  # the piece that was being saved
+        saved = int(lines[-2]) if len(lines) > 1 else 0  # all but the piece that was being saved
+        assert kept >= max(before, saved), (told, kept)
         before = kept
     check_same(run(tmp_path / "run"), expected)
     assert not list(tmp_path.glob("run/.*")), "what a killed writer leaves is cleared"
