@@ -45,13 +45,11 @@ class BIPOP(CalledBack):
         self._results: dict[bytes, float] = {}  # of the generation, by candidate
 
     def _search(self) -> Search:
-        first = [np.full(self.dim, 0.5)] if self.starts == 0 else []
-        x0 = start_points(self.dim, first)
-        settings = library_settings(self.dim)
-        if (
-            self._first_popsize != self._default_popsize()
-        ):  # the library doubles 4 + 3 ln d unrounded
-            settings["popsize"] = self._first_popsize
+        x0, settings = start_points(self.dim, self.starts == 0), library_settings(self.dim)
+        if self._first_popsize != self._default_popsize():
+            settings["popsize"] = (
+                self._first_popsize
+            )  # else the library doubles 4 + 3 ln d unrounded
         return partial(minimize, x0=x0, sigma0=self.sigma0, settings=settings)
 
     def _sample(self) -> Float64:
@@ -95,12 +93,12 @@ def minimize(
     )
 
 
-def start_points(dim: int, first: list[Float64]) -> Callable[[], Float64]:
-    """What gives the points (dim,) to start from: the first ones, and then uniform ones.
+def start_points(dim: int, central: bool) -> Callable[[], Float64]:
+    """What gives the points (dim,) to start from: the center first if `central`, then uniform ones.
 
     It draws from NumPy's global generator, as the library does.
     """
-    return partial(_start_point, dim, list(first))
+    return partial(_start_point, dim, [np.full(dim, 0.5)] if central else [])
 
 
 def _start_point(dim: int, first: list[Float64]) -> Float64:

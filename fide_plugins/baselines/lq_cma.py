@@ -19,8 +19,6 @@ from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any, ClassVar
 
-import numpy as np
-
 from fide_plugins.baselines.bipop import RESTARTS, start_points
 from fide_plugins.baselines.cma import library_settings
 from fide_plugins.baselines.global_random import GlobalRandom
@@ -44,8 +42,7 @@ class LQCMA(Sequential):
         self._global_random = GlobalRandom(self.seed)
 
     def _search(self) -> Search:
-        first = [np.full(self.dim, 0.5)] if self.starts == 0 else []
-        x0, settings = start_points(self.dim, first), library_settings(self.dim)
+        x0, settings = start_points(self.dim, self.starts == 0), library_settings(self.dim)
         return partial(minimize, x0=x0, sigma0=self.sigma0, settings=settings)
 
     def _surroundings(self) -> Callable[[], AbstractContextManager[None]]:

@@ -57,9 +57,8 @@ def _summary() -> str:
     ]
     if missing:
         lines.append(f"missing: pip install 'fide-plugins[{','.join(missing)}]'")
-    lines += [
-        f"OpenCV: {collision}" for collision in [opencv_distributions.collision()] if collision
-    ]
+    if collision := opencv_distributions.collision():
+        lines.append(f"OpenCV: {collision}")
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)

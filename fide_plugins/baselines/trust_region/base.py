@@ -88,7 +88,7 @@ class TrustRegion(Stateful):
         self._results: Float64 | None = None  # outputs (n, o)
         self._waiting: Float64 | None = None  # points of this round
         self._region = Region()
-        rounds = -(-max(self.initial, 2) // self.popsize)
+        rounds = -(-self.initial // self.popsize)
         self._design = latin_hypercube(rounds * self.popsize, self.dim, self._rng)
         if self.starts == 0:
             self._design[0] = 0.5
@@ -111,7 +111,7 @@ class TrustRegion(Stateful):
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         self._population.forget_pending()  # if more was asked, they are the same points
-        designed = len(self._values) < max(self.initial, 2)
+        designed = len(self._values) < self.initial
         self._waiting = None
         outputs, values = self._outputs(losses, features)
         good = np.isfinite(values)
