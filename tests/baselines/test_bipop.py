@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import Any
-
 import cma
 import numpy as np
 
 from fide_plugins.baselines.bipop import BIPOP
 from fide_plugins.types import Float64
 
-from .global_state import seeded_globally
+from .global_state import recorded
 
 DIM = 3
 
@@ -22,31 +19,8 @@ def rastrigin(X: Float64) -> Float64:
     return value
 
 
-def library(seed: int, evaluations: int) -> tuple[list[Float64], int]:
-    """Points of `cma.fmin2` itself, called with a plain function, and searches it has begun."""
-    points: list[Float64] = []
-    starts = [np.full(DIM, 0.5)]
-    begun = 0
-
-    def function(x: Float64) -> float:
-        points.append(x.copy())
-        if len(points) > evaluations:
-            raise StopIteration
-        return float(rastrigin(np.clip(x, 0.0, 1.0)[None])[0])
-
-    def x0() -> Float64:
-        nonlocal begun
-        begun += 1
-        return starts.pop() if starts else np.random.random(DIM)
-
-    options: dict[str, Any] = {"bounds": [0, 1], "seed": np.nan, "verbose": -9, "verb_log": 0}
-    with seeded_globally(seed), suppress(StopIteration):
-        cma.fmin2(function, x0, 0.2, options, bipop=True, restarts=9)
-    return points[:evaluations], begun
-
-
 def test_it_is_the_library_to_the_last_bit_over_restarts() -> None:
-    points, begun = library(seed=5, evaluations=4000)
+    points, begun = recorded(cma.fmin2, rastrigin, DIM, seed=5, evaluations=4000, bipop=True)
     assert begun >= 4
     ours = BIPOP(DIM, sigma0=0.2, seed=5)
     asked: list[Float64] = []

@@ -13,7 +13,7 @@ from fide_plugins.baselines.lq_cma import LQCMA
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float64
 
-from .global_state import seeded_globally
+from .global_state import recorded
 
 DIM = 3
 
@@ -30,27 +30,10 @@ def ellipsoid(X: Float64) -> Float64:
 
 
 def test_it_is_the_library_to_the_last_bit_over_restarts() -> None:
-    points: list[Float64] = []
-    starts = [np.full(DIM, 0.5)]
-    begun = 0
-
-    def function(x: Float64) -> float:
-        points.append(x.copy())
-        if len(points) > 700:
-            raise StopIteration
-        return float(valley(np.clip(x, 0.0, 1.0)[None])[0])
-
-    def x0() -> Float64:
-        nonlocal begun
-        begun += 1
-        return starts.pop() if starts else np.random.random(DIM)
-
-    options: dict[str, Any] = {"bounds": [0, 1], "seed": np.nan, "verbose": -9, "verb_log": 0}
-    with seeded_globally(5), pytest.raises(StopIteration):
-        cma.fmin_lq_surr2(function, x0, 0.2, options, restarts=9)
+    points, begun = recorded(cma.fmin_lq_surr2, valley, DIM, seed=5, evaluations=700)
     assert begun >= 2
     ours = LQCMA(DIM, sigma0=0.2, seed=5)
-    for point in points[:700]:
+    for point in points:
         X = ours.ask()
         np.testing.assert_array_equal(X[0], np.clip(point, 0.0, 1.0))
         ours.tell(X, losses=valley(X))

@@ -87,14 +87,20 @@ def test_wrong_usage_is_one_line(
     assert message in error and error.count("\n") == 1
 
 
-@pytest.mark.filterwarnings("always:the model has learned", "ignore:the model of")
-def test_a_model_of_another_state_of_the_file_is_noticed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def learned_gradient() -> tuple[object, ...]:
+    """Write the renderer, its model m.fide and a target t.png; the words that learn again."""
     Path("gradient.py").write_text(SCENE)
     learn = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
     assert fide(*learn, "--renders", 100) == 0
     Image.new("L", (16, 16), 100).save("t.png")
+    return learn
+
+
+@pytest.mark.filterwarnings("always:the model has learned", "ignore:the model of")
+def test_a_model_of_another_state_of_the_file_is_noticed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    learned_gradient()
     words = ("--renderer", "gradient.py:render", "--workers", 0, "--budget", 5)
     capsys.readouterr()
     assert fide("fit", "t.png", *words, "--learned", "m.fide") == 0
@@ -109,10 +115,7 @@ def test_a_model_of_another_state_of_the_file_is_noticed(
 def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    Path("gradient.py").write_text(SCENE)
-    learn = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
-    assert fide(*learn, "--renders", 100) == 0
-    Image.new("L", (16, 16), 100).save("t.png")
+    learn = learned_gradient()
     fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--workers", 0, "--out", "f")
     words = (*fit, "--seed", 1, "--json", "--encoder")
     assert fide(*words, "learned:m.fide", "--budget", 20) == 0
