@@ -19,8 +19,8 @@ from .conftest import SIDE, SPACE, disk
 
 TRUTH = {"x": 0.3, "y": 0.65, "gray": 0.5, "hidden": 0.5}
 PICTURE = disk(TRUTH)
-BUDGET = 1000
-SHARES = (400, 300)  # renders of the two rounds
+BUDGET = 500
+SHARES = (200, 100)  # renders of the two rounds, whole shards
 
 
 class Stop(BaseException):
@@ -46,7 +46,7 @@ class Disk:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Allow a small budget: what is tested does not depend on it."""
-    monkeypatch.setattr(rounds, "LEAST", 500)
+    monkeypatch.setattr(rounds, "LEAST", BUDGET)
 
 
 def fitted(render: Any = disk, picture: Float64 = PICTURE, **options: Any) -> Any:
@@ -54,10 +54,20 @@ def fitted(render: Any = disk, picture: Float64 = PICTURE, **options: Any) -> An
     return fit(render, picture, SPACE, **options)
 
 
-@pytest.mark.usefixtures("few")
-def test_all_renders_count_and_the_search_begins_at_the_answer(tmp_path: Path) -> None:
-    render = Disk()
-    result = fitted(render, out=tmp_path)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Disk, Path]:
+    """A fit that nothing has stopped, its renderer, and its folder."""
+    render, folder = Disk(), tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rounds, "LEAST", BUDGET)
+        result = fitted(render, out=folder)
+    return result, render, folder
+
+
+def test_all_renders_count_and_the_search_begins_at_the_answer(
+    whole: tuple[Any, Disk, Path],
+) -> None:
+    result, render, folder = whole
     assert result.evaluations == BUDGET
     assert render.renders == BUDGET + 2  # and one a round, to know the shape
     learning = result.curve[: sum(SHARES), 1]
@@ -66,40 +76,41 @@ def test_all_renders_count_and_the_search_begins_at_the_answer(tmp_path: Path) -
     assert [result.params[name] for name in ("x", "y", "gray")] == pytest.approx(
         [TRUTH[name] for name in ("x", "y", "gray")], abs=0.02
     )
-    names = sorted(path.name for path in (tmp_path / "rounds").iterdir())
+    names = sorted(path.name for path in (folder / "rounds").iterdir())
     assert names == ["first.fide", "second.fide"]  # the renders are gone
-    first = Model.load(tmp_path / "rounds" / "first.fide")
+    first = Model.load(folder / "rounds" / "first.fide")
     assert first.report.renders + first.report.held_out == SHARES[0]
-    search = FIDE(SPACE, PICTURE, learned=tmp_path / "rounds" / "second.fide", seed=3)
+    search = FIDE(SPACE, PICTURE, learned=folder / "rounds" / "second.fide", seed=3)
     assert result.curve[sum(SHARES), 1] == pytest.approx(  # the search is that of the model
         np.square(disk(SPACE.decode(search.ask(1)[0])) - PICTURE).mean(), rel=1e-4
     )
 
 
 @pytest.mark.usefixtures("few")
-@pytest.mark.parametrize("stop", [150, 550, 900])
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(stop: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stop", [150, 270, 400])  # in each part
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    stop: int, tmp_path: Path, whole: tuple[Any, Disk, Path]
+) -> None:
     render = Disk(stop)
     with pytest.raises(Stop):
         fitted(render, out=tmp_path)
     again = fitted(render, out=tmp_path, resume=True)
     assert render.renders <= BUDGET + 2 + 100 + 2  # of a shard, what was not written is lost
-    whole = fitted()
-    np.testing.assert_array_equal(again.curve, whole.curve)
-    np.testing.assert_array_equal(again.best.x, whole.best.x)
+    np.testing.assert_array_equal(again.curve, whole[0].curve)
+    np.testing.assert_array_equal(again.best.x, whole[0].best.x)
 
 
 @pytest.mark.usefixtures("few")
 def test_a_round_that_is_done_is_not_done_again(tmp_path: Path) -> None:
     """Also where a time limit, or a larger budget, would make another model of it."""
-    render = Disk(stop=600)
+    render = Disk(stop=280)
     with pytest.raises(Stop):
         fitted(render, out=tmp_path)
     first = (tmp_path / "rounds" / "first.fide").read_bytes()
-    result = fitted(render, out=tmp_path, resume=True, budget=1200, time=600)
+    result = fitted(render, out=tmp_path, resume=True, budget=700, time=600)
     assert (tmp_path / "rounds" / "first.fide").read_bytes() == first
-    assert result.evaluations == 1200
-    assert np.isinf(result.curve[:, 1]).sum() == SHARES[0] + round(0.3 * 1200) // 100 * 100
+    assert result.evaluations == 700
+    assert np.isinf(result.curve[:, 1]).sum() == SHARES[0] + round(0.3 * 700) // 100 * 100
 
 
 @pytest.mark.usefixtures("few")
@@ -115,7 +126,7 @@ def test_an_unknown_picture_has_no_second_round() -> None:
 @pytest.mark.usefixtures("few")
 def test_a_time_limit_leaves_half_of_it_to_the_search() -> None:
     made = rounds.rounds_of(
-        disk, SPACE, PICTURE, {"preset": "global"}, budget=1000, seed=0, out=None, seconds=60.0
+        disk, SPACE, PICTURE, {"preset": "global"}, budget=BUDGET, seed=0, out=None, seconds=60.0
     )
     assert made is not None and made.seconds == 30.0
 
