@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -23,6 +24,16 @@ from fide_plugins.types import Float32, Float64
 hypothesis.settings.register_profile("same", derandomize=True)
 if "FIDE_CASES" not in os.environ:
     hypothesis.settings.load_profile("same")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Nothing that is imported is ever garbage: the collector need not look for it in each test."""
+    gc.disable()
+    yield
+    gc.freeze()
+    gc.enable()
+
 
 State: TypeAlias = dict[str, Tensor]
 

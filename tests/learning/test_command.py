@@ -143,14 +143,14 @@ def test_the_global_preset_of_a_fit_and_of_a_run(
     assert fide(*fit, "--budget", 9000) == 2
     assert "needs a budget of at least 10,000 renders, not 9000" in capsys.readouterr().err
     assert not Path("runs").exists()
-    monkeypatch.setattr(rounds, "LEAST", 500)
+    monkeypatch.setattr(rounds, "LEAST", 350)
     for words in (
         (*fit, "--workers", 2, "--stop-at", 1e-5),
         ("run", "gradient.py:render", "--target", "t.png", *fit[-3:]),
     ):
-        assert fide(*words, "--budget", 500, "--out", words[0]) == 0
+        assert fide(*words, "--budget", 350, "--out", words[0]) == 0
         found = json.loads(capsys.readouterr().out.splitlines()[-1])
-        assert 350 < found["evaluations"] <= 500 and found["best_loss"] < 1e-4
+        assert 200 < found["evaluations"] <= 350 and found["best_loss"] < 1e-4
         settings = json.loads(Path(words[0], "run.json").read_text())["settings"]
         assert settings["options"] == {"preset": "global"}
         assert fide("solutions", words[0]) == 0

@@ -165,7 +165,7 @@ def test_a_render_that_ends_its_worker_is_one_that_failed(tmp_path: Path) -> Non
     side = SIDE
 
     def deadly(x: Float64) -> Float64:
-        if x[0] < 0.02:
+        if x[0] < 0.01:
             os.kill(os.getpid(), signal.SIGKILL)
         return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
 
@@ -173,8 +173,8 @@ def test_a_render_that_ends_its_worker_is_one_that_failed(tmp_path: Path) -> Non
     failed = fill(store, as_renderer(deadly, 2), 300, workers=2)
     x = np.concatenate([store.parameters(shard) for shard in range(3)])
     kept, images = store.read(300)
-    np.testing.assert_array_equal(kept, x[x[:, 0] >= 0.02])
-    assert failed == (x[:, 0] < 0.02).sum() > 0
+    np.testing.assert_array_equal(kept, x[x[:, 0] >= 0.01])
+    assert failed == (x[:, 0] < 0.01).sum() > 0
     np.testing.assert_array_equal(images, as_renderer(plain, 2).small(kept, [0] * 300, store.size))
 
 

@@ -62,11 +62,11 @@ def test_the_target_is_that_of_its_parameters() -> None:
 
 def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None:
     words = documented()
-    words[words.index("--budget") + 1] = "24"
+    words[words.index("--budget") + 1] = "10"
     assert main([*words, "--out", "out", "--json"]) == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out.splitlines()[-1])
-    assert (result["task"], result["evaluations"], result["failures"]) == ("povray", 24, 0)
+    assert (result["task"], result["evaluations"], result["failures"]) == ("povray", 10, 0)
     space = Space.read("space.toml")
     assert result["params"] == space.decode(result["x_best"])
     render = CommandRenderer(words[words.index("--command") + 1], space)
@@ -77,8 +77,8 @@ def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None
 def test_fit_finds_the_same_from_python() -> None:
     render = small()
     target = render(TRUTH)
-    result = fit(render, target, render.space, budget=40, executor="threads", workers=8, seed=0)
-    assert result.evaluations == 40 and result.failures == 0 and result.best is not None
+    result = fit(render, target, render.space, budget=20, executor="threads", workers=8, seed=0)
+    assert result.evaluations == 20 and result.failures == 0 and result.best is not None
     again = np.asarray(render(result.params))
     assert np.square(again - target).mean() == pytest.approx(result.best.loss, rel=1e-6)
     assert result.best.loss < np.median(result.optimizer.evaluator.loss(_random(render)))

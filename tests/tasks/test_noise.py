@@ -31,7 +31,7 @@ pytest.importorskip(
 
 NAMES = ["beads", "san_miguel"]
 ALPHA = 0.01
-FRAMES = 96  # n
+FRAMES = 48  # n
 Array = NDArray[np.float64]
 Measured = dict[str, Any]
 
@@ -98,12 +98,12 @@ def test_more_paths_a_pixel_have_less_noise(measured: Measured) -> None:
 
 
 def test_the_noise_level_is_as_measured(task: Task, measured: Measured) -> None:
-    level = task.noise_level(measured["x"], frames=64)
+    level = task.noise_level(measured["x"], frames=40)
     assert level.shape == task.shape
     assert level.dtype == np.float32
     variance = np.square(level, dtype=np.float64)
     assert variance.mean() == pytest.approx(measured["variance"].mean(), rel=0.1)
-    noisy = measured["variance"] > 1e-3  # where 64 frames see the noise, its place is the same
+    noisy = measured["variance"] > 1e-3  # where 40 frames see the noise, its place is the same
     assert np.corrcoef(variance[noisy], measured["variance"][noisy])[0, 1] > 0.8
 
 

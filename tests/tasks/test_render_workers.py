@@ -346,9 +346,9 @@ def test_processes_end_with_the_task_and_with_its_process(tmp_path: Path) -> Non
 
 
 def test_a_run_whose_renderer_was_killed_is_resumed(tmp_path: Path) -> None:
-    settings: dict[str, Any] = {"optimizer": "cma", "budget": 70, "seed": 1, "checkpoint_every": 0}
-    whole = harness.run(make(1), **settings)
-    task = make(2)
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 45, "seed": 1, "checkpoint_every": 0}
+    whole = harness.run(make(1, reference_spp=16), **settings)
+    task = make(2, reference_spp=16)
 
     def kill(progress: harness.Progress) -> None:
         if progress.evaluations >= 20:
@@ -358,7 +358,7 @@ def test_a_run_whose_renderer_was_killed_is_resumed(tmp_path: Path) -> None:
     with pytest.raises(RenderError, match=r"beads failed to render candidates.*pid \d+\) died"):
         harness.run(task, **settings, on_progress=kill, out=tmp_path)
     assert time.monotonic() - start < 20
-    resumed = harness.run(make(1), **settings, out=tmp_path, resume=True)
+    resumed = harness.run(make(1, reference_spp=16), **settings, out=tmp_path, resume=True)
     assert resumed.losses.tolist() == whole.losses.tolist()
     assert resumed.reference_loss == whole.reference_loss
 

@@ -136,9 +136,19 @@ DAMAGE: dict[str, Any] = {
 }
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a whole comparison, to be copied."""
+    folder = tmp_path_factory.mktemp("finished")
+    compare.run(small(), folder)
+    return folder
+
+
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_runs_are_repeated_and_reported(damage: str, tmp_path: Path) -> None:
-    compare.run(small(), tmp_path)
+def test_damaged_runs_are_repeated_and_reported(
+    damage: str, finished: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     key = RunKey("voronoi", "mse", "cma", 1)
     whole = losses_of(tmp_path / key.folder)
     DAMAGE[damage](tmp_path / key.folder)
