@@ -7,9 +7,11 @@ STAMP  := $(VENV)/.ready
 PARALLEL := -n auto --maxprocesses 8
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
 # browsers, databases, renderers and other processes; what they compute is tested in these.
-NUMERIC := $(addprefix tests/,adapters/nevergrad baselines fide search space speed validation)
+NUMERIC := $(addprefix tests/,adapters/nevergrad baselines denoiser distributed encoders fide losses \
+  options population proposers search space speed uncertainty validation views)
 # with two threads, so in one process: the parts, and the optimizer
-CORE := $(addprefix tests/,encoders fide losses population proposers search speed)
+CORE := $(addprefix tests/,denoiser distributed encoders fide losses options population proposers \
+  search space speed uncertainty validation views)
 # of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
 OUTSIDE := $(addprefix tests/,adapters cli experiments fide fitting learning losses package \
   renderers tasks/test_contract.py watch)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import shutil
 import signal
@@ -15,6 +16,7 @@ import hypothesis
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from torch import Tensor
 
 from fide_plugins.types import Float32, Float64
@@ -100,6 +102,30 @@ def browser() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield browser
         browser.close()
+
+
+@pytest.fixture(autouse=True)
+def _only_drawn_where_it_is_looked_at(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Write empty figures of runs and reports, but in tests marked `figures`.
+
+    A run's summary takes 0.2 s and a report's charts 3 s, most of what a small run takes.
+    """
+    if request.node.get_closest_marker("figures") is None:
+        for name in ("run.figures.summary", "report.svg.png"):
+            monkeypatch.setattr(f"fide_plugins.experiments.{name}", lambda *_: EMPTY_PNG)
+        monkeypatch.setattr("fide_plugins.experiments.report.svg.as_file", lambda _: EMPTY_SVG)
+
+
+def empty_png() -> bytes:
+    buffer = io.BytesIO()
+    Image.new("L", (1, 1)).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+EMPTY_PNG = empty_png()
+EMPTY_SVG = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"></svg>'
 
 
 @pytest.fixture

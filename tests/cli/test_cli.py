@@ -48,6 +48,7 @@ def test_json_is_the_last_line_of_standard_output_with_these_keys(
     assert "40/40" in captured.err and "render" in captured.err
 
 
+@pytest.mark.figures
 def test_a_run_without_json_says_where_to_look(capsys: pytest.CaptureFixture[str]) -> None:
     assert fide("run", "spline", *SMALL, "--loss", "perceptual", "--budget", 20) == 0
     out = capsys.readouterr().out

@@ -16,6 +16,8 @@ from fide_plugins.errors import OptionError
 
 from .conftest import KEYS, fide, one_line
 
+pytestmark = pytest.mark.figures
+
 
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,6 +21,8 @@ from fide_plugins.types import Float64
 
 from .conftest import fide, last_line, summary
 
+pytestmark = pytest.mark.figures
+
 
 def test_views_need_one_image_each() -> None:
     target = np.zeros((8, 8, 3), np.float32)

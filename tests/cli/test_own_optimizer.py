@@ -115,6 +115,7 @@ def test_a_class_that_takes_any_option_gets_them_all(
     mine: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (mine / "a=1").mkdir()
+    (mine / "a=1" / "search.py").write_text(EXAMPLE.read_text())
     (mine / "a=1" / "any.py").write_text(
         "from search import Elitist\n\n\nclass Any(Elitist):\n"
         "    def __init__(self, dim, seed=None, **options):\n"

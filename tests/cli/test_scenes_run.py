@@ -10,6 +10,8 @@ import pytest
 import fide_tasks
 from fide_plugins.cli import main
 
+pytestmark = pytest.mark.figures
+
 
 @pytest.mark.parametrize(
     ("name", "fidelity", "renderer"),

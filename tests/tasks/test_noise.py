@@ -83,7 +83,7 @@ def test_most_pixels_are_normally_distributed(mean: Array, measured: Measured) -
 
 def test_a_moved_scene_is_refused(task: Task, measured: Measured) -> None:
     x = measured["x"].copy()
-    x[7] += 0.25 if x[7] < 0.5 else -0.25  # a bead, or the light
+    x[7] += 0.4 if x[7] < 0.5 else -0.4  # a bead, or the light
     assert refused(mean_of_frames(task, x, seed=2), measured).sum() > 5
 
 

@@ -62,8 +62,8 @@ def test_fidelity_is_the_papers_by_default_and_can_be_set() -> None:
 
 
 def test_random_candidates_show_something(task: SanMiguel) -> None:
-    images = SanMiguel(16).render(np.random.default_rng(0).random((30, 8)))
-    assert images.shape == (30, 16, 16, 3)
+    images = task.render(np.random.default_rng(0).random((30, 8)))
+    assert images.shape == (30, 32, 32, 3)
     assert images.dtype == np.float32
     assert np.isfinite(images).all()
     assert images.min() >= 0
@@ -98,8 +98,9 @@ def test_the_loss_is_lowest_at_x_star(task: SanMiguel) -> None:
     assert found.max() < 0.2 * loss(task.render(rng.random((25, 8))), task.target).min()
 
 
-def test_small_steps_change_the_image_little_and_larger_ones_much() -> None:
-    task = SanMiguel(32, spp=4)
+def test_small_steps_change_the_image_little_and_larger_ones_much(
+    task: SanMiguel,
+) -> None:
     rng = np.random.default_rng(3)
     changes = []
     for step in (1e-6, 1e-4, 1e-2):

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.figures
+
 
 @pytest.fixture(scope="module")
 def address(written: Path) -> str:

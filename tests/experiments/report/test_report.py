@@ -26,6 +26,8 @@ from fide_plugins.experiments.report.panel import panels
 
 from .conftest import NASTY, result, results
 
+pytestmark = pytest.mark.figures
+
 
 class Page(html.parser.HTMLParser):
     """Elements of a page with their attributes, and its text."""

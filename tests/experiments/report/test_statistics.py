@@ -15,6 +15,8 @@ from fide_plugins.experiments.report.statistics import Success, adjusted, bands,
 
 from .conftest import curve, result, results
 
+pytestmark = pytest.mark.figures
+
 
 def test_a_curve_is_a_step_function() -> None:
     c = curve([2, 5, 9], [3.0, 2.0, 1.0], 20)

@@ -23,6 +23,8 @@ from fide_plugins.types import Float64
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 
+pytestmark = pytest.mark.figures
+
 
 def test_noise_is_seeded_by_evaluation_and_the_reference_judges() -> None:
     a, b = (harness.run(NoisyTint(), "cma", budget=90, seed=1) for _ in range(2))

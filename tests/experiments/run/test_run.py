@@ -25,6 +25,8 @@ from fide_plugins.types import Float64
 
 from .tint import TARGET, Tint
 
+pytestmark = pytest.mark.figures
+
 
 @pytest.mark.parametrize("budget", [1, 5, 33, 200])
 @pytest.mark.parametrize("optimizer", ["cma", "random"])

@@ -17,6 +17,8 @@ from fide_plugins.experiments import suite as suites
 from fide_plugins.experiments.suite import definition
 from fide_plugins.renderers.template import Template
 
+pytestmark = pytest.mark.figures
+
 SUITE = suites.read("image-fitting-v1")
 NOISY = ("san_miguel", "beads")
 NEEDS = {"robot": "mujoco", "san_miguel": "mitsuba", "beads": "mitsuba"}

@@ -99,6 +99,7 @@ def test_a_grid_that_makes_no_sense(options: dict[str, Any]) -> None:
         Grid(("voronoi",), options)
 
 
+@pytest.mark.figures
 def test_the_command_runs_resumes_and_extends(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
