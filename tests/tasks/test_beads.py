@@ -125,7 +125,7 @@ def test_renders_vary_continuously(task: Task) -> None:
 
 
 def test_the_loss_of_references_is_lowest_at_x_star() -> None:
-    task = make(16, reference_spp=1024)
+    task = make(24, reference_spp=1024)
     x, target = task.x_star, task.target
     assert x is not None
     best = loss(task.reference(x), target)
