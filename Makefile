@@ -5,6 +5,8 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 # of the tests: one process a core, with one thread each, up to eight
 PARALLEL := -n auto --maxprocesses 8
+# compiled modules are kept, whatever is set: tests start some hundred processes that import FIDE
+KEEP := PYTHONDONTWRITEBYTECODE=
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
 # browsers, databases, renderers and other processes; what they compute is tested in these.
 NUMERIC := $(addprefix tests/,adapters/nevergrad baselines denoiser distributed encoders fide losses \
@@ -48,12 +50,12 @@ demo: setup
 	@echo "Look at runs/demo/summary.png"
 
 test: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL)
+	$(KEEP) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL)
 
 # The same result on any CPU: other kernels of OpenBLAS, PyTorch and NumPy, and two threads.
 test-kernels: setup
-	OMP_NUM_THREADS=1 $(HASWELL) $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERIC)
-	OMP_NUM_THREADS=2 $(SANDYBRIDGE) $(BIN)/python -m pytest -q $(CORE)
+	$(KEEP) OMP_NUM_THREADS=1 $(HASWELL) $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERIC)
+	$(KEEP) OMP_NUM_THREADS=2 $(SANDYBRIDGE) $(BIN)/python -m pytest -q $(CORE)
 
 lint: setup
 	$(BIN)/ruff check .
