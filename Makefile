@@ -9,8 +9,8 @@ PARALLEL := -n auto --maxprocesses 8
 KEEP := PYTHONDONTWRITEBYTECODE=
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
 # browsers, databases, renderers and other processes; what they compute is tested in these.
-NUMERIC := $(addprefix tests/,adapters/nevergrad baselines denoiser distributed encoders fide losses \
-  options population proposers search space speed uncertainty validation views)
+NUMERIC := $(addprefix tests/,adapters/nevergrad baselines denoiser distributed encoders extremes fide \
+  learning losses options population proposers runtime search space speed uncertainty validation views)
 # with two threads, so in one process: the parts, and the optimizer
 CORE := $(addprefix tests/,denoiser distributed encoders fide losses options population proposers \
   search space speed uncertainty validation views)
