@@ -76,6 +76,7 @@ docs: $(DOCS)
 	@rm -rf build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs $(SITE)
 	$(BIN)/python docs/check_site.py $(SITE)
+	$(BIN)/python docs/check_browser.py $(SITE)
 	@echo "Open $(SITE)/index.html"
 
 # Links that lead out of the site, which needs a network; the others are checked by `docs`.

@@ -61,8 +61,7 @@ def gaps() -> Iterator[str]:
     for name, obj in public():
         yield from _gaps(name, obj, _text(obj))
         for method in _methods(obj) if inspect.isclass(obj) else ():
-            text = " ".join(filter(None, (method.__doc__, obj.__doc__)))
-            yield from _gaps(f"{name}.{method.__name__}", method, text)
+            yield from _gaps(f"{name}.{method.__name__}", method, method.__doc__ or "")
 
 
 def _gaps(name: str, obj: Any, text: str) -> Iterator[str]:

@@ -144,7 +144,10 @@ class Model:
         return as_input(pixels[None])
 
     def check_aspect(self, height: int, width: int) -> None:
-        """Raise ImageError unless a picture of that size has the aspect of the renders."""
+        """Raise ImageError unless a picture has the aspect of the renders.
+
+        height, width: size of the picture in pixels.
+        """
         change = (height / width) / (self.shape[0] / self.shape[1])
         rounding = _ASPECT + 1 / min(height, width, *self.shape)
         if abs(np.log(change)) > rounding:

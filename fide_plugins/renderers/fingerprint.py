@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import tokenize
 
 __all__ = ["changed", "digest", "fingerprint_of"]
 
@@ -18,8 +19,8 @@ def fingerprint_of(render: object) -> str | None:
     if own is None and inspect.isfunction(render):
         try:
             own = digest("function", inspect.getsource(render).encode())
-        except (OSError, TypeError):
-            return None
+        except (OSError, TypeError, SyntaxError, tokenize.TokenError):
+            return None  # the file is gone, or has changed since
     return own if isinstance(own, str) else None
 
 

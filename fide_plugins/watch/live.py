@@ -40,7 +40,7 @@ class LiveFile:
         self._newest: Event | None = None
 
     def on_start(self, run: Run) -> None:
-        """Remember where to write."""
+        """Remember the folder and the limits of `run`, which begins."""
         self._out, self._workers, self._budget = run.out, max(1, run.workers), run.budget  # type: ignore[assignment]
 
     def on_evaluation(self, event: Event) -> None:

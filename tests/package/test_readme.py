@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -26,6 +27,20 @@ def test_the_readme_s_own_python_finds_the_disk(capsys: pytest.CaptureFixture[st
     *_, loss = capsys.readouterr().out.split()
     assert float(loss) < 1e-3
     assert len([line for line in code.splitlines() if line.strip()]) <= 15
+
+
+def test_the_readme_begins_with_a_film_that_ends_at_its_target() -> None:
+    front = README.read_text("utf-8").partition("## ")[0]
+    (path,) = re.findall(r"!\[.*?\]\((.*?)\)", front)
+    assert (README.parent / path).stat().st_size < 1e6
+    with Image.open(README.parent / path) as film:
+        frames = []
+        for number in range(getattr(film, "n_frames", 1)):
+            film.seek(number)
+            frames.append(np.asarray(film.convert("RGB"), float) / 255)
+    half = frames[0].shape[1] // 2
+    errors = [np.mean((frame[:, :half] - frame[:, half:]) ** 2) for frame in frames]
+    assert len(frames) > 10 and errors[-1] < 1e-3 < 0.01 < errors[0]
 
 
 def run_block(number: int) -> dict[str, Any]:
