@@ -5,7 +5,7 @@ patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
-    ['daisy', 'dense', 'dinov3', 'learned', 'patch', 'sift', 'vgg19']
+    ['dense', 'dinov3', 'learned', 'patch', 'vgg19']
 
 `make` returns an object to call with a batch of images (any input of
 :func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
@@ -14,7 +14,6 @@ comparable if both are equal.  No large package is imported before `make`.
 ===============  ================================================================
 `base`           what all encoders share
 `dense`          encoder `dense`: hand-made features of a grid of patches
-`sift`, `daisy`  encoders `sift` and `daisy`: mean colors and classical descriptors
 `patch`          encoder `patch`: raw pixels of patches
 `own`            a user's own encoder: any callable of a batch
 `learned`        encoder `learned:FILE`: the network of a model of `fide_plugins.learn`
@@ -97,10 +96,8 @@ def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> 
     _REGISTRY.register(name, factory)
 
 
-register("daisy", "fide_plugins.encoders.daisy:DaisyEncoder")
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
 register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
 register("learned", "fide_plugins.encoders.learned:LearnedEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
-register("sift", "fide_plugins.encoders.sift:SiftEncoder")
 register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")
