@@ -1,10 +1,10 @@
 """How much of what a model has learned is left in pictures that are not renders.
 
-    python benchmarks/robustness.py robot --renders 5000 --passes 8
+    python benchmarks/robustness.py robot --renders 5000 --passes 10
     python benchmarks/robustness.py table
 
 One set of renders of 64 pixels, one network, three ways to change the images while it learns: none;
-exposure, noise and sharpness, as before version 0.3; all of `fide_plugins.learning.augmentation`.
+exposure, noise and sharpness, as it was at first; all of `fide_plugins.learning.augmentation`.
 The passes are the same.  The models are judged on renders that none has seen, as they are and
 changed: by other code, and mostly by more than in training.
 
@@ -187,7 +187,7 @@ def table(rows: list[Row]) -> str:
         ]
         seeds = sorted({r["seed"] for r in mine})
         lines += [
-            f"{task}, {renders:,} renders, {passes} passes, {len(seeds)} models of each kind",
+            f"{task}, {renders:,} renders, {passes} passes; seeds {', '.join(map(str, seeds))}",
             "",
             f"| pictures | {' | '.join(f'{c}: nats | near' for c in CHANGES)} |",
             "|---|" + "---:|" * (2 * len(CHANGES)),
@@ -201,7 +201,7 @@ def table(rows: list[Row]) -> str:
         times = [
             np.mean([r["seconds"] for r in mine if r["learned"] == learned]) for learned in CHANGES
         ]
-        lines += [f"| CPU seconds | {' | '.join(f'{t:.0f} |' for t in times)}", ""]
+        lines += [f"| CPU seconds | {' | '.join(f'{t:.0f} |' for t in times)} |", ""]
     return "\n".join(lines)
 
 
