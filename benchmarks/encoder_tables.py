@@ -141,27 +141,26 @@ def time_to(loss: float, row: Row) -> float:
     return float(reached[0] * STEP * row["ms"]) if reached else float("inf")
 
 
-def paired_table(rows: list[Row]) -> list[str]:
-    """Loss of `dense` over that of `patch` on the same targets: geometric mean, how often, chance.
+def paired_table(rows: list[Row], one: str = "dense", other: str = "patch") -> list[str]:
+    """Loss of one encoder over another's on the same targets: geometric mean, how often, chance.
 
     The interval is of two standard errors of the mean logarithm; p is that of Wilcoxon's
     signed-rank test, two-sided, that the logarithms differ in neither direction.
     """
-    handmade = [
-        row for row in of(rows, "encoder") if row["configuration"][8:] in ("dense", "patch")
-    ]
+    handmade = [row for row in of(rows, "encoder") if row["configuration"][8:] in (one, other)]
     groups_of = {
         (task, configuration[8:]): group for task, configuration, group in groups(handmade)
     }
-    lines = ["| task | renders | pairs | `dense` / `patch` | better | p |", "|---|" + "---:|" * 5]
+    head = f"| task | renders | pairs | `{one}` / `{other}` | better | p |"
+    lines = [head, "|---|" + "---:|" * 5]
     for task in dict.fromkeys(task for task, _ in groups_of):
-        pairs = list(zip(groups_of[task, "dense"], groups_of[task, "patch"], strict=True))
+        pairs = list(zip(groups_of[task, one], groups_of[task, other], strict=True))
         for mark in (500, 1000, 2000):
             short = any(len(row["best"]) * STEP < mark for pair in pairs for row in pair)
             if len(pairs) < 2 or short:
                 continue
             at = mark // STEP - 1
-            d = np.array([np.log(own["best"][at] / other["best"][at]) for own, other in pairs])
+            d = np.array([np.log(own["best"][at] / its["best"][at]) for own, its in pairs])
             middle, error = d.mean(), 2 * d.std(ddof=1) / np.sqrt(len(d))
             low, ratio, high = np.exp([middle - error, middle, middle + error])
             lines.append(

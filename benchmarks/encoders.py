@@ -4,6 +4,7 @@
     python benchmarks/encoders.py losses voronoi spline robot
     python benchmarks/encoders.py table                     # of the recorded runs
     python benchmarks/encoders.py paired                    # is `dense` better than `patch`?
+    python benchmarks/encoders.py paired --pair learned dense --out runs/learned_encoders.jsonl
     python benchmarks/encoders.py encoders robot --configurations dense patch learned \
         --out runs/learned_encoders.jsonl                   # of the model runs/robot.fide
 
@@ -229,19 +230,21 @@ def main() -> None:
     add(
         "--configurations",
         nargs="+",
-        default=[name for name in ENCODERS if name != "learned"],
+        default=["dense", "patch", "random ViT-S/16", "dinov3", "vgg19"],
         choices=list(ENCODERS),
         metavar="CONFIGURATION",
     )
     add("--seeds", type=int)
     add("--budget", type=int)
+    add("--pair", nargs=2, default=["dense", "patch"], metavar="ENCODER")
     add("--size", type=int, default=112, metavar="PX")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     if arguments.what in ("table", "paired"):
         rows = read(arguments.out)
-        print(tables(rows) if arguments.what == "table" else "\n".join(paired_table(rows)))
+        paired = arguments.what == "paired"
+        print("\n".join(paired_table(rows, *arguments.pair)) if paired else tables(rows))
         return
     {"encoders": run_encoders, "losses": run_losses}[arguments.what](arguments)
 

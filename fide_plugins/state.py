@@ -40,6 +40,7 @@ from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.types import Estimate, Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate
+from fide_plugins.validation.evaluation import Images
 from fide_plugins.validation.images import warn_clipped
 
 __all__ = ["Best", "State"]
@@ -129,7 +130,7 @@ class State:
         return self.stage is not Stage.SEARCH and not self.moves.has_more
 
     def record(
-        self, x: Float64, loss: float, image: Float32 | None, tokens: torch.Tensor | None
+        self, x: Float64, loss: float, image: Images | None, tokens: torch.Tensor | None
     ) -> None:
         """Enter one result: x (d,), its loss, its image (H, W, 3) and tokens (T, C), if known."""
         finite = bool(np.isfinite(loss))
@@ -146,8 +147,7 @@ class State:
             if candidate is None and (self.injected is None or loss < self.injected[1]):
                 self.injected = (x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
-                image = None if image is None else image.copy()
-                solution = Solution(x.copy(), loss, self.evaluations, image)
+                solution = Solution(x.copy(), loss, self.evaluations, _copied(image))
                 searched = candidate is not None and self.stage is Stage.SEARCH
                 if self.best is None or loss < self.improved_to - _GAIN * abs(self.improved_to):
                     self.improved_at, self.improved_to = self.evaluations, loss
@@ -278,6 +278,13 @@ class State:
         self.memory.load_state_dict(state["memory"], sides, device)
         for name in _PLAIN:
             setattr(self, name, state[name])
+
+
+def _copied(image: Images | None) -> Float32 | None:
+    """Copy (H, W, 3) for NumPy of an image; the best one does leave its GPU."""
+    if isinstance(image, torch.Tensor):
+        image = image.cpu().numpy()
+    return None if image is None else image.copy()
 
 
 def _pack_best(best: Best) -> dict[str, Any]:

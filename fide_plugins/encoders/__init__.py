@@ -20,6 +20,7 @@ comparable if both are equal.  No large package is imported before `make`.
 `pretrained/`    encoders with pretrained networks: `dinov3`, `vgg19`
 `whole_patches`  resizes images to whole patches
 `despeckle`      removes single bright or dark pixels
+`bilateral`      OpenCV's bilateral filter for tensors
 `noise_level`    estimates the noise of an image
 `cache`          cache of tokens by image content
 ===============  ================================================================

@@ -8,9 +8,11 @@ from contextlib import AbstractContextManager
 import torch
 
 from fide_plugins.runtime.devices import on_device, resolve_device
+from fide_plugins.runtime.fixed_batches import batch_size, in_batches
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
 __all__ = ["PatchEncoder"]
 
@@ -32,6 +34,8 @@ class PatchEncoder(ABC):
     """Changes whenever the features of an image change."""
     channel_subsets: tuple[int | None, ...] = (None,)
     """Sets of features for linear models: so many leading channels; None: all."""
+    takes_tensors: bool = False
+    """Whether it has `compute_tensor`, for images that stay on their GPU."""
     threads: AbstractContextManager[None] = user_threads
     """In which it computes; `one_thread` for those that do little with each pixel."""
 
@@ -44,12 +48,15 @@ class PatchEncoder(ABC):
         Parameters
         ----------
         images
-            (n, H, W, C) or any other input of `as_batch`; `ImageError` otherwise.
+            (n, H, W, C) or any other input of `as_batch`; `ImageError` otherwise.  A tensor on a
+            GPU stays there, if `takes_tensors`.
 
         Returns
         -------
         float32 (n, T, C) on the encoder's device.
         """
+        if self.takes_tensors and stays_on_device(images):
+            return self.compute_tensor(as_tensor_batch(images))
         return self.compute(as_batch(images))
 
     @torch.no_grad()
@@ -72,6 +79,20 @@ class PatchEncoder(ABC):
     def _prepare(self, batch: Float32) -> Float32:
         """Input of `_encode` for images (n, H, W, 3), on the CPU; by default the images."""
         return batch
+
+    @torch.no_grad()
+    def compute_tensor(self, images: torch.Tensor) -> torch.Tensor:
+        """Tokens (n, T, C) of a canonical batch that is a tensor, computed where that is.
+
+        Only the tokens go to the encoder's device.  The last digits may depend on an image's place
+        in the batch.  For encoders with `takes_tensors`.
+        """
+        size = batch_size(images.device, images.shape[1], images.shape[2])
+        return in_batches(self._of_tensor, images, size).to(self.device)
+
+    def _of_tensor(self, images: torch.Tensor) -> torch.Tensor:
+        """Tokens (n, T, C) of images (n, H, W, 3), on their device; for `takes_tensors`."""
+        return self._encode(images)
 
     @abstractmethod
     def _encode(self, images: torch.Tensor) -> torch.Tensor:

@@ -49,8 +49,9 @@ import numpy as np
 import torch
 
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.encoders.despeckle import despeckled
-from fide_plugins.encoders.noise_level import noise_level
+from fide_plugins.encoders.bilateral import bilateral
+from fide_plugins.encoders.despeckle import despeckled, despeckled_planes
+from fide_plugins.encoders.noise_level import noise_level, noise_levels
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32
@@ -97,6 +98,11 @@ def box_weights(pixels: int, boxes: int) -> Float32:
     return weights
 
 
+@lru_cache(maxsize=64)
+def _weights_on(device: torch.device, pixels: int, boxes: int) -> torch.Tensor:
+    return torch.from_numpy(box_weights(pixels, boxes)).to(device)
+
+
 def sampled(image: Float32, rows: int, columns: int) -> Float32:
     """Means (rows, columns, 3) over equal boxes of an image (H, W, 3), which may cut pixels."""
     height, width, _ = image.shape
@@ -120,6 +126,25 @@ def less_noisy(image: Float32, rows: int, columns: int) -> Float32:
     return samples + np.float32(w) * (np.asarray(smooth, np.float32) - samples)
 
 
+def less_noisy_tensor(images: torch.Tensor, rows: int, columns: int) -> torch.Tensor:
+    """Samples (n, rows, columns, 3) as by `less_noisy`, of images (n, H, W, 3), on their device.
+
+    All images are smoothed, and those without noise weighted 0: a choice would wait for the device.
+    """
+    down = _weights_on(images.device, images.shape[1], rows)
+    across = _weights_on(images.device, images.shape[2], columns)
+
+    def sampled(planes: torch.Tensor) -> torch.Tensor:
+        return down @ planes @ across.T
+
+    planes = images.permute(0, 3, 1, 2)  # (n, 3, H, W)
+    clean = despeckled_planes(planes)
+    samples = sampled(clean)
+    w = ((noise_levels(planes, clean) - FAINT) / (NOISY - FAINT)).clamp(0.0, 1.0)
+    smooth = bilateral(sampled(despeckled_planes(clean)), REACH, TONES, REACH / 2)
+    return (samples + w[:, None, None, None] * (smooth - samples)).permute(0, 2, 3, 1)
+
+
 class DenseEncoder(PatchEncoder):
     """Mean color, color contrasts and edge energies of patches; see the module for the channels."""
 
@@ -128,6 +153,7 @@ class DenseEncoder(PatchEncoder):
     version = "dense-4"
     channel_subsets = (3, None)  # colors alone, and with edges
     threads = one_thread
+    takes_tensors = True
 
     def shape(self, height: int, width: int) -> tuple[int, int]:
         """(T, C) = (gh gw, 16)."""
@@ -141,9 +167,15 @@ class DenseEncoder(PatchEncoder):
             samples[i] = less_noisy(image, *samples.shape[1:3])
         return samples.clip(0.0, 1.0, out=samples)
 
+    def _of_tensor(self, images: torch.Tensor) -> torch.Tensor:
+        rows, columns = grid(images.shape[1], images.shape[2])
+        samples = less_noisy_tensor(images, SAMPLES * rows, SAMPLES * columns)
+        return self._encode(samples.clamp(0.0, 1.0))
+
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         samples = images.permute(0, 3, 1, 2).contiguous()  # (n, 3, 2 gh, 2 gw)
-        luminance = (samples * samples.new_tensor(LUMINANCE)[:, None, None]).sum(1)
+        weights = torch.tensor(LUMINANCE).to(samples.device)[:, None, None]
+        luminance = (samples * weights).sum(1)
         features = torch.cat([*_haar(samples), _edges(luminance)], dim=1)
         return features.flatten(2).transpose(1, 2)  # (n, T, C)
 

@@ -11,10 +11,11 @@ more than half of it for noise.
 from __future__ import annotations
 
 import numpy as np
+from torch import Tensor
 
 from fide_plugins.types import Float32
 
-__all__ = ["noise_level"]
+__all__ = ["noise_level", "noise_levels"]
 
 ROWS = 28  # least number of pixel rows that are used, if there are as many
 
@@ -28,3 +29,11 @@ def noise_level(image: Float32, clean: Float32) -> float:
     grain = np.abs(image[::step] - clean[::step])
     largest = np.maximum(np.maximum(grain[..., 0], grain[..., 1]), grain[..., 2]).ravel()
     return float(np.sort(largest)[len(largest) // 2])  # np.partition is ten times slower with ties
+
+
+def noise_levels(images: Tensor, clean: Tensor) -> Tensor:
+    """The same (n,) of two batches of planes (n, 3, H, W), on their device."""
+    step = max(1, images.shape[2] // ROWS)
+    grain = (images[:, :, ::step] - clean[:, :, ::step]).abs()
+    largest = grain.amax(dim=1).flatten(1)
+    return largest.sort(dim=1).values[:, largest.shape[1] // 2]

@@ -26,6 +26,7 @@ class RawPatchEncoder(PatchEncoder):
     name = "patch"
     uses_network = False
     version = "patch-1"
+    takes_tensors = True
     threads = one_thread
 
     def shape(self, height: int, width: int) -> tuple[int, int]:

@@ -43,9 +43,7 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
     Raises ImageError (a ValueError) for whatever `FIDE.tell` refuses.
     """
     told = as_told(optimizer, image)
-    batch = optimizer.evaluator.as_batch(1, told, None, None, lambda message: None)
-    assert batch is not None, "images were given"
-    packed: Float32 = batch[0]
+    packed: Float32 = optimizer.views.as_batch(told, 1, lambda message: None)[0]
     return packed
 
 

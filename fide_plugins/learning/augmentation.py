@@ -1,44 +1,102 @@
-"""What separates a picture from a render: exposure, noise, a small blur.
+"""What separates a photograph from a render: focus, place, exposure, color, noise, things in front.
 
-Each change is made to half of the images of a batch, to each of them in its own way.
+Each change is made to a share of the images of a batch, to each of them in its own way, by the
+operations of kornia. Its random modules draw from PyTorch's global generator; so the numbers are
+drawn here, from a generator of one's own.
+
+The changes are small, since a large one would change what the parameters mean: a scene whose colors
+are parameters is another one after a change of color, and so is one whose positions are, after a
+shift. A shift of half a pixel is what an edge has anyhow if it is rendered or photographed on
+another grid of pixels; the parameters stay those of the picture before.
 """
 
 from __future__ import annotations
 
 import torch
+from kornia.enhance import adjust_saturation_with_gray_subtraction
+from kornia.filters import gaussian_blur2d
+from kornia.geometry import translate
 from torch import Tensor
-from torch.nn import functional as F
 
 __all__ = ["augmented"]
 
+_BLUR = 0.2, 0.8  # standard deviation of a Gaussian of 3 x 3 pixels, in pixels
+_SHIFT = 0.5  # along each axis, in pixels, at most
 _EXPOSURE = 0.05  # relative, at most
+_BALANCE = 0.03  # of each color, relative, at most
+_SATURATION = 0.1  # relative, at most
 _NOISE = 0.02  # standard deviation, at most
-_BLUR = 0.5  # fraction of a blurred image, at most
 _NOISES = 16  # noise images of a batch, used with either sign: random numbers take time
+_OCCLUDED = 0.3  # side of what is in front, of the image's, at most
 
 
 def augmented(images: Tensor, generator: torch.Generator) -> Tensor:
     """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes."""
     images = images.clone()
-
-    def half(scale: float) -> tuple[Tensor, Tensor]:
-        """Which images are changed, (m,), and by how much, uniform in [0, scale], (m, 1, 1, 1)."""
-        which = torch.randperm(len(images), generator=generator)[: len(images) // 2]
-        return which, scale * torch.rand(len(which), 1, 1, 1, generator=generator)
-
-    which, fraction = half(_BLUR)
-    sharp = images[which]
-    blurred = F.avg_pool2d(sharp, 3, 1, 1, count_include_pad=False)
-    images[which] = torch.lerp(sharp, blurred, fraction)
-    which, change = half(2 * _EXPOSURE)
-    images[which] *= 1 + change - _EXPOSURE
-    which, deviation = half(_NOISE)
-    images[which] += deviation * _noise(which, images.shape[1:], generator)
+    for change, share in _CHANGES:
+        which = torch.randperm(len(images), generator=generator)[: int(share * len(images))]
+        if len(which):
+            images[which] = change(images[which], generator)
     return images.clamp_(0.0, 1.0)
 
 
-def _noise(which: Tensor, shape: torch.Size, generator: torch.Generator) -> Tensor:
-    """Standard normal noise for the images `which` (m,): (m, 3, H, W)."""
-    few = torch.randn(_NOISES, *shape, generator=generator)
-    drawn = torch.randint(0, 2 * _NOISES, which.shape, generator=generator)
-    return torch.cat([few, -few])[drawn]
+def _uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
+    """Numbers (n, values)."""
+    return low + (high - low) * torch.rand(n, values, generator=generator)
+
+
+def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
+    """With one rectangle of one color, anywhere, also in part outside."""
+    n, _, height, width = images.shape
+    center, color = (_uniform(n, k, 0.0, 1.0, generator) for k in (2, 3))
+    half = _uniform(n, 2, 0.0, _OCCLUDED / 2, generator)
+    inside = [
+        ((torch.arange(side) + 0.5) / side - center[:, i : i + 1]).abs() < half[:, i : i + 1]
+        for i, side in enumerate((height, width))
+    ]
+    hidden = inside[0][:, None, :, None] & inside[1][:, None, None, :]
+    return torch.where(hidden, color[:, :, None, None], images)
+
+
+def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
+    shift = _uniform(len(images), 2, -_SHIFT, _SHIFT, generator)
+    moved: Tensor = translate(images, shift, padding_mode="border")
+    return moved
+
+
+def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
+    sigma = _uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
+    soft: Tensor = gaussian_blur2d(images, 3, sigma, border_type="replicate")
+    return soft
+
+
+def _exposed(images: Tensor, generator: torch.Generator) -> Tensor:
+    """Brighter or darker, and of another white."""
+    n = len(images)
+    gain = 1 + _uniform(n, 1, -_EXPOSURE, _EXPOSURE, generator)
+    balance = 1 + _uniform(n, 3, -_BALANCE, _BALANCE, generator)
+    return images * (gain * balance)[:, :, None, None]
+
+
+def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
+    factor = 1 + _uniform(len(images), 1, -_SATURATION, _SATURATION, generator)[:, 0]
+    changed: Tensor = adjust_saturation_with_gray_subtraction(images, factor)
+    return changed
+
+
+def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
+    n = len(images)
+    few = torch.randn(_NOISES, *images.shape[1:], generator=generator)
+    drawn = torch.randint(0, 2 * _NOISES, (n,), generator=generator)
+    deviation = _uniform(n, 1, 0.0, _NOISE, generator)[:, :, None, None]
+    return images + deviation * torch.cat([few, -few])[drawn]
+
+
+_CHANGES = (  # in the order of what happens: the scene, the lens, the sensor
+    (_in_front, 1 / 4),
+    (_shifted, 1 / 2),
+    (_blurred, 1 / 2),
+    (_exposed, 1 / 2),
+    (_saturated, 1 / 2),
+    (_noisy, 1 / 2),
+)

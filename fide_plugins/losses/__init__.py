@@ -17,6 +17,7 @@ Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps
 `base`         base classes, and the checks of a user's callable
 `mse`          loss `mse`: mean squared error
 `perceptual`   loss `perceptual`: multi-scale structure and color
+`perceptual_tensors`  the same for tensors on a GPU
 `loi`          loss `loi`: distance of locally orderless images
 `lpips`        loss `lpips`: LPIPS 0.1
 `own`          tries a user's own loss

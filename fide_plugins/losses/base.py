@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -12,7 +12,12 @@ from fide_plugins.errors import LossError
 from fide_plugins.runtime.callables import name_of
 from fide_plugins.runtime.threads import one_thread, user_threads
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.image_sources import is_torch_tensor
 from fide_plugins.validation.images import as_batch, as_target
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 __all__ = ["CallableLoss", "ImageLoss", "LossOfTarget", "LossWithoutTarget", "as_losses"]
 
@@ -53,10 +58,13 @@ class LossOfTarget(ABC):
     """Changes whenever the loss of an image changes."""
     spec: str | None = None
     """Name from which `losses.make` makes the same loss; None if it was made with options."""
+    takes_tensors: bool = False
+    """Whether it has `compute_tensor`, for images that stay on their GPU."""
 
     def __init__(self, target: object) -> None:
         self.target = as_target(target)
         self.target.flags.writeable = False
+        self._on_device: dict[torch.device, Callable[[Tensor], Tensor]] = {}
 
     def __call__(self, images: object) -> Float64:
         """Losses of images.
@@ -65,18 +73,47 @@ class LossOfTarget(ABC):
         ----------
         images
             (n, H, W, C) or any other input of `as_batch`, of the target's size; `ImageError`
-            otherwise.
+            otherwise.  A tensor on a GPU stays there, if `takes_tensors`.
 
         Returns
         -------
         float64 (n,), >= 0, zero for an image that equals the target.
         """
+        if self.takes_tensors and is_torch_tensor(images):
+            from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
+
+            if stays_on_device(images):
+                return self.compute_tensor(as_tensor_batch(images, self.target.shape))
         return self.compute(as_batch(images, self.target.shape))
 
     @one_thread
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of a canonical batch (n, H, W, 3), without further checks."""
         return np.fromiter((self._distance(image) for image in batch), np.float64, len(batch))
+
+    def compute_tensor(self, images: Tensor) -> Float64:
+        """Losses (n,) of a canonical batch that is a tensor, computed where that is.
+
+        Only the losses leave its device.  Their last digits may depend on an image's place in the
+        batch.  For losses with `takes_tensors`.
+        """
+        import torch
+
+        from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+
+        size = batch_size(images.device, *self.target.shape[:2])
+        with torch.no_grad():
+            if images.device not in self._on_device:
+                self._on_device[images.device] = self._distance_on(images.device, size)
+            losses = in_batches(self._on_device[images.device], images, size)
+        return as_losses(losses, len(images))
+
+    def _distance_on(self, device: torch.device, size: int) -> Callable[[Tensor], Tensor]:
+        """Distances (n,) float64 of images (n, H, W, 3) on the device; for `takes_tensors`.
+
+        size: of the batches that come, n.
+        """
+        raise NotImplementedError
 
     def check_target(self, target: object) -> None:
         """Raise `LossError` unless this loss was made for `target`."""

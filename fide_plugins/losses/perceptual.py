@@ -34,9 +34,10 @@ separate the two well, so below 84 x 84 pixels nothing is subtracted.  Version 1
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.sparse import diags_array
@@ -44,6 +45,10 @@ from scipy.sparse import diags_array
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 from fide_plugins.types import Float32
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 __all__ = ["PerceptualLoss"]
 
@@ -91,32 +96,33 @@ class PerceptualLoss(LossOfTarget):
 
     name = "perceptual"
     version = "perceptual-2"
+    takes_tensors = True
 
     def __init__(self, target: object) -> None:
         super().__init__(target)
         height, width, _ = self.target.shape
-        self._levels = _levels(height, width)
-        self._samplers = [self._levels[0].samples]  # of picture and grain
+        self.levels = _levels(height, width)
+        self.samplers = [self.levels[0].samples]  # of picture and grain
         if FINEST * sqrt(height * width) >= GRAIN_FROM:
-            self._samplers.append(_on_checkerboard(self._levels[0].samples))
+            self.samplers.append(_on_checkerboard(self.levels[0].samples))
         self._structure = self._features(self.target)
 
     def _features(self, image: Float32) -> list[_Structure]:
         pixels = planes(image)
-        sampled = [_opponent(resample(pixels, *weights)) for weights in self._samplers]
+        sampled = [_opponent(resample(pixels, *weights)) for weights in self.samplers]
         finest = np.stack(sampled, axis=1)  # (a, k, 3, b)
         return [
             _structure(finest),
             *(
                 _structure(_samples_last(resample(finest, *level.samples)))
-                for level in self._levels[1:]
+                for level in self.levels[1:]
             ),
         ]
 
     def _distance(self, image: Float32) -> float:
         total = 0.0
         features = self._features(image)
-        for own, target, level in zip(features, self._structure, self._levels, strict=True):
+        for own, target, level in zip(features, self._structure, self.levels, strict=True):
             squares = _sum_of_squares(own.gradient - target.gradient)  # [a, k, b]
             contrast = own.energy + target.energy
             means = resample(np.concatenate([squares, contrast], axis=1), *level.local)
@@ -125,6 +131,11 @@ class PerceptualLoss(LossOfTarget):
         coarse = np.square(features[-1].colors - self._structure[-1].colors).sum(axis=2)
         color = _without_noise(coarse.mean(axis=(0, 2), dtype=np.float64))
         return total / LEVELS + COLOR_WEIGHT * float(color)
+
+    def _distance_on(self, device: torch.device, size: int) -> Callable[[Tensor], Tensor]:
+        from fide_plugins.losses.perceptual_tensors import PerceptualDistance
+
+        return PerceptualDistance(self, device, size)
 
 
 def _levels(height: int, width: int) -> list[_Level]:

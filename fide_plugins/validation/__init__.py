@@ -2,6 +2,8 @@
 
 ===============  ==============================================
 `images`         targets and renders
+`tensors`        renders that stay on their GPU
+`rules`          rules of axes and values for both
 `points`         candidates, seeds, standard deviations
 `features`       tokens that were encoded elsewhere
 `option_rules`   rules for the values of options

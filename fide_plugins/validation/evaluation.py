@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -13,17 +13,21 @@ from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import FeaturesError, LossError
-from fide_plugins.losses.base import as_losses
+from fide_plugins.losses.base import LossOfTarget, as_losses
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.features import as_features
+from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of
 
-__all__ = ["Evaluation", "Evaluator", "Result"]
+__all__ = ["Evaluation", "Evaluator", "Images", "Result"]
 
-Result: TypeAlias = tuple[Float64, float, Float32 | None, torch.Tensor | None]
+Images: TypeAlias = Float32 | torch.Tensor
+"""A canonical image or batch; a tensor is on a GPU, and stays there."""
+
+Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate."""
 
 
@@ -32,13 +36,13 @@ class Evaluation:
     """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known."""
 
     losses: Float64
-    images: Float32 | None
+    images: Images | None
     tokens: torch.Tensor | None
 
     def of(self, points: Float64) -> Iterator[Result]:
         """One result for each of the points (n, d)."""
         nothing = [None] * len(points)
-        images = nothing if self.images is None else self.images
+        images: Iterable[Images | None] = nothing if self.images is None else self.images
         tokens = nothing if self.tokens is None else [each.clone() for each in self.tokens]
         return zip(points, self.losses.tolist(), images, tokens, strict=True)
 
@@ -148,8 +152,11 @@ class Evaluator:
         losses: object,
         features: object,
         on_clip: Callable[[str], None],
-    ) -> Float32 | None:
+    ) -> Images | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
+
+        A tensor on a GPU stays there, if encoder and loss can compute there, and there is one view
+        without weights.
 
         Raises LossError or FeaturesError where what is given contradicts itself, or ImageError.
         """
@@ -159,12 +166,14 @@ class Evaluator:
             raise FeaturesError("tell takes images or their features, not both")
         if images is None:
             return None
+        if stays_on_device(images) and self._takes_tensors(losses is not None):
+            return as_tensor_batch(images, self.target.shape, n=n, on_clip=on_clip)
         return self.views.as_batch(images, n, on_clip)
 
     def evaluate(
         self,
         n: int,
-        batch: Float32 | None,
+        batch: Images | None,
         losses: object = None,
         features: object = None,
         *,
@@ -180,14 +189,26 @@ class Evaluator:
         Raises LossError or FeaturesError.
         """
         values = self._cost(batch) if losses is None else as_losses(losses, n)
-        tokens = self.encoder.compute(batch) if encode and batch is not None else None
+        tokens = self._encoded(batch) if encode and batch is not None else None
         if features is not None:
             shape = (n, *self.features_shape)
             taken = as_features(features, shape, self.encoder, version=version)
             tokens = taken if encode else None
         return Evaluation(values, batch, tokens)
 
-    def _cost(self, batch: Float32 | None) -> Float64:
+    def _takes_tensors(self, has_losses: bool) -> bool:
+        loss_takes = isinstance(self.loss, LossOfTarget) and self.loss.takes_tensors
+        return self.views.plain and self.encoder.takes_tensors and (has_losses or loss_takes)
+
+    def _encoded(self, batch: Images) -> torch.Tensor:
+        if isinstance(batch, torch.Tensor):
+            return self.encoder.compute_tensor(batch)
+        return self.encoder.compute(batch)
+
+    def _cost(self, batch: Images | None) -> Float64:
         if batch is None:
             raise LossError("a loss of images needs images; got none")
+        if isinstance(batch, torch.Tensor):
+            assert isinstance(self.loss, LossOfTarget), "`as_batch` keeps no other tensors"
+            return self.loss.compute_tensor(batch)
         return self.loss.compute(batch)

@@ -32,9 +32,9 @@ MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 
 
-def describe(array: Pixels) -> str:
-    """Shape and dtype, for errors."""
-    return f"shape {array.shape}, dtype {array.dtype}"
+def describe(pixels: Any) -> str:
+    """Shape and dtype of an array or a tensor, for errors."""
+    return f"shape {tuple(pixels.shape)}, dtype {str(pixels.dtype).removeprefix('torch.')}"
 
 
 def is_path(image: object) -> bool:

@@ -28,7 +28,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
 
 import numpy as np
 
@@ -45,6 +44,16 @@ from fide_plugins.validation.image_sources import (
     is_torch_tensor,
     read_pixels,
 )
+from fide_plugins.validation.rules import (
+    Size,
+    channels_last,
+    check_batch_axes,
+    check_count,
+    is_bright,
+    is_clipped,
+    refuse_not_finite,
+    refuse_type,
+)
 
 __all__ = [
     "MAX_PIXELS",
@@ -55,12 +64,6 @@ __all__ = [
     "load",
     "warn_clipped",
 ]
-
-Size: TypeAlias = tuple[int, int]  # (H, W)
-
-CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
-ROUNDING = 1e-6
-_BRIGHT = 8.0  # mean of floats in [0, 255]; of a render it would be eight times white
 
 
 # -- public ----------------------------------------------------------------------------------------
@@ -99,7 +102,7 @@ def alpha_of(image: object, what: str = "the target") -> Float32:
     """
     array, is_tensor = _to_array(image, what)
     if array.ndim == 3:
-        array = _channels_last(array, 0, is_tensor, None, what)
+        array = channels_last(array, 0, is_tensor, None, what)
     if array.ndim != 3 or array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
     alpha: Float32 = np.array(_unit_range(array[..., 3], what, None), np.float32, order="C")
@@ -155,15 +158,15 @@ def as_batch(
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):
-        _check_count(len(images), n)
+        check_count(len(images), n)
         return _list_as_batch(images, size, on_clip)
     what = "the batch of images"
     if is_path(images) or is_pil(images):
         raise ImageError(f"{what} must be an (n, H, W, C) array or a list of images, got {images}")
     array, is_tensor = _to_array(images, what)
-    _check_batch_axes(array, size, what)
-    _check_count(len(array), n)
-    pixels = _channels_last(array, 1, is_tensor, size, what)
+    check_batch_axes(array, size, what)
+    check_count(len(array), n)
+    pixels: Pixels = channels_last(array, 1, is_tensor, size, what)
     if pixels.dtype == np.float32 and pixels.shape[-1] == 3 and pixels.flags.c_contiguous:
         low, high = _finite_range(pixels, what)
         if low >= 0.0 and high <= 1.0:
@@ -190,7 +193,7 @@ def _as_image(
     array, is_tensor = _to_array(image, what)
     if array.ndim not in (2, 3):
         raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
-    return _canonical(_channels_last(array, 0, is_tensor, size, what), what, on_clip)
+    return _canonical(channels_last(array, 0, is_tensor, size, what), what, on_clip)
 
 
 def _list_as_batch(
@@ -228,39 +231,10 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
     if array.dtype.kind not in "fb" and array.dtype != np.uint8:
-        raise ImageError(
-            f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got "
-            f"{describe(array) if array.ndim else type(image).__name__}; convert it, for example "
-            "image.astype(np.uint8) if its values are in [0, 255]"
-        )
+        got = describe(array) if array.ndim else type(image).__name__
+        remedy = "convert it, for example image.astype(np.uint8) if its values are in [0, 255]"
+        raise refuse_type(what, got, remedy)
     return array, False
-
-
-def _channels_last(
-    array: Pixels, batch: int, is_tensor: bool, size: Size | None, what: str
-) -> Pixels:
-    """View of `array` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size."""
-    if array.ndim == batch + 2:
-        array = array[..., None]
-    else:
-        first, *rest = array.shape[batch:]
-        if is_tensor and first in CHANNELS and size in (None, tuple(rest)):
-            array = np.moveaxis(array, batch, -1)
-        elif array.shape[-1] not in CHANNELS:
-            remedy = "; np.moveaxis(image, -3, -1) puts the channels last"
-            raise ImageError(
-                f"{what} must have 1, 3 or 4 channels in its last axis, got "
-                f"{describe(array)}{remedy if first in CHANNELS else ''}"
-            )
-    height, width = array.shape[batch : batch + 2]
-    if height == 0 or width == 0:
-        raise ImageError(f"{what} is empty: {describe(array)} has no pixels")
-    if size is not None and size != (height, width):
-        raise ImageError(
-            f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
-            f"{height} x {width}: {describe(array)}; render at that size, or resize the target"
-        )
-    return array
 
 
 def _canonical(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None) -> Float32:
@@ -284,25 +258,13 @@ def _unit_range(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None
     if pixels.dtype == np.bool_:
         return pixels.astype(np.float32, order="C")
     low, high = _finite_range(pixels, what)
-    if low >= 0.0 and high <= 1.0:
+
+    def of_bytes() -> bool:
+        return is_bright(pixels.mean(dtype=np.float64)) or bool((pixels == np.rint(pixels)).all())
+
+    if not is_clipped(pixels, low, high, of_bytes, what, on_clip):
         return pixels
-    if low < -ROUNDING or high > 1.0 + ROUNDING:
-        hint = "; if they are in [0, 255], divide by 255" if high > 2.0 else ""
-        values = f"values in [{low:.6g}, {high:.6g}], {describe(pixels)}"
-        if on_clip is None or _is_of_bytes(pixels, low, high):
-            raise ImageError(f"{what} must have values in [0, 1], got {values}{hint or '; clip'}")
-        on_clip(f"{what} has {values}; they are clipped to [0, 1]{hint}")
     return np.clip(pixels, 0.0, 1.0, order="C")
-
-
-def _is_of_bytes(pixels: Pixels, low: float, high: float) -> bool:
-    """Whether floats are plainly in [0, 255]; an overexposed render is not as bright as that."""
-    if low < 0 or not 2 < high <= 255 + ROUNDING:
-        return False
-    return bool(pixels.mean(dtype=np.float64) > _BRIGHT or (pixels == np.rint(pixels)).all())
-
-
-# -- checks ----------------------------------------------------------------------------------------
 
 
 def _finite_range(pixels: Pixels, what: str) -> tuple[float, float]:
@@ -313,25 +275,5 @@ def _finite_range(pixels: Pixels, what: str) -> tuple[float, float]:
         low, high = float(pixels.min()), float(pixels.max())
     if not (np.isfinite(low) and np.isfinite(high)):
         bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-        raise ImageError(
-            f"{what} must be finite, got {bad} NaN or infinite values in {describe(pixels)}; "
-            "mend them in the renderer, or replace them with np.nan_to_num"
-        )
+        raise refuse_not_finite(what, bad, pixels)
     return low, high
-
-
-def _check_batch_axes(array: Pixels, size: Size | None, what: str) -> None:
-    single = array.ndim == 2 or (
-        # (H, W, C) could pass for n gray images where no size tells them apart
-        array.ndim == 3 and array.shape[2] in CHANNELS and (size is None or array.shape[1:] != size)
-    )
-    if single or array.ndim not in (3, 4):
-        raise ImageError(
-            f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(array)}"
-            + ("; for a single image write image[None]" if single else "")
-        )
-
-
-def _check_count(count: int, n: int | None) -> None:
-    if n is not None and count != n:
-        raise ImageError(f"there must be one image per point: got {count} images for {n} points")

@@ -20,6 +20,7 @@ _PACKAGES = (
     "opencv-contrib-python-headless",
     "opencv-python-headless",
     "cma",
+    "kornia",
     "matplotlib",
     "pillow",
     "mitsuba",

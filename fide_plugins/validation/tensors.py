@@ -1,0 +1,102 @@
+"""Renders that are a torch tensor on a GPU: checked and converted there, by the rules of `images`.
+
+Only counts and extremes of their values come to the CPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import isfinite
+from typing import Any, TypeGuard
+
+import torch
+from torch import Tensor
+
+from fide_plugins.validation.image_sources import describe, is_torch_tensor
+from fide_plugins.validation.images import warn_clipped
+from fide_plugins.validation.rules import (
+    channels_last,
+    check_batch_axes,
+    check_count,
+    is_bright,
+    is_clipped,
+    refuse_not_finite,
+    refuse_type,
+)
+
+__all__ = ["as_tensor_batch", "stays_on_device"]
+
+_WITH_NUMPY = ("cpu", "mps")  # whose images NumPy and OpenCV process: MPS has no float64
+
+
+def stays_on_device(images: object) -> TypeGuard[Tensor]:
+    """Whether they are a tensor that can be processed where it is, on a GPU.
+
+    On the CPU OpenCV is faster, and a tensor there shares its memory with NumPy.
+    """
+    return is_torch_tensor(images) and images.device.type not in _WITH_NUMPY  # type: ignore[attr-defined]
+
+
+def as_tensor_batch(
+    images: Tensor,
+    shape: Sequence[int] | None = None,
+    *,
+    n: int | None = None,
+    on_clip: Callable[[str], None] = warn_clipped,
+) -> Tensor:
+    """Return a canonical batch on the device of the images.
+
+    Parameters
+    ----------
+    images
+        (n, H, W), (n, H, W, C) or (n, C, H, W), values as in `images`.
+    shape
+        required size (H, W), or shape (H, W, 3) of the target; None: any.
+    n
+        required number of images; None: any number, also zero.
+    on_clip
+        called once, with a message, if finite values outside [0, 1] were clipped.
+
+    Returns
+    -------
+    float32 (n, H, W, 3) in [0, 1], without gradients; perhaps the images themselves.
+
+    Raises
+    ------
+    ImageError
+        wrong number, shape, type or values (also a ValueError).
+    """
+    size = None if shape is None else (int(shape[0]), int(shape[1]))
+    what = "the batch of images"
+    images = images.detach()
+    if not (images.is_floating_point() or images.dtype in (torch.uint8, torch.bool)):
+        remedy = "write image.to(torch.uint8) if its values are in [0, 255]"
+        raise refuse_type(what, f"a tensor of {describe(images)}", remedy)
+    check_batch_axes(images, size, what)
+    check_count(len(images), n)
+    pixels = _unit_range(channels_last(images, 1, True, size, what), what, on_clip)
+    if pixels.shape[-1] == 4:
+        color, alpha = pixels[..., :3], pixels[..., 3:]
+        return 1.0 - alpha * (1.0 - color)
+    return pixels.expand(*pixels.shape[:-1], 3)
+
+
+def _unit_range(pixels: Any, what: str, on_clip: Callable[[str], None]) -> Tensor:
+    """Values of (..., C) as float32 in [0, 1]."""
+    values: Tensor = pixels.float()
+    if pixels.dtype == torch.uint8:
+        return values / 255
+    if pixels.dtype == torch.bool or not pixels.numel():
+        return values
+    low, high = torch.stack([values.min(), values.max()]).cpu().tolist()  # two numbers, one copy
+    if not (isfinite(low) and isfinite(high)):
+        bad = values.numel() - int(torch.isfinite(values).sum())
+        raise refuse_not_finite(what, bad, pixels)
+
+    def of_bytes() -> bool:
+        mean = float(values.mean(dtype=torch.float64))
+        return is_bright(mean) or bool((values == values.round()).all())
+
+    if not is_clipped(pixels, low, high, of_bytes, what, on_clip):
+        return values
+    return values.clamp(0.0, 1.0)
