@@ -69,7 +69,8 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
 def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
 
-    dim: number of parameters; or a space, of which most optimizers see the number only.
+    dim: number of parameters; or a space, of which most optimizers see the number only, and those
+        that have an option `groups` also which blocks of parameters are exchangeable.
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
     """
@@ -80,6 +81,9 @@ def make(name: str, dim: int | Space, target: object = None, **settings: Any) ->
         listed = ", ".join(known)
         raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
     space = dim if name in _WITH_SPACE else getattr(dim, "dim", dim)
+    blocks = getattr(dim, "largest_family", None)
+    if blocks and space is not dim and "groups" in known:
+        settings = {"groups": blocks, **settings}
     optimizer: Optimizer = cls(space, target, **settings)
     return optimizer
 

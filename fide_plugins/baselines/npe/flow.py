@@ -29,6 +29,7 @@ __all__ = ["Embedding", "Flow", "Trainer", "import_sbi", "seeded"]
 LEAST_STD = 1e-3  # of the values of all images: constant ones are not blown up
 FEATURES = 64  # of an image, and units of the layers that make them
 CHANNELS = (6, 12)  # sbi's default
+LEARNING_RATE = 1e-3  # of Adam; sbi's default is 5e-4, with passes without end
 CHUNK = 1000  # points whose densities are computed at once
 
 
@@ -62,7 +63,8 @@ class Flow:
         It is not corrected for what leaks out of the cube, which is the same for all points.
         """
         with torch.no_grad():
-            parts = [self._part(points) for points in theta.split(CHUNK)]
+            starts = range(0, len(theta), CHUNK)
+            parts = [self._part(theta[start : start + CHUNK]) for start in starts]
         return torch.cat(parts).nan_to_num(-torch.inf, posinf=-torch.inf)
 
     def _part(self, points: Tensor) -> Tensor:
@@ -75,6 +77,9 @@ class Embedding(nn.Module):
 
     Where all images of a batch are the same, as in sampling, one is embedded.
     """
+
+    mean: Tensor
+    std: Tensor
 
     def __init__(self, shape: tuple[int, int], mean: float, std: float) -> None:
         from sbi.neural_nets.embedding_nets import CNNEmbedding
@@ -106,16 +111,24 @@ class Trainer:
     """A flow, and its training.
 
     dim: d.  shape: (h, w) of the images.  width, transforms: hidden units and layers of the flow.
-    epochs: passes over the data, at most.
+    epochs: passes over the data, at most.  batch_size: points of a step.
     """
 
     def __init__(
-        self, dim: int, shape: tuple[int, int], width: int, transforms: int, epochs: int
+        self,
+        dim: int,
+        shape: tuple[int, int],
+        *,
+        width: int,
+        transforms: int,
+        epochs: int,
+        batch_size: int,
     ) -> None:
         from sbi.utils import BoxUniform
 
         self._dim, self._shape = dim, shape
-        self._width, self._transforms, self._epochs = width, transforms, epochs
+        self._width, self._transforms = width, transforms
+        self._epochs, self._batch_size = epochs, batch_size
         self.prior = BoxUniform(torch.zeros(dim), torch.ones(dim))
         self.estimator: Any = None
         """Trained so far; None before."""
@@ -136,7 +149,7 @@ class Trainer:
         trainer.append_simulations(theta, x)
         trained = trainer.train(
             max_num_epochs=self._epochs,
-            training_batch_size=BATCH,
+            training_batch_size=self._batch_size,
             learning_rate=LEARNING_RATE,
             force_first_round_loss=True,  # a truncated prior needs no correction
         )
@@ -172,10 +185,6 @@ class Trainer:
             embedding_net=Embedding(self._shape, float(x.mean()), float(x.std())),
         )
         return build(theta, x)
-
-
-BATCH = 100
-LEARNING_RATE = 1e-3
 
 
 class _NoTracker:

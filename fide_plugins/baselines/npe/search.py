@@ -2,8 +2,8 @@
 
 Round 1 renders uniform points of the box, and a network learns p(x | image) from them.  Each later
 round renders points of the box cut to where the network sees the target's posterior, and training
-goes on with all points so far; as they are the prior's, but for the cut, nothing is corrected.  What
-is left of the budget goes to samples of the posterior.
+goes on with all points so far; as they are the prior's, but for the cut, nothing is corrected.
+What is left of the budget goes to samples of the posterior.
 
 The network sees an image of at most `size` pixels a side.  Exchangeable blocks are put in one
 order, see `canonical`: otherwise the posterior has as many modes as there are orders.
@@ -24,7 +24,16 @@ from fide_plugins.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
 from fide_plugins.baselines.npe.truncated import draw_truncated
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.errors import ImageError, OptionError
-from fide_plugins.runtime.schema import GENERATOR, Schema, Sides, array, maybe, numbers, table, whole
+from fide_plugins.runtime.schema import (
+    GENERATOR,
+    Schema,
+    Sides,
+    array,
+    maybe,
+    numbers,
+    table,
+    whole,
+)
 from fide_plugins.search.moves.exchangeability import check_groups
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
@@ -44,6 +53,7 @@ class NPE(Stateful):
     popsize: points a round; None: share * budget / rounds.
     epochs: passes over all points so far in each training, at most; it also ends after 20 passes
         without progress on a tenth of the points that is held out.
+    batch_size: points of a step of Adam.
     quantile: mass of the posterior that a truncated proposal leaves out.
     size: pixels of a side of the image that the network sees, at most.
     width, transforms: hidden units and layers of the flow.
@@ -75,6 +85,7 @@ class NPE(Stateful):
         rounds: int = 5,
         popsize: int | None = None,
         epochs: int = 100,
+        batch_size: int = 100,
         quantile: float = 1e-3,
         size: int = 32,
         width: int = 50,
@@ -91,6 +102,7 @@ class NPE(Stateful):
             raise ImageError(f"{self.name} learns from images and needs a target; got none")
         import_sbi(self.name)
         self.epochs = whole_number("epochs", epochs, 1)
+        self.batch_size = whole_number("batch_size", batch_size, 1)
         self.size = whole_number("size", size, LEAST_SIDE)
         self.width = whole_number("width", width, 1)
         self.transforms = whole_number("transforms", transforms, 1)
@@ -100,7 +112,7 @@ class NPE(Stateful):
         self._shape = next(sides), next(sides)
         self._target = self._encode(self.target[None])
         self._rng = np.random.default_rng(self.seed)
-        self._trainer = Trainer(self.dim, self._shape, self.width, self.transforms, self.epochs)
+        self._trainer = Trainer(self.dim, self._shape, **self._training())
         self.trained = 0  # rounds whose training is done
         self._x: list[Float64] = []  # learned from, in their canonical order
         self._images: list[Float32] = []
@@ -146,6 +158,10 @@ class NPE(Stateful):
         ordered: Float64 = canonical(points.numpy(), self._blocks)
         return points.new_tensor(ordered)
 
+    def _training(self) -> dict[str, int]:
+        names = ("width", "transforms", "epochs", "batch_size")
+        return {name: getattr(self, name) for name in names}
+
     def _new_seed(self) -> int:
         return int(self._rng.integers(2**31))
 
@@ -156,8 +172,8 @@ class NPE(Stateful):
         return super()._sides() | {"f": self._target.shape[1]}
 
     def _own_settings(self) -> dict[str, Any]:
-        names = "budget share rounds epochs quantile size width transforms support"
-        own = {name: getattr(self, name) for name in names.split()}
+        names = ("budget", "share", "rounds", "quantile", "size", "support")
+        own = {name: getattr(self, name) for name in names} | self._training()
         groups = None if self._blocks is None else self._blocks.tolist()
         return {**super()._own_settings(), **own, "groups": groups}
 
@@ -184,5 +200,3 @@ def _fraction(name: str, value: object) -> float:
     if fraction > 1:
         raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
     return fraction
-
-
