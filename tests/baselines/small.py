@@ -32,7 +32,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "npe": {
         "popsize": 20,
         "rounds": 2,
-        "epochs": 1,
+        "epochs": 2,
         "size": 16,
         "width": 4,
         "transforms": 1,

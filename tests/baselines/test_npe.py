@@ -27,7 +27,7 @@ BLOCKS = np.array([[0, 1], [3, 4], [5, 6]])
 TINY: dict[str, Any] = {
     "popsize": 40,
     "rounds": 2,
-    "epochs": 1,
+    "epochs": 2,
     "size": 16,
     "width": 4,
     "transforms": 1,
@@ -144,7 +144,7 @@ def test_densities_that_are_no_numbers_are_none(sbi: Any) -> None:
 
 def test_what_is_asked_comes_near_the_answer(sbi: Any) -> None:
     """A spot that shows both of its parameters: after two rounds it is known where it is."""
-    options = {**TINY, "popsize": 120, "epochs": 8, "width": 20, "transforms": 2}
+    options = {**TINY, "popsize": 120, "epochs": 9, "width": 20, "transforms": 2}
     opt = NPE(2, TARGET, **options | {"support": 500, "batch_size": 12})
     distances = []
     for _ in range(3):
@@ -196,13 +196,36 @@ def test_points_without_a_loss_are_not_learned_from(sbi: Any) -> None:
     assert opt.trained == 1 and len(opt._x) == 30
 
 
-def test_nothing_is_written(sbi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_makes_as_many_passes_as_it_may(
+    sbi: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sbi.inference import NPE as Library
+
+    passes = 0
+    one = Library._train_epoch
+
+    def counted(*args: Any) -> Any:
+        nonlocal passes
+        passes += 1
+        return one(*args)
+
+    monkeypatch.setattr(Library, "_train_epoch", counted)
+    opt = NPE(2, TARGET, **{**TINY, "epochs": 3})
+    X = opt.ask()
+    opt.tell(X, spot(X))
+    assert passes == 3
+
+
+def test_nothing_is_written(
+    sbi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Neither what TensorBoard reads nor a message, also where a training ends by itself."""
     monkeypatch.chdir(tmp_path)
-    opt = NPE(2, TARGET, **TINY)
-    for _ in range(2):
-        X = opt.ask()
-        opt.tell(X, spot(X))
-    assert opt.trained == 2 and not list(tmp_path.iterdir())
+    opt = NPE(2, TARGET, **{**TINY, "epochs": 60})
+    X = opt.ask()
+    opt.tell(X, np.random.default_rng(0).random((40, 16, 16, 3)))  # nothing to learn: it ends soon
+    assert opt.trained == 1 and not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
 
 
 def test_weights_of_another_network_are_refused(sbi: Any, tmp_path: Path) -> None:
@@ -233,9 +256,10 @@ def test_it_needs_a_target() -> None:
         {"budget": 0},
         {"share": 1.5},
         {"rounds": 0},
-        {"epochs": 0},
+        {"epochs": 1},
         {"batch_size": 0},
         {"quantile": 0.0},
+        {"quantile": 1.0},
         {"size": 8},
         {"width": 0},
         {"transforms": 0},

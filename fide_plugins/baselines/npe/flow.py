@@ -135,12 +135,10 @@ class Trainer:
 
     def fit(self, X: Float64, images: Float32) -> None:
         """Train on points (n, d), all from the prior or a truncated one, and images (n, f)."""
-        from sbi.inference import NPE
-
         theta, x = torch.from_numpy(X.astype(np.float32)), self.images(images)
         if self.estimator is None:
             self.estimator = self._build(theta, x)
-        trainer = NPE(
+        trainer = _silent_npe()(
             self.prior,
             density_estimator=lambda theta, x: self.estimator,
             show_progress_bars=False,
@@ -148,7 +146,7 @@ class Trainer:
         )
         trainer.append_simulations(theta, x)
         trained = trainer.train(
-            max_num_epochs=self._epochs,
+            max_num_epochs=self._epochs - 1,  # sbi makes one more
             training_batch_size=self._batch_size,
             learning_rate=LEARNING_RATE,
             force_first_round_loss=True,  # a truncated prior needs no correction
@@ -185,6 +183,13 @@ class Trainer:
             embedding_net=Embedding(self._shape, float(x.mean()), float(x.std())),
         )
         return build(theta, x)
+
+
+def _silent_npe() -> Any:
+    """Sbi's trainer, without what it prints when it has converged."""
+    from sbi.inference import NPE
+
+    return type("NPE", (NPE,), {"_report_convergence_at_end": lambda *of: None})
 
 
 class _NoTracker:

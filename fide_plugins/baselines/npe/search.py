@@ -51,8 +51,8 @@ class NPE(Stateful):
     share: fraction of the budget that is spent on points to learn from.
     rounds: trainings.
     popsize: points a round; None: share * budget / rounds.
-    epochs: passes over all points so far in each training, at most; it also ends after 20 passes
-        without progress on a tenth of the points that is held out.
+    epochs: passes over all points so far in each training, at most; at least 2.  A training also
+        ends after 20 passes without progress on a tenth of the points that is held out.
     batch_size: points of a step of Adam.
     quantile: mass of the posterior that a truncated proposal leaves out.
     size: pixels of a side of the image that the network sees, at most.
@@ -95,13 +95,17 @@ class NPE(Stateful):
         **options: Any,
     ) -> None:
         self.budget = whole_number("budget", budget, 1)
-        self.share, self.quantile = _fraction("share", share), _fraction("quantile", quantile)
+        self.share, self.quantile = positive("share", share), positive("quantile", quantile)
+        if self.share > 1:
+            raise OptionError(f"share must lie in (0, 1], not {share!r}")
+        if self.quantile >= 1:
+            raise OptionError(f"quantile must lie in (0, 1), not {quantile!r}")
         self.rounds = whole_number("rounds", rounds, 1)
         super().__init__(dim, target, popsize=popsize, **options)
         if self.target is None:
             raise ImageError(f"{self.name} learns from images and needs a target; got none")
         import_sbi(self.name)
-        self.epochs = whole_number("epochs", epochs, 1)
+        self.epochs = whole_number("epochs", epochs, 2)
         self.batch_size = whole_number("batch_size", batch_size, 1)
         self.size = whole_number("size", size, LEAST_SIDE)
         self.width = whole_number("width", width, 1)
@@ -193,10 +197,3 @@ class NPE(Stateful):
         self.trained = state["trained"]
         self._x, self._images = list(state["x"]), list(state["images"])
         self._rng.bit_generator.state = state["rng"]
-
-
-def _fraction(name: str, value: object) -> float:
-    fraction = positive(name, value)
-    if fraction > 1:
-        raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
-    return fraction
