@@ -41,6 +41,7 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "fide-annealing": "fide_plugins.baselines.fide_annealing:FIDEAnnealing",
     "inverse": "fide_plugins.baselines.inverse:Inverse",
     "lq-cma-es": "fide_plugins.baselines.lq_cma:LQCMA",
+    "npe": "fide_plugins.baselines.npe.search:NPE",
     "random": "fide_plugins.baselines.random:Random",
     "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
@@ -68,7 +69,8 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
 def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
 
-    dim: number of parameters; or a space, of which most optimizers see the number only.
+    dim: number of parameters; or a space, of which most optimizers see the number only, and those
+        that have an option `groups` also which blocks of parameters are exchangeable.
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
     """
@@ -79,6 +81,9 @@ def make(name: str, dim: int | Space, target: object = None, **settings: Any) ->
         listed = ", ".join(known)
         raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
     space = dim if name in _WITH_SPACE else getattr(dim, "dim", dim)
+    blocks = getattr(dim, "largest_family", None)
+    if blocks and space is not dim and "groups" in known:
+        settings = {"groups": blocks, **settings}
     optimizer: Optimizer = cls(space, target, **settings)
     return optimizer
 

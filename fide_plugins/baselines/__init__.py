@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from fide_plugins.baselines.frameworks import nevergrad as nevergrad, optuna as optuna
     from fide_plugins.baselines.inverse import Inverse as Inverse
     from fide_plugins.baselines.lq_cma import LQCMA as LQCMA
+    from fide_plugins.baselines.npe.search import NPE as NPE
     from fide_plugins.baselines.random import Random as Random
     from fide_plugins.baselines.trust_region.composite import CompositeBO as CompositeBO
     from fide_plugins.baselines.trust_region.turbo import TuRBO as TuRBO
@@ -44,6 +45,7 @@ _MODULES = {
     "FIDEAnnealing": "fide_annealing",
     "Inverse": "inverse",
     "LQCMA": "lq_cma",
+    "NPE": "npe.search",
     "Random": "random",
     "TuRBO": "trust_region.turbo",
     "ZeroGrads": "zerograds",
@@ -57,6 +59,7 @@ __all__ = [
     "DFOLS",
     "EKI",
     "LQCMA",
+    "NPE",
     "Baseline",
     "CompositeBO",
     "DiBO",

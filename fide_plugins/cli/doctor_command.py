@@ -22,6 +22,7 @@ _EXTRAS = {  # extra: a distribution that it installs
     "dinov3": "transformers",
     "dask": "distributed",
     "botorch": "botorch",
+    "sbi": "sbi",
     "report": "jinja2",
 }
 

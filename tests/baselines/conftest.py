@@ -74,12 +74,17 @@ class Subject:
     @property
     def installed(self) -> bool:
         """Whether the package that it needs is there."""
-        return self.name not in ("composite-bo", "turbo") or bool(find_spec("botorch"))
+        return self.needs is None or bool(find_spec(self.needs))
+
+    @property
+    def needs(self) -> str | None:
+        """A package that is not required."""
+        return {"composite-bo": "botorch", "turbo": "botorch", "npe": "sbi"}.get(self.name)
 
     @property
     def looks(self) -> bool:
         """Whether it needs images."""
-        return self.name in ("composite-bo", "eki", "dfols", "fide-annealing", "inverse")
+        return self.name in ("composite-bo", "eki", "dfols", "fide-annealing", "inverse", "npe")
 
 
 SUBJECTS = [
@@ -95,6 +100,7 @@ SUBJECTS = [
     Subject("lq-cma-es", evaluations=60, close=0.1),
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
+    Subject("npe", evaluations=60),
     Subject("random"),
     Subject("turbo", evaluations=30),
     Subject("zerograds"),
@@ -126,7 +132,7 @@ def subject(request: pytest.FixtureRequest) -> Subject:
     """Every baseline, one after the other."""
     chosen: Subject = request.param
     if not chosen.installed:
-        pytest.skip("needs BoTorch")
+        pytest.skip(f"needs {chosen.needs}")
     return chosen
 
 
