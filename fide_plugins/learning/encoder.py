@@ -50,7 +50,8 @@ class Encoder(nn.Module):
         with torch.no_grad():
             places = self._map(torch.zeros(1, 3, *size))
             inputs = self.top(places).numel()
-        self.places = int(places.shape[2] * places.shape[3])
+        self.grid = (int(places.shape[2]), int(places.shape[3]))
+        self.places = self.grid[0] * self.grid[1]
         self.project = nn.Linear(inputs, width)
         self.normalize = nn.LayerNorm(width)
         for layer in self.modules():

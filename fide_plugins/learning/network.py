@@ -48,7 +48,7 @@ class Network(nn.Module):
         if head == "set":
             from fide_plugins.learning.sets import Blocks
 
-            return Blocks(self.encoder.channels, self.encoder.places, _WIDTH, periodic, blocks)
+            return Blocks(self.encoder.channels, self.encoder.grid, _WIDTH, periodic, blocks)
         kind: Any = Mixture if head == "mixture" else Autoregressive
         return kind(_WIDTH, periodic)
 

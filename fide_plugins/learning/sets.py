@@ -2,7 +2,9 @@
 
 As many queries as blocks attend to the places of the image and to each other, and each predicts one
 block. Queries and blocks are matched by the Hungarian method (set prediction, Carion et al. 2020,
-arXiv:2005.12872). The density of blocks u_1 ... u_n, of which no order counts, is
+arXiv:2005.12872). Waves of its coordinates, as strong as what is seen there, come with each place,
+so that a query that finds its block by its color can say where it is. The density of blocks
+u_1 ... u_n, of which no order counts, is
 
     p(u) = 1 / n! sum_s prod_i p_i(u_s(i)) >= 1 / n! max_s prod_i p_i(u_s(i)),  s: permutations;
 
@@ -20,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.axes import NUMBERS, Components
+from fide_plugins.learning.axes import NUMBERS, Components, fourier
 from fide_plugins.learning.heads import Autoregressive
 
 __all__ = ["Blocks"]
@@ -31,17 +33,18 @@ _WIDTH, _HEADS, _LAYERS = 96, 4, 3
 class Blocks(nn.Module):
     """Queries for the exchangeable blocks; all other axes by an `Autoregressive` head.
 
-    channels, places: of the encoder's map.  width: of its vector.
+    channels, grid: of the encoder's map, grid its height and width.  width: of its vector.
     periodic: (d,) bool.  blocks: (n, L), axes of each block.
     """
 
     periodic: Tensor
     blocks: Tensor
+    waves: Tensor
 
     def __init__(
         self,
         channels: int,
-        places: int,
+        grid: tuple[int, int],
         width: int,
         periodic: Tensor,
         blocks: Sequence[Sequence[int]],
@@ -55,14 +58,16 @@ class Blocks(nn.Module):
         self.rest = Autoregressive(width, periodic[others]) if others else None
         n, length = index.shape
         self.place_in = nn.Linear(channels, _WIDTH)
-        self.position = nn.Parameter(0.02 * torch.randn(places, _WIDTH))
+        self.register_buffer("waves", _waves(grid), persistent=False)
+        self.position = nn.Linear(self.waves.shape[1], _WIDTH)
         self.query = nn.Parameter(torch.randn(n, _WIDTH))
         self.layers = nn.ModuleList(_Layer() for _ in range(_LAYERS))
         self.out = nn.Linear(_WIDTH, length * NUMBERS)
 
     def _of(self, places: Tensor) -> Components:
         """One component (B, n, L, 1) for each query."""
-        image = self.place_in(places) + self.position  # (B, places, W)
+        seen = self.place_in(F.layer_norm(places, places.shape[-1:]))
+        image = seen + self.position(self.waves)  # (B, places, W)
         h = self.query.expand(len(places), -1, -1)
         for layer in self.layers:
             h = layer(h, image)
@@ -125,6 +130,13 @@ class _Attention(nn.Module):
         attended = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
         out: Tensor = self.out(attended)
         return out
+
+
+def _waves(grid: tuple[int, int]) -> Tensor:
+    """Waves (h * w, 18) of the middle of each place of a map of h x w places, row by row."""
+    y, x = ((torch.arange(side) + 0.5) / side for side in grid)
+    middles = torch.cartesian_prod(y, x)  # (h * w, 2)
+    return fourier(middles, torch.tensor([False, False])).flatten(1)
 
 
 def _split(h: Tensor) -> Tensor:

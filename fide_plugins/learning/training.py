@@ -28,6 +28,7 @@ __all__ = ["Curve", "Progress", "Training", "held_out"]
 
 _HELD_OUT, _MOST_HELD_OUT = 50, 2000  # every 50th render, and as many at most
 _WARM_UP = 100  # steps
+_BATCH = 32  # renders of a step: with more there are too few steps to leave the first plateaus
 _PATIENCE = 4  # passes without a better held-out likelihood that end training
 _STANDARD = 1000  # renders by which images are standardized
 _CLIP = 5.0  # norm of a gradient
@@ -73,7 +74,7 @@ class Training:
     passes: int
     seed: int = 0
     seconds: float | None = None
-    batch: int = 128
+    batch: int = _BATCH
     learning_rate: float = 1e-3
     curve: Curve = field(default_factory=list)
     passed: int = 0

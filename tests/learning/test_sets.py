@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 import fide_tasks
 from fide_plugins.learning import learn
+from fide_plugins.learning.sets import Blocks
 
 
 @pytest.mark.slow
@@ -22,3 +24,19 @@ def test_cells_are_found_in_any_order() -> None:
     p, q = model.log_prob(task.target, [x, swapped])
     np.testing.assert_allclose(p, q, rtol=1e-5)
     assert model.distance(swapped[None], x)[0] == 0
+
+
+def test_where_something_is_counts_from_the_first_step() -> None:
+    """Also beside features that are large, as those of an encoder become."""
+    spread = []
+    for seed in range(4):
+        with torch.random.fork_rng(devices=[]):
+            torch.default_generator.manual_seed(seed)
+            head = Blocks(16, (4, 6), 8, torch.zeros(4, dtype=torch.bool), [[0, 1], [2, 3]])
+            plain, thing = 1000 * torch.randn(2, 16)
+        images = plain.repeat(24, 24, 1)  # (B, places, channels)
+        images[range(24), range(24)] = thing  # in each image at another place
+        with torch.no_grad():
+            said = head.log_prob(images, torch.zeros(24, 8), torch.full((24, 4), 0.5))
+        spread.append(float(said.std()))
+    assert np.median(spread) > 1e-3

@@ -40,7 +40,7 @@ def training(now: list[float], seconds: float | None, passes: int = 4) -> Steppi
     images = np.repeat(np.uint8(x * 255), 8, axis=1)[:, :, None, None]  # (n, 16, 1, 1)
     images = np.broadcast_to(images, (1300, 16, 16, 3)).copy()
     network = Network((16, 16), (False, False), "autoregressive", (), 0)
-    made = Stepping(network, x, images, passes, seconds=seconds)
+    made = Stepping(network, x, images, passes, seconds=seconds, batch=128)
     made.rates, made.now = [], now
     return made
 

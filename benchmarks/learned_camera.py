@@ -1,0 +1,140 @@
+"""Does a learned model find the camera of a new picture? San Miguel, few renders more.
+
+    fide learn san_miguel --renders 100000 --size 32 --task-set spp=2 --out runs/san_miguel.fide
+    python benchmarks/learned_camera.py --model runs/san_miguel.fide --targets 120-139
+    python benchmarks/learned_camera.py --table
+
+Every run (target, seed, configuration, size, samples, budget) is one line of the output file,
+appended when it is done; a second call does what is missing. What counts is the candidate with the
+lowest loss when the budget is spent: how far its camera is from the truth, in units of the box, in
+the worst of its parameters. Angles that wrap around are compared the shorter way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from moves import literal, read, span
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_plugins import FIDE
+
+RESULTS = Path(__file__).parent / "results" / "learned_camera.jsonl"
+NEAR = (0.005, 0.01, 0.02, 0.05)
+_KEY = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
+
+Row = dict[str, Any]
+
+
+def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
+    """One run: how far the best camera is from the truth, and since which render it is near."""
+    task = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
+    camera = [i for i, one in enumerate(task.parameters) if one.group == "camera"]
+    periodic = np.array([one.periodic for one in task.parameters])
+    opt = FIDE(task.space, task.target, loss=loss, learned=model, seed=row["seed"], **options)
+    best, far = np.inf, []
+    apart = np.ones(task.dim)
+    first: float | None = None
+    while opt.evaluations < row["budget"]:
+        X = opt.ask()[: row["budget"] - opt.evaluations]
+        before = opt.evaluations
+        losses = opt.tell(X, task.render(X, seed=list(range(before, before + len(X)))))
+        for x, value in zip(X, losses.tolist(), strict=True):
+            if value < best:
+                best, apart = value, difference(x, task.x_star, periodic)
+            far.append(float(apart[camera].max()))
+        if first is None and model is not None:
+            first = min(float(difference(x, task.x_star, periodic)[camera].max()) for x in X)
+    return {
+        **row,
+        "loss": loss,
+        "best": best,
+        "apart": [round(a, 5) for a in apart.tolist()],
+        "camera": far[-1],
+        "nearest_hypothesis": first,
+        "near_since": {str(near): since(far, near) for near in NEAR},
+    }
+
+
+def difference(
+    x: NDArray[np.float64], y: NDArray[np.float64], periodic: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Distance (d,) of two points (d,) of the cube in each parameter."""
+    apart = np.abs(x - y)
+    return np.where(periodic, np.minimum(apart, 1 - apart), apart)
+
+
+def since(far: list[float], near: float) -> int | None:
+    """Number of the render from which on the best one was as near; None if the last is not."""
+    outside = np.flatnonzero(np.array(far) > near)
+    if not len(outside):
+        return 1
+    return None if outside[-1] == len(far) - 1 else int(outside[-1]) + 2
+
+
+def table(rows: list[Row]) -> str:
+    """Pictures whose camera was found, in Markdown."""
+    lines = ["| scene | configuration | renders | " + " | ".join(f"within {n}" for n in NEAR)]
+    lines[0] += " | median of renders until 0.01 |"
+    lines.append("|---|---|" + "---:|" * (len(NEAR) + 2))
+    for kind in dict.fromkeys((r["scene"], r["configuration"], r["budget"]) for r in rows):
+        group = [r for r in rows if (r["scene"], r["configuration"], r["budget"]) == kind]
+        counts = [sum(r["camera"] <= near for r in group) for near in NEAR]
+        at = [r["near_since"]["0.01"] or np.inf for r in group]
+        cells = " | ".join(f"{count} of {len(group)}" for count in counts)
+        lines.append(f"| {kind[0]} | {kind[1]} | {kind[2]:,} | {cells} | {np.median(at):.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Do what is asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scene", default="san_miguel")
+    parser.add_argument("--model", help="file of a model; without it the search has none")
+    parser.add_argument("--targets", type=span, default=range(120, 140), metavar="A-B")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--size", type=int, default=56)
+    parser.add_argument("--spp", type=int, default=8)
+    parser.add_argument("--budget", type=int, default=500)
+    parser.add_argument("--loss", default="perceptual")
+    parser.add_argument(
+        "--configuration", nargs="+", default=["learned"], metavar="NAME [KEY=VALUE]"
+    )
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--table", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(table(read(arguments.out)))
+        return
+    torch.set_num_threads(1)
+    name, *pairs = arguments.configuration
+    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
+    done = {tuple(row[k] for k in _KEY) for row in read(arguments.out)}
+    for target in arguments.targets:
+        row = {
+            "scene": arguments.scene, "target": target, "seed": arguments.seed,
+            "configuration": name, "size": arguments.size, "spp": arguments.spp,
+            "budget": arguments.budget,
+        }  # fmt: skip
+        if tuple(row[k] for k in _KEY) in done:
+            continue
+        row = measure(row, arguments.model, arguments.loss, options)
+        with arguments.out.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{target}: camera {row['camera']:.4f}, loss {row['best']:.3g}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
