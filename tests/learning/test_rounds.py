@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, fit
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.learning import Model, rounds
 from fide_plugins.types import Float64
@@ -172,6 +172,31 @@ def test_the_run_loop_has_it_too_and_resumes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.losses, result.losses)
     with pytest.raises(OptionError, match="at least 500 renders"):
         harness.run(Scene(), "fide", "mse", 400, 3, options=options)
+
+
+class Fails(Scene):
+    """Fails once, in the search."""
+
+    def __init__(self) -> None:
+        self.left = sum(SHARES) + 100
+
+    def render(self, X: Float64, seed: Any = None) -> Any:
+        before, self.left = self.left, self.left - len(X)
+        if self.left < 0 <= before:
+            raise RuntimeError("no memory")
+        return super().render(X, seed)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_run_removes_the_renders_that_an_earlier_process_left(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"options": {"preset": "global"}, "out": tmp_path / "run"}
+    scene = Fails()
+    with pytest.raises(RenderError, match="no memory"):
+        harness.run(scene, "fide", "mse", BUDGET, 3, **arguments)
+    renders = tmp_path / "run" / "rounds" / "first.fide.renders"
+    renders.mkdir()  # by a process that was killed before it removed them
+    result = harness.run(scene, "fide", "mse", BUDGET, 3, **arguments, resume=True)
+    assert result.evaluations == BUDGET and not renders.exists()
 
 
 @pytest.mark.slow

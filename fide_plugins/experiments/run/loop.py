@@ -112,8 +112,10 @@ class Run:
             try:
                 if on_progress is not None:
                     on_progress(self.progress)
-                if self._rounds is not None and not self.record.evaluations:
-                    self._learn(self._rounds, interrupts, on_progress)
+                if self._rounds is not None:
+                    if not self.record.evaluations:
+                        self._learn(self._rounds, interrupts, on_progress)
+                    self._rounds.remove_renders()  # also where a call was killed before that
                 while self.record.evaluations < self._budget:
                     self._step(interrupts)
                     if on_progress is not None:
@@ -154,7 +156,6 @@ class Run:
         self._tick()
         self.record.add_unjudged(learned.renders)
         self._save()
-        rounds.remove_renders()
 
     # -- one piece ---------------------------------------------------------------------------------
 
