@@ -26,7 +26,7 @@ from moves import read
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.learning.learn import _kind
+from fide_plugins.learning.learn import kind_of
 from fide_plugins.learning.network import Network
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.training import Training
@@ -52,7 +52,7 @@ def rendered(scene: str, size: int, n: int) -> tuple[Any, NDArray[np.float64], N
 
 def measure(row: Row, renderer: Any, x: NDArray[np.float64], images: NDArray[np.uint8]) -> Row:
     """One training."""
-    head, blocks = _kind(renderer, None, None)
+    head, blocks = kind_of(renderer, None, None)
     periodic = tuple(bool(each) for each in renderer.space.periodic)
     network = Network((row["size"], row["size"]), periodic, head, blocks, 0)
     training = Training(network, x, images, row["passes"], 0, batch=row["batch"])

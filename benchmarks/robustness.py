@@ -107,7 +107,7 @@ PICTURES: dict[str, Picture] = {
     "exposure, 15 %": lambda image, rng: image * rng.choice([0.85, 1.15]),
     "color, 10 %": lambda image, rng: image * rng.uniform(0.9, 1.1, 3),
     "shifted, 1 px": lambda image, rng: shifted(image, 1.0, rng),
-    "a fifth hidden": lambda image, rng: occluded(image, 0.2, rng),
+    "a square of a fifth of the side in front": lambda image, rng: occluded(image, 0.2, rng),
     "all, smaller": photograph,
 }
 

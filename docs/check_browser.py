@@ -56,7 +56,7 @@ def browser_path() -> str | None:
 
 
 def pages_of(site: Path) -> list[Path]:
-    """Pages that have an article, so without those of the machinery."""
+    """All pages but those in `_static`."""
     return [file for file in sorted(site.rglob("*.html")) if "_static" not in file.parts]
 
 

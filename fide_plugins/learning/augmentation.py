@@ -26,7 +26,6 @@ _EXPOSURE = 0.05  # relative, at most
 _BALANCE = 0.03  # of each color, relative, at most
 _SATURATION = 0.1  # relative, at most
 _NOISE = 0.02  # standard deviation, at most
-_NOISES = 16  # noise images of a batch, used with either sign: random numbers take time
 _OCCLUDED = 0.3  # side of what is in front, of the image's, at most
 
 
@@ -85,11 +84,8 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
-    n = len(images)
-    few = torch.randn(_NOISES, *images.shape[1:], generator=generator)
-    drawn = torch.randint(0, 2 * _NOISES, (n,), generator=generator)
-    deviation = _uniform(n, 1, 0.0, _NOISE, generator)[:, :, None, None]
-    return images + deviation * torch.cat([few, -few])[drawn]
+    deviation = _uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
+    return images + deviation * torch.randn(images.shape, generator=generator)
 
 
 _CHANGES = (  # in the order of what happens: the scene, the lens, the sensor

@@ -128,7 +128,7 @@ def learn(
     shape = renderer.first().shape[:2]
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers, seed,
-        version, *_kind(renderer, groups, head), time, clock.monotonic(),
+        version, *kind_of(renderer, groups, head), time, clock.monotonic(),
         on_progress or (lambda progress: None), region,
     )  # fmt: skip
     plan.check()
@@ -315,7 +315,7 @@ def _check(
         raise UnknownNameError.of("head", head, HEADS)
 
 
-def _kind(
+def kind_of(
     renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
 ) -> tuple[str, tuple[tuple[int, ...], ...]]:
     """Head and exchangeable blocks; raises OptionError."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -65,6 +65,10 @@ class LossOfTarget(ABC):
         self.target = as_target(target)
         self.target.flags.writeable = False
         self._on_device: dict[torch.device, Callable[[Tensor], Tensor]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what is kept on devices, which is made anew where it is needed."""
+        return {**self.__dict__, "_on_device": {}}
 
     def __call__(self, images: object) -> Float64:
         """Losses of images.

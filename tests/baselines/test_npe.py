@@ -23,17 +23,10 @@ from fide_plugins.runtime.threads import one_thread
 from fide_plugins.space import Float, Group, Space
 from fide_plugins.types import Float32, Float64
 
+from .small import OPTIONS
+
 BLOCKS = np.array([[0, 1], [3, 4], [5, 6]])
-TINY: dict[str, Any] = {
-    "popsize": 40,
-    "rounds": 2,
-    "epochs": 2,
-    "size": 16,
-    "width": 4,
-    "transforms": 1,
-    "support": 50,
-    "seed": 0,
-}
+TINY: dict[str, Any] = {**OPTIONS["npe"], "popsize": 40, "seed": 0}
 
 
 @pytest.fixture
@@ -145,14 +138,17 @@ def test_densities_that_are_no_numbers_are_none(sbi: Any) -> None:
 def test_what_is_asked_comes_near_the_answer(sbi: Any) -> None:
     """A spot that shows both of its parameters: after two rounds it is known where it is."""
     options = {**TINY, "popsize": 120, "epochs": 9, "width": 20, "transforms": 2}
-    opt = NPE(2, TARGET, **options | {"support": 500, "batch_size": 12})
-    distances = []
-    for _ in range(3):
-        X = opt.ask()
-        opt.tell(X, spot(X))
-        distances.append(float(np.median(np.abs(X - [0.3, 0.7]).max(axis=1))))
-    assert opt.trained == 2 and not opt._x
-    assert distances[1] < 0.9 * distances[0] and distances[2] < 0.4 * distances[0]
+    ratios = []  # of median distances, after two rounds and before
+    for seed in range(3):
+        opt = NPE(2, TARGET, **options | {"support": 500, "batch_size": 12, "seed": seed})
+        distances = []
+        for _ in range(3):
+            X = opt.ask()
+            opt.tell(X, spot(X))
+            distances.append(float(np.median(np.abs(X - [0.3, 0.7]).max(axis=1))))
+        assert opt.trained == 2 and not opt._x
+        ratios.append(distances[2] / distances[0])
+    assert np.median(ratios) < 0.6, ratios
 
 
 def test_candidates_of_exchangeable_blocks_have_one_order(sbi: Any) -> None:
@@ -236,6 +232,7 @@ def test_weights_of_another_network_are_refused(sbi: Any, tmp_path: Path) -> Non
     state = opt.state_dict()
     with pytest.raises((ValueError, RuntimeError)):
         other.load_state_dict(state)
+    assert len(other.ask()) == 40  # it goes on with its own
 
 
 def test_without_sbi_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,30 +15,30 @@ from fide_plugins.encoders.dense import NOISY
 from fide_plugins.encoders.despeckle import despeckled, despeckled_planes
 from fide_plugins.encoders.noise_level import noise_level, noise_levels
 
-RNG = np.random.default_rng(23)
 SIZES = [(1, 1), (2, 3), (7, 5), (84, 84), (112, 112), (113, 90), (1, 7100), (7100, 1), (16, 512)]
 
 
-def smooth(height: int, width: int, noise: float) -> Any:
+def smooth(rng: Any, height: int, width: int, noise: float) -> Any:
     rows, columns = np.mgrid[:height, :width]
     waves = [np.sin(columns / 9), np.cos(rows / 7), np.sin((rows + columns) / 11)]
-    image = 0.5 + 0.4 * np.stack(waves, -1) + noise * RNG.standard_normal((height, width, 3))
+    image = 0.5 + 0.4 * np.stack(waves, -1) + noise * rng.standard_normal((height, width, 3))
     return image.clip(0, 1)
 
 
 KINDS: dict[str, Any] = {
-    "random": lambda height, width: RNG.random((height, width, 3)),
-    "constant": lambda height, width: np.broadcast_to(RNG.random(3), (height, width, 3)),
-    "black and white": lambda height, width: RNG.integers(0, 2, (height, width, 3)),
-    "no noise": lambda height, width: smooth(height, width, 0),
-    "noise": lambda height, width: smooth(height, width, NOISY / 2),
+    "random": lambda rng, height, width: rng.random((height, width, 3)),
+    "constant": lambda rng, height, width: np.broadcast_to(rng.random(3), (height, width, 3)),
+    "black and white": lambda rng, height, width: rng.integers(0, 2, (height, width, 3)),
+    "no noise": lambda rng, height, width: smooth(rng, height, width, 0),
+    "noise": lambda rng, height, width: smooth(rng, height, width, NOISY / 2),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS)
 every_size = pytest.mark.parametrize("size", SIZES)
 
 
 def images(kind: str, size: tuple[int, int]) -> Any:
-    return np.stack([KINDS[kind](*size) for _ in range(3)]).astype(np.float32)
+    rng = np.random.default_rng(size)
+    return np.stack([KINDS[kind](rng, *size) for _ in range(3)]).astype(np.float32)
 
 
 def planes(batch: Any) -> torch.Tensor:

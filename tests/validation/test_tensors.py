@@ -201,7 +201,11 @@ def test_what_cannot_be_computed_there_is_computed_here(device: PretendedDevice)
     """The loss `loi` needs NumPy, so the images come, once."""
     images = picture(20, 20, n=2)
     run = FIDE(2, images[0], loss="loi", seed=3, popsize=4)
-    assert not isinstance(run.evaluator.as_batch(1, images[1:], None, None, print), torch.Tensor)
+    there = torch.from_numpy(images[1:]).to(THERE)
+    device.copied.clear()
+    batch = run.evaluator.as_batch(1, there, None, None, print)
+    np.testing.assert_array_equal(batch, images[1:])
+    assert device.copied == [images[1:].size]
 
 
 # -- a real one ------------------------------------------------------------------------------------

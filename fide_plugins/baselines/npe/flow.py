@@ -9,7 +9,7 @@ sbi writes its losses to a folder for TensorBoard unless it is given a tracker o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +39,7 @@ class Flow:
     estimator: of sbi.  image: (1, 3, h, w).  order: puts points (n, d) in their canonical order.
     """
 
-    def __init__(self, estimator: Any, image: Tensor, order: Any) -> None:
+    def __init__(self, estimator: Any, image: Tensor, order: Callable[[Tensor], Tensor]) -> None:
         self._estimator, self._image, self._order = estimator, image, order
 
     def sample(self, shape: tuple[int, ...]) -> Tensor:
@@ -163,8 +163,8 @@ class Trainer:
 
     def load_state_dict(self, weights: Mapping[str, Any] | None) -> None:
         """Put back what `state_dict` gave, be it arrays; RuntimeError if it is of another one."""
-        self.estimator = None
         if weights is None:
+            self.estimator = None
             return
         with seeded(0):  # the values are replaced: any will do
             estimator = self._build(torch.rand(8, self._dim), torch.rand(8, 3, *self._shape))
@@ -207,7 +207,7 @@ class _NoTracker:
 def seeded(seed: int) -> Iterator[None]:
     """PyTorch's global generator, from which sbi draws, is lent to it, without its warnings."""
     with quietly(), torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+        torch.default_generator.manual_seed(seed)  # that of the CPU alone, which is restored
         yield
 
 

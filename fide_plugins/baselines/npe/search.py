@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 from torch import Tensor
 
@@ -24,6 +23,7 @@ from fide_plugins.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
 from fide_plugins.baselines.npe.truncated import draw_truncated
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import (
     GENERATOR,
     Schema,
@@ -112,8 +112,8 @@ class NPE(Stateful):
         self.transforms = whole_number("transforms", transforms, 1)
         self.support = whole_number("support", support, 1)
         self._blocks = None if groups is None else check_groups(groups, self.dim)
-        sides = (min(self.size, max(LEAST_SIDE, side)) for side in self.target.shape[:2])
-        self._shape = next(sides), next(sides)
+        h, w = self.target.shape[:2]
+        self._shape = self._side(h), self._side(w)
         self._target = self._encode(self.target[None])
         self._rng = np.random.default_rng(self.seed)
         self._trainer = Trainer(self.dim, self._shape, **self._training())
@@ -131,7 +131,7 @@ class NPE(Stateful):
                 drawn = draw_truncated(self.popsize, self._trainer.prior, flow, *about)
             else:
                 drawn = flow.sample((self.popsize,))
-        return drawn.double().clamp(0.0, 1.0).numpy()
+        return drawn.double().numpy()
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
         assert features is not None
@@ -156,6 +156,9 @@ class NPE(Stateful):
         small = [cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA) for image in batch]
         rows = [image.transpose(2, 0, 1).ravel() for image in small]  # channels first
         return np.array(rows, np.float32).reshape(len(batch), 3 * h * w)
+
+    def _side(self, pixels: int) -> int:
+        return min(self.size, max(LEAST_SIDE, pixels))
 
     def _ordered(self, points: Tensor) -> Tensor:
         """Points (n, d) in their canonical order."""

@@ -134,7 +134,7 @@ class TrustRegion(Stateful):
         assert self._results is not None
         X, outputs = torch.from_numpy(self._X), torch.from_numpy(self._results)
         with quietly(), torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)  # the library draws from the global generator
+            torch.default_generator.manual_seed(seed)  # the library draws from the global generator
             generator = torch.Generator().manual_seed(seed)
             surrogate = self._fit(X, outputs)
             best = X[int(self._values.argmin())]
