@@ -1,7 +1,7 @@
 """Does a learned model find the camera of a new picture? San Miguel, few renders more.
 
     fide learn san_miguel --renders 100000 --size 32 --task-set spp=2 --task-set threads=1 \
-        --passes 8 --time 400 --out runs/san_miguel.fide
+        --passes 6 --out runs/san_miguel.fide
     python benchmarks/learned_camera.py --model runs/san_miguel.fide --targets 120-139
     python benchmarks/learned_camera.py --table
 
