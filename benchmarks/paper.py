@@ -317,16 +317,20 @@ def solved(group: list[Row], task: str) -> str:
 
 
 def picture(rows: list[Row], loss: str) -> NDArray[np.float32]:
-    """Results of target 0: a row for each scene; each optimizer, then the target."""
+    """Results of target 0: a row for each scene; each optimizer that has a run, then the target."""
+    mine = [row for row in rows if row["target"] == 0 and loss_of(row) == loss and row["x"]]
+    found = {(row["task"], row["configuration"]): row for row in mine}
+    racers = [name for name in RACERS if any(racer == name for _, racer in found)]
     lines = []
-    for task in (*FAST, *RENDERED):
-        mine = [row for row in rows if (row["task"], row["target"]) == (task, 0)]
-        found = {row["configuration"]: row for row in mine if loss_of(row) == loss and row["x"]}
-        if found:
-            scene = make_task(next(iter(found.values())))
-            blank = np.ones_like(scene.target)
-            drawn = [scene.reference(found[c]["x"]) if c in found else blank for c in RACERS]
-            lines.append(joined([*drawn, scene.target], axis=1))
+    for task in dict.fromkeys(row["task"] for row in mine):
+        scene = make_task(next(row for row in mine if row["task"] == task))
+        drawn = [
+            scene.reference(np.array(found[task, name]["x"]))
+            if (task, name) in found
+            else np.ones_like(scene.target)
+            for name in racers
+        ]
+        lines.append(joined([*drawn, scene.target], axis=1))
     return joined(lines, axis=0)
 
 
