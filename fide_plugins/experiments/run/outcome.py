@@ -62,4 +62,5 @@ def result_of(
 def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
     """Sizes of the generations, of which the last candidates may be pending, without those."""
     before = np.cumsum(asked) - asked
-    return np.minimum(asked, evaluations - before)[before < evaluations]
+    sizes: NDArray[np.int64] = np.minimum(asked, evaluations - before)[before < evaluations]
+    return sizes
