@@ -71,7 +71,7 @@ $(DOCS): $(STAMP)
 	@touch $@
 
 # The site, from nothing; a warning, such as of a link that leads nowhere, is an error.  Notebooks run
-# again when they or FIDE have changed: build/notebooks keeps what they wrote.
+# again when they, FIDE or constraints.txt have changed: build/notebooks keeps what they wrote.
 docs: $(DOCS)
 	@rm -rf build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs $(SITE)
