@@ -25,11 +25,7 @@ from fide_plugins.cli.messages import duration, plain
 from .conftest import KEYS, fide, one_line
 
 SMALL = ["--optimizer", "cma", "--size", "24"]
-
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def test_json_is_the_last_line_of_standard_output_with_these_keys(

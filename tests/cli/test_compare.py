@@ -21,11 +21,7 @@ from .conftest import fide
 
 SMALL = ["--optimizers", "cma,random", "--seeds", "2", "--budget", "40", "--size", "16"]
 SMALL += ["--task-set", "cells=2"]
-
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixture[str]) -> None:
