@@ -31,7 +31,6 @@ from moves import read
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.learning import training
 from fide_plugins.learning.learn import kind_of
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import as_renderer
@@ -44,7 +43,7 @@ RESULTS = Path(__file__).parent / "results" / "learned_training.jsonl"
 _KEY = ("scene", "size", "renders", "passes", "batch", "cpu_limit", "head")
 _SEED = 12345
 _TOGETHER = 500  # renders
-_JUDGES = 500  # renders more that judge heads; 100 of them by their hypotheses
+_JUDGES = 500  # renders more that judge heads
 _HYPOTHESES, _PICTURES = 50, 10  # whose time is taken
 _SHOWN = {"robot": (0, 1, 3), "san_miguel": (0, 1, 2, 3, 4)}
 """Axes by which hypotheses of any head are judged: what images show most, other scenes: all."""
@@ -100,7 +99,7 @@ def measure(row: Row, made: Renders) -> Row:
     network = Network(images.shape[1:3], periodic, head, blocks, 0)
     learner = Timed(network, x[:n], images[:n], row["passes"], 0, seconds=limit, batch=row["batch"])
     start = learner.clock()
-    with patch.object(training.time, "monotonic", learner.clock):
+    with patch.object(time, "monotonic", learner.clock):
         learner.run()
     found = {
         **row,
@@ -112,14 +111,13 @@ def measure(row: Row, made: Renders) -> Row:
     }
     if limit is None:
         return found
-    return found | judged(network, made, blocks, n, _SHOWN.get(row["scene"]))
+    return found | judged(network, made, blocks, row)
 
 
-def judged(
-    network: Network, made: Renders, blocks: Any, n: int, shown: tuple[int, ...] | None
-) -> Row:
-    """What a network says of renders from the n-th on."""
+def judged(network: Network, made: Renders, blocks: Any, row: Row) -> Row:
+    """What a network says of renders from which it has not learned."""
     space, x, images = made
+    n, shown = row["renders"], _SHOWN.get(row["scene"])
     network.eval()
     distance = Distance(np.array(space.periodic), blocks)
     start = time.process_time()
@@ -128,7 +126,7 @@ def judged(
         each = network.log_prob(as_input(images[n:]), u)
     density = time.process_time() - start
     names = [name for name, axes in space.axes.items() for _ in axes]
-    few = slice(n, n + _JUDGES // 5)
+    few = slice(n, n + row["pictures"])
     found = judge(network, x[few], images[few], names, distance)
     generator = torch.Generator().manual_seed(0)
     near = [
@@ -208,6 +206,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, nargs="+", default=[32, 128])
     parser.add_argument("--heads", nargs="+", help="see fide_plugins.learning.network.HEADS")
     parser.add_argument("--cpu-seconds", type=float, help="of each training; many passes, batch 32")
+    parser.add_argument("--pictures", type=int, default=100, help="judged by hypotheses (100)")
     parser.add_argument("--store", type=Path, help="folder of renders that fide learn has kept")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true")
@@ -217,8 +216,8 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     planned = plan(arguments)
-    done = {_key(row) for row in read(arguments.out)}
-    missing = [row for row in planned if _key(row) not in done]
+    done = read(arguments.out)
+    missing = [row for row in planned if not any(_same(row, there) for there in done)]
     if not missing:
         return
     number = arguments.renders + (0 if arguments.cpu_seconds is None else _JUDGES)
@@ -236,7 +235,7 @@ def main() -> None:
 def plan(arguments: argparse.Namespace) -> list[Row]:
     """Rows that are asked for, without results."""
     about = {name: getattr(arguments, name) for name in ("scene", "size", "renders", "passes")}
-    about["cpu_limit"] = arguments.cpu_seconds
+    about |= {"cpu_limit": arguments.cpu_seconds, "pictures": arguments.pictures}
     batches = arguments.batch
     if arguments.cpu_seconds is not None:
         about["passes"], batches = 1000, [32]
@@ -244,9 +243,10 @@ def plan(arguments: argparse.Namespace) -> list[Row]:
     return [{**about, "batch": batch, "head": head} for batch in batches for head in heads]
 
 
-def _key(row: Row) -> tuple[Any, ...]:
-    """What is the same in a row that is asked for and one that was measured."""
-    return tuple(row.get(name) for name in _KEY)
+def _same(asked: Row, there: Row) -> bool:
+    """Whether a row that is asked for, without a head the usual one, is there."""
+    names = [name for name in _KEY if name != "head" or asked["head"] is not None]
+    return all(asked[name] == there.get(name) for name in names)
 
 
 if __name__ == "__main__":

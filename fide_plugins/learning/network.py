@@ -9,13 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.learning.encoder import Encoder
-from fide_plugins.learning.flow import Flow
 from fide_plugins.learning.heads import Autoregressive, Head, Mixture
 from fide_plugins.learning.renderer import Pixels
 
 __all__ = ["HEADS", "Network", "as_input"]
 
-HEADS = ("autoregressive", "mixture", "set", "flow", "denoiser")
+HEADS = ("autoregressive", "mixture", "set")
 _WIDTH = 256
 
 
@@ -50,12 +49,8 @@ class Network(nn.Module):
             from fide_plugins.learning.sets import Blocks
 
             return Blocks(self.encoder.channels, self.encoder.grid, _WIDTH, periodic, blocks)
-        if head == "denoiser":
-            from fide_plugins.learning.denoised import Denoised
-
-            return Denoised(self.encoder.channels, self.encoder.places, periodic)
-        kinds: dict[str, Any] = {"mixture": Mixture, "autoregressive": Autoregressive, "flow": Flow}
-        return kinds[head](_WIDTH, periodic)
+        kind: Any = Mixture if head == "mixture" else Autoregressive
+        return kind(_WIDTH, periodic)
 
     @property
     def density(self) -> Head:
@@ -69,17 +64,6 @@ class Network(nn.Module):
         if len(images) == 1:
             places, vector = places.expand(len(u), -1, -1), vector.expand(len(u), -1)
         return self.density.log_prob(places, vector, u)
-
-    def loss(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-        """What training makes small, for images (B, 3, H, W) of u (B, d).
-
-        The mean negative log-likelihood, unless the head has an objective of its own.
-        """
-        places, vector = self.encoder(images)
-        if hasattr(self.head, "loss"):
-            own: Tensor = self.head.loss(places, vector, u, generator)
-            return own
-        return -self.density.log_prob(places, vector, u).mean()
 
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:

@@ -151,7 +151,7 @@ class Training:
             self._set_rate(first, start)
             images = augmented(as_input(self.images[some]), generator)
             u = torch.from_numpy(self.x[some].astype(np.float32))
-            loss = self.network.loss(images, u, generator)
+            loss = -self.network.log_prob(images, u).mean()
             self._step(loss)
             total, seen = total + float(loss.detach()) * len(some), seen + len(some)
         return total / max(1, seen), seen

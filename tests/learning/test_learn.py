@@ -249,7 +249,7 @@ def test_time_is_kept() -> None:
         ({"renders": 10}, OptionError, "renders must be a whole number >= 100"),
         ({"size": 8}, OptionError, "size is 16 to 256"),
         ({"time": -1}, OptionError, "seconds above 0"),
-        ({"head": "normal"}, UnknownNameError, "unknown head 'normal'"),
+        ({"head": "flow"}, UnknownNameError, "unknown head 'flow'"),
         ({"head": "set"}, OptionError, "needs exchangeable blocks"),
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
     ],
