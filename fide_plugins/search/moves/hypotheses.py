@@ -18,10 +18,11 @@ from fide_plugins.types import Float64
 
 __all__ = ["Hypotheses"]
 
-_RENDERED = 96
+_RENDERED = 48
 _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
+_BETTER = 0.1  # of the typical loss
 _NARROWEST, _WIDEST = 0.02, 1 / 6  # standard deviations
 _SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
@@ -51,6 +52,11 @@ class Hypotheses:
         """Whether a search can begin at another one."""
         return len(self._waiting) > 0
 
+    @property
+    def brisk_above(self) -> float | None:
+        """Loss above which a search is no better than a start: a part of the typical one."""
+        return None if self.typical is None else _BETTER * self.typical
+
     def draw(self) -> Float64:
         """Those that are rendered first, (m, d)."""
         return self.x[:_RENDERED]
@@ -75,7 +81,7 @@ class Hypotheses:
     def next(self, known: Known) -> Start:
         """Begin at the next one; there must be one."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
-        return Start(x, self._spread(x, known))
+        return Start(x, self._spread(x, known), brisk_above=self.brisk_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
