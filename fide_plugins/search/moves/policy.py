@@ -101,7 +101,7 @@ class MovePolicy:
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
-        self.hypotheses = Hypotheses(hypotheses, dim)
+        self.hypotheses = Hypotheses(hypotheses, dim, sets=bool(groups))
         family.append(Resample(self.hypotheses))
         self._moves = {move.name: move for move in family}
         self._choice = Choice(
