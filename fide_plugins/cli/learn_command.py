@@ -50,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=whole(0), default=0, metavar="N", help="of parameters and network (0)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
+    add("--augment", choices=("none", "render", "photograph"), default="photograph",
+        help="how much renders are changed while they are learned: for pictures that the renderer "
+        "makes, or for photographs (photograph)")  # fmt: skip
     add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -120,6 +123,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
         "passes": args.passes,
         "time": None if args.time is None else seconds_of("time", args.time),
         "seed": args.seed,
+        "augment": args.augment,
         "store_limit": args.store_limit,
         "out": args.out,
     }

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
+from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
@@ -70,6 +71,7 @@ def learn(
     out: str | os.PathLike[str] | None = None,
     groups: Sequence[Sequence[int]] | None = None,
     head: str | None = None,
+    augment: str = "photograph",
     version: str | None = None,
     seed: int = 0,
     store_limit: float = 20.0,
@@ -110,6 +112,10 @@ def learn(
     head
         "autoregressive", "mixture" or "set", see `learning.heads`; None: "set" where there are
         exchangeable blocks, "autoregressive" elsewhere.
+    augment
+        how much renders are changed while they are learned: "photograph", for pictures of any
+        source; "render", focus and noise alone, for pictures that the renderer itself makes;
+        "none", see `learning.augmentation`.
     version
         of the renderer, for you to compare; other versions have other renders.
     seed
@@ -130,14 +136,14 @@ def learn(
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
-    _check(renders, size, passes, time, workers, head)
+    _check(renders, size, passes, time, workers, head, augment)
     renderer = as_renderer(render, space)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
         executor, seed, version, *kind_of(renderer, groups, head), time, clock.monotonic(),
-        on_progress or (lambda progress: None), region,
+        on_progress or (lambda progress: None), augment, region,
     )  # fmt: skip
     plan.check()
     if workers > 1 or executor is not None:
@@ -177,6 +183,7 @@ class _Plan:
     seconds: float | None
     start: float
     on_progress: Callable[[LearnProgress], None]
+    augment: str
     region: Truncated | None = None
 
     def check(self) -> None:
@@ -242,8 +249,9 @@ class _Plan:
         left = None
         if self.seconds is not None:
             left = max(1e-3, self.seconds - (clock.monotonic() - self.start))
-        training = Training(network, x, images, self.passes, self.seed, left)
+        training = Training(network, x, images, self.passes, self.seed, left, augment=self.augment)
         plan = {"renders": len(x), "passes": self.passes, "head": self.head, "seed": self.seed}
+        plan["augment"] = self.augment
         plan["blocks"] = [list(block) for block in self.blocks]
         if file.exists():
             _restore(training, file, plan)
@@ -274,6 +282,7 @@ class _Plan:
             ranks=judgment.ranks,
             unseen=judgment.unseen,
             curve=tuple((a, b, c) for a, b, c in training.curve),
+            augment=self.augment,
         )
         learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
         familiarity = Familiarity.of(
@@ -312,8 +321,9 @@ def _too_few(there: int, failed: int, renders: int) -> Exception:
 
 
 def _check(
-    renders: object, size: object, passes: object, time: object, workers: object, head: object
-) -> None:
+    renders: object, size: object, passes: object, time: object, workers: object, head: object,
+    augment: object,
+) -> None:  # fmt: skip
     whole_number("renders", renders, _FEWEST)
     if not 16 <= whole_number("size", size, 1) <= 256:
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
@@ -323,6 +333,8 @@ def _check(
         raise OptionError(f"time is a number of seconds above 0, or None, not {time!r}")
     if head is not None and head not in HEADS:
         raise UnknownNameError.of("head", head, HEADS)
+    if augment not in AUGMENT:
+        raise UnknownNameError.of("augment", augment, AUGMENT)
 
 
 def kind_of(
@@ -345,7 +357,7 @@ def kind_of(
 def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
     """Go on from a checkpoint of the same plan; another plan begins again."""
     saved = checkpoint.read(file, _KIND)
-    if saved.get("plan") != plan:
+    if {"augment": "photograph", **saved.get("plan", {})} != plan:  # older plans do not name it
         return
     try:
         training.load_state_dict(saved["state"])
