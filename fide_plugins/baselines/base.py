@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins import losses as losses_module
-from fide_plugins.errors import LossError, OptionError
+from fide_plugins.errors import LossError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Candidate, Population
 from fide_plugins.runtime.locks import Lock, one_at_a_time
@@ -36,9 +36,10 @@ from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.option_rules import positive
 from fide_plugins.validation.points import as_points, new_seed, whole_number
 
-__all__ = ["Baseline", "positive"]
+__all__ = ["Baseline"]
 
 
 class Baseline(Saved):
@@ -264,13 +265,6 @@ class Baseline(Saved):
 
 def _pack(best: Solution) -> dict[str, Any]:
     return {name: getattr(best, name) for name in ("x", "loss", "evaluation", "image")}
-
-
-def positive(name: str, value: object) -> float:
-    """`value` as a float; OptionError (a ValueError) unless it is a positive number."""
-    if not isinstance(value, int | float | np.number) or not 0 < float(value) < np.inf:
-        raise OptionError(f"{name} must be a positive number, not {value!r}")
-    return float(value)
 
 
 def _checked_device(device: str) -> str:

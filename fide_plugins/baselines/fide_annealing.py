@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.dual_annealing import anneal, descent
 from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.reverse_communication import Search
 from fide_plugins.baselines.sequential import Sequential
 from fide_plugins.runtime.schema import Schema, anything, array, check
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive
 from fide_plugins.validation.points import whole_number
 
 if TYPE_CHECKING:

@@ -11,13 +11,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.posterior_sampler import PosteriorSampler
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, flag
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive_fraction
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Inverse"]
@@ -61,9 +60,7 @@ class Inverse(ImageBased, Stateful):
     ) -> None:
         super().__init__(dim, target, **options)
         self.budget = whole_number("budget", budget, 1)
-        self.share = positive("share", share)
-        if self.share > 1:
-            raise OptionError(f"share must lie in (0, 1], not {share!r}")
+        self.share = positive_fraction("share", share)
         self.epochs = whole_number("epochs", epochs, 1)
         self._sizes = {"batch_size": batch_size, "width": width, "blocks": blocks}
         self._rng = np.random.default_rng(self.seed)

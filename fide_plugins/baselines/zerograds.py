@@ -29,7 +29,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.networks import load_weights, make
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.denoiser.training import adam_state, load_adam_state
@@ -45,6 +44,7 @@ from fide_plugins.runtime.schema import (
     table,
 )
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Proxy", "ZeroGrads"]

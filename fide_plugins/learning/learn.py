@@ -20,7 +20,7 @@ from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
-from fide_plugins.learning.rendering import check_picklable, fill
+from fide_plugins.learning.rendering import check_workers, fill
 from fide_plugins.learning.report import Distance, Report, judge
 from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
@@ -39,6 +39,7 @@ __all__ = ["LearnProgress", "learn"]
 _RENDERING = 0.5  # of a time limit, at most
 _MOST_FEATURES = 4000  # renders by which the features of all are described
 _FEWEST = 100  # renders
+_AT_A_TIME = 8  # shards that an executor gets
 _KIND = "training"
 
 
@@ -65,7 +66,8 @@ def learn(
     size: int = 64,
     passes: int = 10,
     time: float | None = None,
-    workers: int = 1,
+    workers: int | None = None,
+    executor: object = None,
     out: str | os.PathLike[str] | None = None,
     groups: Sequence[Sequence[int]] | None = None,
     head: str | None = None,
@@ -96,7 +98,11 @@ def learn(
         seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
         result depends on the machine.
     workers
-        processes that render; with more than one `render` must be picklable.
+        processes that render; with more than one `render` must be picklable.  None: 1, or 8 with an
+        executor.
+    executor
+        where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
+        Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
     out
         file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
         arguments goes on where another one was interrupted, and more `renders` add to them.  None:
@@ -128,18 +134,20 @@ def learn(
     OptionError, ImageError (ValueErrors): an argument is not what it must be, or the folder of
     renders holds others.  RenderError: the renderer fails.  OSError: a file cannot be written.
     """
+    if workers is None:
+        workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, time, workers, head, augment)
     renderer = as_renderer(render, space)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
-        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers, seed,
-        version, *kind_of(renderer, groups, head), time, clock.monotonic(),
+        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
+        executor, seed, version, *kind_of(renderer, groups, head), time, clock.monotonic(),
         on_progress or (lambda progress: None), augment, region,
     )  # fmt: skip
     plan.check()
-    if workers > 1:
-        check_picklable(renderer)
+    if workers > 1 or executor is not None:
+        check_workers(renderer, executor)
     check_room(plan.settings, renders, store_limit * 2**30)
     with ExitStack() as stack:
         if out is None:
@@ -167,6 +175,7 @@ class _Plan:
     renders: int
     passes: int
     workers: int
+    executor: object
     seed: int
     version: str | None
     head: str
@@ -219,6 +228,7 @@ class _Plan:
             self.renderer,
             self.renders,
             workers=self.workers,
+            executor=self.executor,
             seconds=None if self.seconds is None else _RENDERING * self.seconds,
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )

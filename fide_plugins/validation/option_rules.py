@@ -18,6 +18,7 @@ __all__ = [
     "not_negative",
     "one_of",
     "positive",
+    "positive_fraction",
     "schedule",
     "switch",
     "text",
@@ -91,7 +92,15 @@ def positive(name: str, value: Any) -> float:
     """A positive, finite number."""
     number = _number(name, value)
     if not number > 0:
-        raise OptionError(f"{name} must be positive, not {value!r}")
+        raise OptionError(f"{name} must be a positive number, not {value!r}")
+    return number
+
+
+def positive_fraction(name: str, value: Any) -> float:
+    """A number in (0, 1]."""
+    number = positive(name, value)
+    if number > 1:
+        raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
     return number
 
 
@@ -125,6 +134,6 @@ def _number(name: str, value: Any) -> float:
         number = float(value)
     except (TypeError, ValueError):
         number = float("nan")
-    if isinstance(value, bool) or not abs(number) < float("inf"):
+    if isinstance(value, bool | str) or not abs(number) < float("inf"):
         raise OptionError(f"{name} must be a finite number, not {value!r}")
     return number

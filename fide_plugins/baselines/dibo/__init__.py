@@ -37,7 +37,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.dibo.diffusion import Diffusion
 from fide_plugins.baselines.dibo.round import Round, RoundOptions
 from fide_plugins.baselines.stateful import Stateful
@@ -45,6 +44,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["DiBO", "Diffusion", "Round", "RoundOptions"]

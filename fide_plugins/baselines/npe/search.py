@@ -17,7 +17,6 @@ from typing import Any, ClassVar
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.baselines.base import positive
 from fide_plugins.baselines.npe.canonical import canonical
 from fide_plugins.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
 from fide_plugins.baselines.npe.truncated import draw_truncated
@@ -36,6 +35,7 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.search.moves.exchangeability import check_groups
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive, positive_fraction
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["NPE"]
@@ -95,9 +95,10 @@ class NPE(Stateful):
         **options: Any,
     ) -> None:
         self.budget = whole_number("budget", budget, 1)
-        self.share, self.quantile = positive("share", share), positive("quantile", quantile)
-        if self.share > 1:
-            raise OptionError(f"share must lie in (0, 1], not {share!r}")
+        self.share, self.quantile = (
+            positive_fraction("share", share),
+            positive("quantile", quantile),
+        )
         if self.quantile >= 1:
             raise OptionError(f"quantile must lie in (0, 1), not {quantile!r}")
         self.rounds = whole_number("rounds", rounds, 1)

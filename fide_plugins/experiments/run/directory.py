@@ -26,7 +26,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -68,6 +68,7 @@ class RunDirectory:
     resume: whether an existing run may be continued.
     command: command line to record.
     limits: when the run stops, where that is no setting: to be recorded, and changed by resuming.
+    may_change: names of settings that may be others when the run is resumed.
     facts: what else is known at the first call, recorded once: `facts` has what is recorded.
 
     Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
@@ -81,6 +82,7 @@ class RunDirectory:
         resume: bool,
         command: list[str] | None = None,
         limits: dict[str, Any] | None = None,
+        may_change: Collection[str] = (),
         facts: dict[str, Any] | None = None,
     ) -> None:
         self.path = Path(path)
@@ -97,8 +99,8 @@ class RunDirectory:
         }
         before = read_run(self.path)
         if before is not None:
-            self._check(before, resume)
-            self._run = {**before, "status": "running"}
+            self._check(before["settings"], resume, may_change)
+            self._run = {**before, "settings": self.settings, "status": "running"}
             self._run["resumed"] = [*before.get("resumed", []), now()]
         if limits is not None:
             self._run["limits"] = limits
@@ -143,8 +145,9 @@ class RunDirectory:
             raise CheckpointError(f"{self.path / name}: an optimizer of {optimizer.dim} parameters")
         return record, optimizer
 
-    def _check(self, before: dict[str, Any], resume: bool) -> None:
-        check_settings(before["settings"], self.settings, f"{self.path} holds a run")
+    def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
+        changed = {key: self.settings[key] for key in may_change}
+        check_settings({**there, **changed}, self.settings, f"{self.path} holds a run")
         if not resume:
             raise RunDirectoryError(
                 f"{self.path} already holds a run with these settings; resume it (--resume), "

@@ -164,12 +164,13 @@ class Run:
         record = self.record
         if record.pending is None or len(record.pending) == 0:
             X = self._checked(self._of_optimizer(self.optimizer.ask_ready))
-            record.pending = X[: self._budget - record.evaluations]
-            record.generations.append(len(record.pending))
+            record.pending = X
+            record.generations.append(len(X))
             self._whole = True
             if self._checkpoint_every > 0:  # the optimizer has just waited for its training
                 self._save_now_and_then()
-        X, rest = record.pending[: self._piece], record.pending[self._piece :]
+        n = min(self._piece, self._budget - record.evaluations)  # a larger budget takes the rest
+        X, rest = record.pending[:n], record.pending[n:]
         with interrupts.stoppable():
             start = time.perf_counter()
             images, extra = self._render(X), self._render_extra(X)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fide_plugins.experiments.run.judge import Verdict
 from fide_plugins.experiments.run.record import Record, RunResult
@@ -52,7 +53,14 @@ def result_of(
         improvements=np.array(r.improvements, np.int64),
         metrics={name: np.array(values) for name, values in r.metrics.items()},
         judged=dict(verdict.metrics),
-        generations=np.array(r.generations, np.int64),
+        generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         samples=samples,
         status=status,
     )
+
+
+def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
+    """Sizes of the generations, of which the last candidates may be pending, without those."""
+    before = np.cumsum(asked) - asked
+    sizes: NDArray[np.int64] = np.minimum(asked, evaluations - before)[before < evaluations]
+    return sizes

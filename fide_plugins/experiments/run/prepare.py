@@ -92,7 +92,8 @@ def prepare(
     out
         run directory; None writes nothing.
     resume
-        continue the run in `out` if there is one; otherwise start it.
+        continue the run in `out` if there is one; otherwise start it.  The budget may be another
+        one, unless the optimizer depends on it.
     checkpoint_every
         seconds between checkpoints, at least twenty times the time to write one.  A process that
         is killed loses at most the results since the last one.  0: after every piece.
@@ -132,7 +133,10 @@ def prepare(
     record, directory = Record(), None
     if out is not None:
         _check_reloads(optimizer, searcher)
-        directory = RunDirectory(out, settings, resume=resume, command=_words(command))
+        may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
+        directory = RunDirectory(
+            out, settings, resume=resume, command=_words(command), may_change=may_change
+        )
         record, searcher = _restored(directory, record, searcher, fidelity)
         directory.write_run()
     return Run(
@@ -230,11 +234,16 @@ def _make_optimizer(
         raise OptionError(f"{clash[0]} is an argument of the run, not an option of its optimizer")
     options = {"loss": loss, "seed": seed, **options}
     if isinstance(optimizer, str):
-        if "budget" in optimizers.options(optimizer):  # some depend on the budget
+        if _depends_on_budget(optimizer):
             options = {"budget": budget, **options}
         space = TaskInfo.of(task).search_space or task.dim
         return complete(optimizers.make(optimizer, space, target, **options), task.dim)
     return complete(optimizer(task.dim, target, **options), task.dim)
+
+
+def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
+    """Whether another budget means another run, not only a longer one."""
+    return not isinstance(optimizer, str) or "budget" in optimizers.options(optimizer)
 
 
 def target_of(task: Task) -> Float32:

@@ -93,6 +93,30 @@ def test_resuming_after_ctrl_c_gives_the_uninterrupted_result(
     assert task.calls == 0  # it was finished
 
 
+@pytest.mark.parametrize(("optimizer", "options"), [("fide", {}), ("cma", {"popsize": 70})])
+@pytest.mark.parametrize("first", [3, 70, 100])
+def test_a_larger_budget_goes_on_as_if_it_had_been_given_at_once(
+    optimizer: str, options: dict[str, Any], first: int, tmp_path: Path
+) -> None:
+    settings: dict[str, Any] = {"optimizer": optimizer, "seed": 1, "options": options}
+    whole = harness.run(NoisyTint(), **settings, budget=230)
+    short = harness.run(NoisyTint(), **settings, budget=first, out=tmp_path)
+    assert short.evaluations == short.generations.sum() == first
+    resumed = harness.run(NoisyTint(), **settings, budget=230, out=tmp_path, resume=True)
+    assert same(whole, resumed)
+    assert resumed.generations.tolist() == whole.generations.tolist()
+    assert json.loads((tmp_path / "run.json").read_text())["settings"]["budget"] == 230
+    smaller = harness.run(NoisyTint(), **settings, budget=first, out=tmp_path, resume=True)
+    assert smaller.evaluations == 230  # nothing that was computed is lost
+
+
+def test_an_optimizer_that_depends_on_its_budget_refuses_another_one(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"optimizer": "inverse", "out": tmp_path, "options": {"epochs": 1}}
+    harness.run(Tint(), **settings, budget=20)
+    with pytest.raises(RunDirectoryError, match="other settings: budget is 20 there and 30 here"):
+        harness.run(Tint(), **settings, budget=30, resume=True)
+
+
 def test_a_kill_between_the_two_files_of_a_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,7 +171,7 @@ def test_another_run_s_directory_is_refused_and_the_setting_named(tmp_path: Path
     harness.run(**settings, out=tmp_path)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     others: list[tuple[str, Any]] = [
-        ("optimizer", "random"), ("loss", "loi"), ("budget", 30), ("seed", 1), ("size", 24),
+        ("optimizer", "random"), ("loss", "loi"), ("seed", 1), ("size", 24),
         ("task_seed", 1), ("task_options", {"cells": 3}), ("options", {"popsize": 6}),
         ("task", "spline"),
     ]  # fmt: skip
