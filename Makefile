@@ -3,16 +3,18 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
-# of the tests: one process a core, with one thread each, up to eight
-PARALLEL := -n auto --maxprocesses 8
+# of the tests: one process a core, with one thread each, up to eight; each begins with a part of its own,
+# so that fixtures and imports of a file are made once, and takes from the others when it is done
+PARALLEL := -n auto --maxprocesses 8 --dist worksteal
 # compiled modules are kept, whatever is set: tests start some hundred processes that import FIDE
 KEEP := PYTHONDONTWRITEBYTECODE=
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
-# browsers, databases, renderers and other processes; what they compute is tested in these.
-NUMERIC := $(addprefix tests/,adapters/nevergrad baselines denoiser distributed encoders extremes fide \
+# browsers, renderers and other processes; what they compute is tested in these, and tests/README.md
+# has their own last results.
+NUMERIC := $(addprefix tests/,adapters/nevergrad adapters/optuna baselines denoiser distributed encoders extremes fide \
   learning losses options population proposers runtime search space speed uncertainty validation views)
 # with two threads, so in one process: the parts, and the optimizer
-CORE := $(addprefix tests/,denoiser distributed encoders fide losses options population proposers \
+CORE := $(addprefix tests/,adapters/optuna denoiser distributed encoders fide losses options population proposers \
   search space speed uncertainty validation views)
 # of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
 OUTSIDE := $(addprefix tests/,adapters cli experiments fide fitting learning losses package \
@@ -71,7 +73,7 @@ $(DOCS): $(STAMP)
 	@touch $@
 
 # The site, from nothing; a warning, such as of a link that leads nowhere, is an error.  Notebooks run
-# again when they or FIDE have changed: build/notebooks keeps what they wrote.
+# again when they, FIDE or constraints.txt have changed: build/notebooks keeps what they wrote.
 docs: $(DOCS)
 	@rm -rf build/docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -d build/docs/doctrees docs $(SITE)

@@ -140,7 +140,7 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
         if (name, renders, passes, seed, learned) in done:
             continue
         network = Network((SIZE, SIZE), [False] * task.dim, seed=seed)
-        training.augmented = change
+        training.augmented = lambda images, generator, _, change=change: change(images, generator)
         start = time.process_time()
         Training(network, x, images, passes, seed=seed).run()
         seconds = time.process_time() - start

@@ -45,9 +45,9 @@ suppress_warnings = [
     "ref.python",  # two classes are called Run; either is a fair goal
 ]
 
-# -- notebooks: executed, and executed again when they or FIDE have changed ------------------------
+# -- notebooks: executed, and again when they, FIDE or the versions of packages have changed -------
 _code = hashlib.sha256()
-for _file in sorted((ROOT / "fide_plugins").rglob("*.py")):
+for _file in (ROOT / "constraints.txt", *sorted((ROOT / "fide_plugins").rglob("*.py"))):
     _code.update(_file.read_bytes())
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "build" / "notebooks" / _code.hexdigest()[:16])

@@ -169,7 +169,7 @@ class FIDE(Retargeting):
             population=Population(),
             descent=Descent(moves.start, moves.goal, setting),
             moves=moves,
-            gate=ImageGate(o, subsets),
+            gate=ImageGate(o, subsets, known=hypotheses is not None),
             proposer=make_proposer(o, self.dim, k, self.seed, self.encoder),
             memory=Memory(o.memory_mb),
         )

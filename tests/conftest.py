@@ -7,10 +7,12 @@ import io
 import os
 import shutil
 import signal
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TextIO, TypeAlias
 
 import hypothesis
 import numpy as np
@@ -19,6 +21,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
 # The same cases every time, so that a change is judged by what it changes; a longer run, see
@@ -145,6 +148,33 @@ def target(answer: Float64) -> Float32:
 
 
 @pytest.fixture
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder during the test."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def ends() -> Callable[[int], bool]:
+    """Whether a process ends within a minute, or has; one that nobody waits for is a zombie (Z)."""
+    return ended
+
+
+def ended(pid: int) -> bool:
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        try:
+            os.kill(pid, 0)
+            status = Path(f"/proc/{pid}/stat")
+            if status.exists() and status.read_text().rpartition(")")[2].split()[0] in "ZX":
+                return True
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@pytest.fixture
 def forked() -> Callable[[Callable[[], object]], str]:
     """What a function returns in a forked process, or its error, in words.
 
@@ -156,23 +186,73 @@ def forked() -> Callable[[Callable[[], object]], str]:
 
 
 def in_child(work: Callable[[], object]) -> str:
+    def write(stream: TextIO) -> None:
+        try:
+            stream.write(repr(work()))
+        except BaseException as error:
+            stream.write(repr(error))
+
+    child, pipe = started(write)
+    with pipe:
+        answer = pipe.read()
+    assert os.waitpid(child, 0)[1] == 0, "the child hung"
+    return answer
+
+
+def started(work: Callable[[TextIO], int | None]) -> tuple[int, TextIO]:
+    """Fork a process that does some work, whose exit code that returns.
+
+    Returns its id, and the stream of what the work writes.  It is ended after a minute.
+    """
     reading, writing = os.pipe()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # forks with threads
         child = os.fork()
     if child == 0:
         signal.alarm(60)
+        code: int | None = 70
         try:
-            answer = repr(work())
-        except BaseException as error:
-            answer = repr(error)
-        os.write(writing, answer.encode())
-        os._exit(0)
+            with os.fdopen(writing, "w", buffering=1) as stream:
+                code = work(stream)
+        finally:
+            os._exit(code or 0)
     os.close(writing)
-    with os.fdopen(reading) as pipe:
-        answer = pipe.read()
-    assert os.waitpid(child, 0)[1] == 0, "the child hung"
-    return answer
+    return child, os.fdopen(reading)
+
+
+class ForkedCommand:
+    """`fide WORDS` with real signals and exit codes, in a fork, which has all imports already.
+
+    stderr: what it says there.  What it writes to standard output is dropped.
+    """
+
+    def __init__(self, *words: object) -> None:
+        def command(stderr: TextIO) -> int:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # as in a terminal
+            with redirect_stderr(stderr), redirect_stdout(io.StringIO()):
+                return main([str(word) for word in words])
+
+        self.pid, self.stderr = started(command)
+
+    def wait_until(self, condition: Callable[[], object]) -> None:
+        """Wait for something that the command does; fails where it ends before."""
+        while not condition():
+            assert os.waitpid(self.pid, os.WNOHANG) == (0, 0), self.stderr.read()
+            time.sleep(0.005)
+
+    def stop(self, signum: signal.Signals) -> tuple[int, str]:
+        """Send a signal; returns the exit code, and what it says from then on."""
+        os.kill(self.pid, signum)
+        with self.stderr:
+            said = self.stderr.read()
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1]), said
+
+
+@pytest.fixture
+def forked_command() -> type[ForkedCommand]:
+    if not hasattr(os, "fork"):
+        pytest.skip("no fork here")
+    return ForkedCommand
 
 
 def random_network(shapes: Mapping[Any, tuple[int, int, int]], seed: int) -> State:

@@ -3,6 +3,7 @@
     fide learn scene.py:render --renders 100000 --out scene.fide --workers 2
     fide learn --command 'povray scene.pov +O{out} Sun={sun}' --space space.toml --out m.fide
     fide learn robot --renders 60000 --time 30m --out robot.fide
+    fide learn robot --renders 100000 --dask tcp://HOST:8786 --out robot.fide
     fide fit photo.png --renderer scene.py:render --learned scene.fide
 
 SOURCE is FILE.py:NAME (or module:NAME), a function of your own, or the name of a built-in task. The
@@ -15,7 +16,8 @@ from __future__ import annotations
 import argparse
 import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +44,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--size", type=whole(16), default=64, metavar="PX", help="longer side of images (64)")
     add("--passes", type=whole(1), default=10, metavar="N", help="over the renders, at most (10)")
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
-    add("--workers", type=whole(1), default=1, metavar="N", help="processes that render (1)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole(1), metavar="N", help="processes that render (1)")
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster")
     add("--seed", type=whole(0), default=0, metavar="N", help="of parameters and network (0)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",
         help="any option of the task, such as cells=12; may be repeated")  # fmt: skip
+    add("--augment", choices=("none", "render", "photograph"), default="photograph",
+        help="how much renders are changed while they are learned: for pictures that the renderer "
+        "makes, or for photographs (photograph)")  # fmt: skip
     add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -74,8 +81,12 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
 
     who = "fide learn"
     try:
-        with Interrupts() as interrupts, interrupts.stoppable():  # each file is written at once
-            model = learn(**arguments, on_progress=_Lines())
+        with (
+            Interrupts() as interrupts,
+            interrupts.stoppable(),  # each file is written at once
+            _where(args) as where,
+        ):
+            model = learn(**arguments, **where, on_progress=_Lines())
     except Interrupted as stop:
         words = command if "--resume" in command else [*command, "--resume"]
         note(f"{who}: {stop}; what was rendered and learned is kept in {plain(args.out)}.renders")
@@ -111,11 +122,23 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
         "size": args.size,
         "passes": args.passes,
         "time": None if args.time is None else seconds_of("time", args.time),
-        "workers": args.workers,
         "seed": args.seed,
+        "augment": args.augment,
         "store_limit": args.store_limit,
         "out": args.out,
     }
+
+
+@contextmanager
+def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Arguments of `learn` that say where it renders."""
+    if args.dask is None:
+        yield {"workers": args.workers}
+        return
+    from fide_plugins.runtime.cluster import connected, workers_of
+
+    with connected(args.dask) as client:  # one shard is rendered, another one waits
+        yield {"executor": client, "workers": 2 * len(workers_of(client))}
 
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ file               idea
 `model`            hypotheses, density, one file
 `renderer`         a user's function, or a task
 `store`            renders on disk, in shards
-`rendering`        fills the store, in one process or several
+`rendering`        fills the store, in one process or several, or on a cluster
 `network`          encoder and head
 `encoder`          a small convolutional network
 `heads`            densities of the parameters: autoregressive, mixture

@@ -1,5 +1,8 @@
 """What separates a photograph from a render: focus, place, exposure, color, noise, things in front.
 
+Two renders of one scene differ by less: in sharpness and noise, if their numbers of pixels or of
+samples do. `AUGMENT` names how much is changed.
+
 Each change is made to a share of the images of a batch, to each of them in its own way, by the
 operations of kornia. Its random modules draw from PyTorch's global generator; so the numbers are
 drawn here, from a generator of one's own.
@@ -18,7 +21,7 @@ from kornia.filters import gaussian_blur2d
 from kornia.geometry import translate
 from torch import Tensor
 
-__all__ = ["augmented"]
+__all__ = ["AUGMENT", "augmented"]
 
 _BLUR = 0.2, 0.8  # standard deviation of a Gaussian of 3 x 3 pixels, in pixels
 _SHIFT = 0.5  # along each axis, in pixels, at most
@@ -29,10 +32,13 @@ _NOISE = 0.02  # standard deviation, at most
 _OCCLUDED = 0.3  # side of what is in front, of the image's, at most
 
 
-def augmented(images: Tensor, generator: torch.Generator) -> Tensor:
-    """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes."""
+def augmented(images: Tensor, generator: torch.Generator, augment: str = "photograph") -> Tensor:
+    """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes.
+
+    augment: one of `AUGMENT`.
+    """
     images = images.clone()
-    for change, share in _CHANGES:
+    for change, share in _CHANGES[augment]:
         which = torch.randperm(len(images), generator=generator)[: int(share * len(images))]
         if len(which):
             images[which] = change(images[which], generator)
@@ -88,11 +94,18 @@ def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
     return images + deviation * torch.randn(images.shape, generator=generator)
 
 
-_CHANGES = (  # in the order of what happens: the scene, the lens, the sensor
-    (_in_front, 1 / 4),
-    (_shifted, 1 / 2),
-    (_blurred, 1 / 2),
-    (_exposed, 1 / 2),
-    (_saturated, 1 / 2),
-    (_noisy, 1 / 2),
-)
+_CHANGES = {  # in the order of what happens: the scene, the lens, the sensor
+    "none": (),
+    "render": ((_blurred, 1 / 2), (_noisy, 1 / 2)),
+    "photograph": (
+        (_in_front, 1 / 4),
+        (_shifted, 1 / 2),
+        (_blurred, 1 / 2),
+        (_exposed, 1 / 2),
+        (_saturated, 1 / 2),
+        (_noisy, 1 / 2),
+    ),
+}
+
+AUGMENT = tuple(_CHANGES)
+"""Names of how much is changed: nothing, what two renders differ in, what a photograph does."""

@@ -15,11 +15,12 @@ import numpy as np
 import torch
 
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
+from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
-from fide_plugins.learning.rendering import check_picklable, fill
+from fide_plugins.learning.rendering import check_workers, fill
 from fide_plugins.learning.report import Distance, Report, judge
 from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
@@ -38,6 +39,7 @@ __all__ = ["LearnProgress", "learn"]
 _RENDERING = 0.5  # of a time limit, at most
 _MOST_FEATURES = 4000  # renders by which the features of all are described
 _FEWEST = 100  # renders
+_AT_A_TIME = 8  # shards that an executor gets
 _KIND = "training"
 
 
@@ -64,10 +66,12 @@ def learn(
     size: int = 64,
     passes: int = 10,
     time: float | None = None,
-    workers: int = 1,
+    workers: int | None = None,
+    executor: object = None,
     out: str | os.PathLike[str] | None = None,
     groups: Sequence[Sequence[int]] | None = None,
     head: str | None = None,
+    augment: str = "photograph",
     version: str | None = None,
     seed: int = 0,
     store_limit: float = 20.0,
@@ -94,7 +98,11 @@ def learn(
         seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
         result depends on the machine.
     workers
-        processes that render; with more than one `render` must be picklable.
+        processes that render; with more than one `render` must be picklable.  None: 1, or 8 with an
+        executor.
+    executor
+        where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
+        Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
     out
         file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
         arguments goes on where another one was interrupted, and more `renders` add to them.  None:
@@ -104,6 +112,10 @@ def learn(
     head
         "autoregressive", "mixture" or "set", see `learning.heads`; None: "set" where there are
         exchangeable blocks, "autoregressive" elsewhere.
+    augment
+        how much renders are changed while they are learned: "photograph", for pictures of any
+        source; "render", focus and noise alone, for pictures that the renderer itself makes;
+        "none", see `learning.augmentation`.
     version
         of the renderer, for you to compare; other versions have other renders.
     seed
@@ -122,18 +134,20 @@ def learn(
     OptionError, ImageError (ValueErrors): an argument is not what it must be, or the folder of
     renders holds others.  RenderError: the renderer fails.  OSError: a file cannot be written.
     """
-    _check(renders, size, passes, time, workers, head)
+    if workers is None:
+        workers = 1 if executor is None else _AT_A_TIME
+    _check(renders, size, passes, time, workers, head, augment)
     renderer = as_renderer(render, space)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
-        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers, seed,
-        version, *kind_of(renderer, groups, head), time, clock.monotonic(),
-        on_progress or (lambda progress: None), region,
+        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
+        executor, seed, version, *kind_of(renderer, groups, head), time, clock.monotonic(),
+        on_progress or (lambda progress: None), augment, region,
     )  # fmt: skip
     plan.check()
-    if workers > 1:
-        check_picklable(renderer)
+    if workers > 1 or executor is not None:
+        check_workers(renderer, executor)
     check_room(plan.settings, renders, store_limit * 2**30)
     with ExitStack() as stack:
         if out is None:
@@ -161,6 +175,7 @@ class _Plan:
     renders: int
     passes: int
     workers: int
+    executor: object
     seed: int
     version: str | None
     head: str
@@ -168,6 +183,7 @@ class _Plan:
     seconds: float | None
     start: float
     on_progress: Callable[[LearnProgress], None]
+    augment: str
     region: Truncated | None = None
 
     def check(self) -> None:
@@ -212,6 +228,7 @@ class _Plan:
             self.renderer,
             self.renders,
             workers=self.workers,
+            executor=self.executor,
             seconds=None if self.seconds is None else _RENDERING * self.seconds,
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )
@@ -232,8 +249,9 @@ class _Plan:
         left = None
         if self.seconds is not None:
             left = max(1e-3, self.seconds - (clock.monotonic() - self.start))
-        training = Training(network, x, images, self.passes, self.seed, left)
+        training = Training(network, x, images, self.passes, self.seed, left, augment=self.augment)
         plan = {"renders": len(x), "passes": self.passes, "head": self.head, "seed": self.seed}
+        plan["augment"] = self.augment
         plan["blocks"] = [list(block) for block in self.blocks]
         if file.exists():
             _restore(training, file, plan)
@@ -264,6 +282,7 @@ class _Plan:
             ranks=judgment.ranks,
             unseen=judgment.unseen,
             curve=tuple((a, b, c) for a, b, c in training.curve),
+            augment=self.augment,
         )
         learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
         familiarity = Familiarity.of(
@@ -302,8 +321,9 @@ def _too_few(there: int, failed: int, renders: int) -> Exception:
 
 
 def _check(
-    renders: object, size: object, passes: object, time: object, workers: object, head: object
-) -> None:
+    renders: object, size: object, passes: object, time: object, workers: object, head: object,
+    augment: object,
+) -> None:  # fmt: skip
     whole_number("renders", renders, _FEWEST)
     if not 16 <= whole_number("size", size, 1) <= 256:
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
@@ -313,6 +333,8 @@ def _check(
         raise OptionError(f"time is a number of seconds above 0, or None, not {time!r}")
     if head is not None and head not in HEADS:
         raise UnknownNameError.of("head", head, HEADS)
+    if augment not in AUGMENT:
+        raise UnknownNameError.of("augment", augment, AUGMENT)
 
 
 def kind_of(
@@ -335,7 +357,7 @@ def kind_of(
 def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
     """Go on from a checkpoint of the same plan; another plan begins again."""
     saved = checkpoint.read(file, _KIND)
-    if saved.get("plan") != plan:
+    if {"augment": "photograph", **saved.get("plan", {})} != plan:  # older plans do not name it
         return
     try:
         training.load_state_dict(saved["state"])

@@ -1,4 +1,4 @@
-"""Fills a store of renders, in this process or in several."""
+"""Fills a store of renders, in this process, in several, or on a cluster."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ from dataclasses import dataclass, field
 
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.fitting.workers.base import Task
+from fide_plugins.fitting.workers.base import Task, Workers
+from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.learning.renderer import Renderer, Small
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.types import Float64
 
-__all__ = ["check_picklable", "fill"]
+__all__ = ["check_workers", "fill"]
 
 _FEW = 500  # renders before a renderer can be given up
+_LOOK = 5.0  # seconds of waiting, after which it is asked whether there still is a cluster
+_GO_ON = "and go on with what was rendered"
+_LOST = f"the scheduler of the Dask cluster is lost: start it again, {_GO_ON}"
 _MOST_LOST = 10  # single renders that end their worker, without another one in between
 
 
@@ -28,6 +32,7 @@ def fill(
     renders: int,
     *,
     workers: int = 1,
+    executor: object = None,
     seconds: float | None = None,
     on_progress: Callable[[int], None] | None = None,
 ) -> int:
@@ -35,6 +40,8 @@ def fill(
 
     workers: processes; with more than one the renderer must be picklable, and a render that ends
         its process (for lack of memory, say) is one that failed.
+    executor: renders in their place, see `fitting.workers.workers_for`; None: processes.  workers
+        says how many shards it gets at a time.
     seconds: no shard is begun after this time; None: no limit.
     on_progress: called with the number of renders done so far.
 
@@ -47,9 +54,13 @@ def fill(
     failed: dict[int, int] = {}  # of each shard of this call
     first = ""
     stop = None if seconds is None else time.monotonic() + seconds
-    shards = _in_workers if workers > 1 else _here
+    if workers > 1 or executor is not None:
+        jobs = _Jobs(_pool(renderer, store.size, workers, executor), executor)
+        shards = _in_workers(store, renderer, missing, stop, jobs)
+    else:
+        shards = _here(store, renderer, missing, stop)
     try:
-        for shard, images in shards(store, renderer, missing, stop, workers):
+        for shard, images in shards:
             failed[shard] = store.write(shard, images)
             first = first or next((image for image in images if isinstance(image, str)), "")
             tried, done = tried + SHARD, done + SHARD
@@ -72,7 +83,7 @@ def given_up(name: str, failed: int, tried: int, why: str) -> str:
 
 
 def _here(
-    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None, workers: int
+    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None
 ) -> Iterator[tuple[int, list[Small]]]:
     for shard in missing:
         if stop is not None and time.monotonic() > stop:
@@ -82,26 +93,22 @@ def _here(
 
 
 def _in_workers(
-    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None, workers: int
+    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None, jobs: _Jobs
 ) -> Iterator[tuple[int, list[Small]]]:
-    """As `_here`, in processes.
+    """As `_here`, in the workers of a pool.
 
     A shard whose worker dies is rendered again, one by one, to know which render it was.
     """
-    pool = _pool(renderer, store.size, workers)
-    waiting, running = deque(missing), dict[Task, _Job]()
-    lost = 0
+    waiting, lost = deque(missing), 0
     try:
         while True:
-            late = stop is not None and time.monotonic() > stop
-            while waiting and len(running) < workers and not late:
+            while waiting and jobs.free and not (stop is not None and time.monotonic() > stop):
                 shard = waiting.popleft()
-                job = _Job(shard, store.parameters(shard), store.noise_seeds(shard))
-                running[pool.submit(job.next())] = job
-            if not running:
+                jobs.add(_Job(shard, store.parameters(shard), store.noise_seeds(shard)))
+            jobs.start()
+            if not jobs.running:
                 return
-            for task in wait(running, return_when=FIRST_COMPLETED).done:
-                job, outcome = running.pop(task), pool.outcome(task)
+            for job, outcome in jobs.wait():
                 if isinstance(outcome, Rendered):
                     lost = 0
                 elif job.alone:
@@ -111,13 +118,84 @@ def _in_workers(
                         f"{renderer.name} failed in its worker {lost} times in a row, perhaps for "
                         f"lack of memory; try fewer workers; the last time: {_reason(outcome)}"
                     )
-                job.take(outcome)
+                job.take(outcome, jobs.only)
                 if len(job.images) == len(job.points):
                     yield job.shard, job.images
                 else:
-                    running[pool.submit(job.next())] = job
+                    jobs.add(job)
     finally:
-        pool.close()
+        jobs.close()
+
+
+class _Jobs:
+    """Shards under way in a pool, and those that wait for a worker.
+
+    Processes of our own die one by one.  With a worker of another pool (Dask's) whatever it had
+    rendered or was to render is lost, too.  So a single render that was lost there is a suspect: it
+    is rendered again while nothing else is.
+    """
+
+    def __init__(self, pool: Workers, executor: object) -> None:
+        self._pool, self._executor = pool, executor
+        self._each_by_itself = isinstance(pool, Processes)
+        self.running = dict[Task, _Job]()
+        self._next, self._suspects = deque[_Job](), deque[_Job]()
+        self.only = self._each_by_itself
+        """Whether what was lost now was lost by its own fault."""
+
+    @property
+    def free(self) -> bool:
+        """Whether another shard can begin."""
+        here = len(self.running) + len(self._next)
+        return not self._suspects and not self._one_by_one and here < self._pool.number
+
+    @property
+    def _one_by_one(self) -> bool:
+        return any(job.suspect for job in self.running.values())
+
+    def add(self, job: _Job) -> None:
+        """Begin with a shard, or go on with it, as soon as that is possible; see `start`."""
+        (self._suspects if job.suspect else self._next).append(job)
+
+    def start(self) -> None:
+        """Start what can be."""
+        if self._one_by_one:
+            return
+        if self._suspects:
+            if not self.running:
+                self._start(self._suspects.popleft())
+            return
+        while self._next and len(self.running) < self._pool.number:
+            self._start(self._next.popleft())
+
+    def wait(self) -> list[tuple[_Job, Outcome]]:
+        """Outcomes of those that are done; at least one.
+
+        Raises RenderError if the client of a cluster has given up its scheduler.
+        """
+        while not (done := wait(self.running, _LOOK, return_when=FIRST_COMPLETED).done):
+            if self._lost:
+                raise RenderError(_LOST)
+        self.only = self._each_by_itself or self._one_by_one
+        return [(self.running.pop(task), self._pool.outcome(task)) for task in done]
+
+    def close(self) -> None:
+        """Stop what is under way."""
+        if not self._lost:  # else nobody is there who could
+            self._pool.close()
+
+    @property
+    def _lost(self) -> bool:
+        """Whether a client of Dask has given up its scheduler: its futures wait for ever."""
+        return getattr(self._executor, "status", None) == "closed"
+
+    def _start(self, job: _Job) -> None:
+        try:
+            task = self._pool.submit(job.next())
+        except Exception as error:  # of the user's executor
+            why = f"the executor takes no more renders ({error!r}): give another one"
+            raise RenderError(_LOST if self._lost else f"{why}, {_GO_ON}") from error
+        self.running[task] = job
 
 
 @dataclass
@@ -125,6 +203,7 @@ class _Job:
     """A shard: its points (n, d), their seeds, and the images that are there.
 
     alone: whether they are rendered one by one.
+    suspect: whether the next one was lost, and perhaps by the fault of another.
     """
 
     shard: int
@@ -132,6 +211,7 @@ class _Job:
     seeds: list[int]
     images: list[Small] = field(default_factory=list)
     alone: bool = False
+    suspect: bool = False
 
     def next(self) -> _Points:
         """What is to be rendered now."""
@@ -139,32 +219,43 @@ class _Job:
         last = first + 1 if self.alone else None
         return _Points(self.points[first:last], self.seeds[first:last])
 
-    def take(self, outcome: Outcome) -> None:
-        """Take the images; of a worker that died: try one by one, or know which one it was."""
+    def take(self, outcome: Outcome, only: bool) -> None:
+        """Take the images; of a worker that died: try one by one, or know which one it was.
+
+        only: whether a render that was lost was lost by its own fault.
+        """
         if isinstance(outcome, Rendered):
             self.images += outcome.image
-        elif self.alone:
+        elif self.alone and only:
             self.images.append(_reason(outcome))
         else:
-            self.alone = True
+            self.suspect, self.alone = self.alone, True
+            return
+        self.suspect = False
 
 
 def _reason(outcome: Outcome) -> str:
     return outcome.reason if isinstance(outcome, Failed) else ""
 
 
-def check_picklable(renderer: Renderer) -> None:
-    """Raise OptionError unless the renderer can be sent to other processes."""
-    _pool(renderer, (1, 1), 1)
+def check_workers(renderer: Renderer, executor: object = None) -> None:
+    """Raise OptionError unless the renderer can be sent to processes, or to what `executor` is."""
+    _pool(renderer, (1, 1), 1, executor)
 
 
-def _pool(renderer: Renderer, size: tuple[int, int], workers: int) -> Processes:
+def _pool(renderer: Renderer, size: tuple[int, int], workers: int, executor: object) -> Workers:
+    shards = _Shards(renderer, size)
     try:
-        return Processes(_Shards(renderer, size), workers)
+        if executor is None:
+            return Processes(shards, workers)
+        return workers_for(shards, workers, executor, None)
+    except OptionError:  # of what executor is
+        raise
     except Exception as error:
+        otherwise = "take workers=1" if executor is None else "leave out executor"
         raise OptionError(
             f"{renderer.name} cannot be sent to other processes ({error}): make what it needs "
-            "inside of it, or take workers=1"
+            f"inside of it, or {otherwise}"
         ) from error
 
 

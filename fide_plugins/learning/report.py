@@ -39,6 +39,8 @@ class Report:
         for exchangeable blocks, whose order means nothing: NaN.
     unseen: parameters of which the images tell nothing, as far as was learned.
     curve: of each pass, see `training.Curve`.
+    augment: how much its renders were changed, see `augmentation`; None: not known of a model that
+        was made before there was a choice.
     """
 
     renders: int
@@ -51,10 +53,12 @@ class Report:
     ranks: tuple[float, ...]
     unseen: tuple[str, ...]
     curve: tuple[tuple[float, float, float], ...]
+    augment: str | None = None
 
     def __str__(self) -> str:
         lines = [
-            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s",
+            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
+            + ("" if self.augment is None else f", augment={self.augment!r}"),
             f"{-self.nll:.2f} nats better than the uniform prior on {self.held_out:,} held-out "
             "renders",
             f"one of {_HYPOTHESES} hypotheses within 0.05 of the box in {self.within[0]:.0%}, "

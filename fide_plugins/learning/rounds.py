@@ -43,6 +43,7 @@ LEAST = 10_000
 _FIRST, _SECOND = 0.4, 0.3  # of the budget
 _TIME = 0.5  # of a time limit, for both rounds
 _SIZE = 64  # longer side of the renders, in pixels
+_PASSES = 10  # over the renders of a round, at most
 _SEARCH = "balanced"  # preset of the search
 
 
@@ -135,6 +136,7 @@ class Rounds:
             self.render,
             self.space,
             renders=renders,
+            passes=_PASSES,
             size=max(16, min(_SIZE, max(self.picture.shape[:2]))),
             time=None if end is None else max(1.0, end - clock.monotonic()),
             workers=workers,

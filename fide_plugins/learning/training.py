@@ -65,6 +65,7 @@ class Training:
     network: changed in place; at the end it has the best weights.
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
+    augment: how much images are changed, see `augmentation`.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
     """
 
@@ -75,6 +76,7 @@ class Training:
     seed: int = 0
     seconds: float | None = None
     batch: int = _BATCH
+    augment: str = "photograph"
     learning_rate: float = 1e-3
     curve: Curve = field(default_factory=list)
     passed: int = 0
@@ -149,7 +151,7 @@ class Training:
                 break
             some = np.sort(order[first : first + self.batch])
             self._set_rate(first, start)
-            images = augmented(as_input(self.images[some]), generator)
+            images = augmented(as_input(self.images[some]), generator, self.augment)
             u = torch.from_numpy(self.x[some].astype(np.float32))
             loss = -self.network.log_prob(images, u).mean()
             self._step(loss)

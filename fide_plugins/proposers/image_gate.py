@@ -64,9 +64,12 @@ class ImageGate:
     options: `guard_images`, and `proposal_fraction` with its limits.
     channel_subsets: leading channels of the tokens in which distances are measured, the mean
         correlation counts; None: all channels.
+    known: whether a learned model knows the picture, so that it is one of this scene.
     """
 
-    def __init__(self, options: Options, channel_subsets: tuple[int | None, ...]) -> None:
+    def __init__(
+        self, options: Options, channel_subsets: tuple[int | None, ...], *, known: bool = False
+    ) -> None:
         self._guarded, self._options = options.guard_images, options.proposal
         self._channel_subsets = channel_subsets
         self.fraction = options.proposal.proposal_fraction
@@ -74,7 +77,7 @@ class ImageGate:
         self._sum = 0.0
         self._variance = 0.0  # of the sum, if images said nothing
         self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory
-        self._noted = 0  # generations
+        self._noted = _ENOUGH if known else 0  # generations
 
     @property
     def strength(self) -> float:

@@ -73,6 +73,7 @@ class Descent:
             options.improvement,
             goal,
             patience_alone(dim, self.popsize),
+            np.inf if start.brisk_above is None else start.brisk_above,
         )
 
     @property

@@ -4,6 +4,9 @@ A search has *stalled* when its best loss has improved by less than a stated fra
 number of generations.  It has *collapsed* when all its samples are one point, for any renderer.  It
 is *hopeless* when it has a loss to beat and, at the rate of its last generations, will not.
 
+Where other starts are waiting, a search has to be *brisk* as long as its loss is still high: in the
+right place it loses a third in every few generations.
+
 That is for a search that images guide: it is quick, and moves have a use for what it found.  A
 search by losses alone is slow, some of its descents wait long for the covariance, and all that
 comes after it is another beginning.  It is over only when it has *converged*: its samples differ by
@@ -23,6 +26,7 @@ _CONVERGED = 1e-11  # of sigma0; `cma`: tolx
 _RATE_OVER = 3  # generations
 _HORIZON = 8  # generations in which the loss to beat must be within reach
 _BENEFIT_OF_DOUBT = 6  # generations
+_BRISK_PATIENCE, _BRISK_IMPROVEMENT = 7 / 5, 0.3  # in units of the patience; share of the loss
 
 
 def default_patience(dim: int, popsize: int) -> int:
@@ -69,6 +73,7 @@ class Termination:
     patience, improvement: of `has_stalled`.
     goal: loss that the search has to beat; +inf for none.
     patience_alone: generations without any improvement that end it where no image guides it.
+    brisk_above: loss above which it has to be brisk; +inf for none.
     """
 
     def __init__(
@@ -78,9 +83,11 @@ class Termination:
         improvement: float,
         goal: float = np.inf,
         patience_alone: int = 100,
+        brisk_above: float = np.inf,
     ) -> None:
         self.sigma0, self.patience, self.improvement = sigma0, patience, improvement
         self.goal, self.patience_alone = goal, patience_alone
+        self.brisk_above = brisk_above
         self.history: list[float] = []
         """Best loss after each of the last generations, as many as anybody asks for."""
 
@@ -88,7 +95,12 @@ class Termination:
         """Note the losses (k,) of one generation."""
         before = self.history[-1] if self.history else np.inf
         self.history.append(min(before, float(np.min(losses))))
-        del self.history[: -1 - max(self.patience, self.patience_alone, _BENEFIT_OF_DOUBT)]
+        longest = max(self._brisk_patience, self.patience_alone, _BENEFIT_OF_DOUBT)
+        del self.history[: -1 - longest]
+
+    @property
+    def _brisk_patience(self) -> int:
+        return round(_BRISK_PATIENCE * self.patience)
 
     def is_over(self, std: Float64, *, guided: bool = True) -> bool:
         """Whether to look elsewhere.
@@ -99,5 +111,8 @@ class Termination:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.patience_alone, 0.0)
         collapsed = bool((std < _COLLAPSED * self.sigma0).all())
-        stalled = has_stalled(self.history, self.patience, self.improvement)
+        if self.history and self.history[-1] > self.brisk_above:
+            stalled = has_stalled(self.history, self._brisk_patience, _BRISK_IMPROVEMENT)
+        else:
+            stalled = has_stalled(self.history, self.patience, self.improvement)
         return collapsed or stalled or is_hopeless(self.history, self.goal)

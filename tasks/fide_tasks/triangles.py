@@ -114,7 +114,8 @@ def _relative(v: Vector) -> Vector:
     """Numbers (n, T, kinds) relative to the range of their kind; 0.5 where all are the same."""
     low, high = v.min(axis=1, keepdims=True), v.max(axis=1, keepdims=True)
     middle = np.full_like(v, 0.5)
-    return np.divide(v - low, high - low, out=middle, where=high > low)
+    relative: Vector = np.divide(v - low, high - low, out=middle, where=high > low)
+    return relative
 
 
 def _paint(frame: Image, corners: Vector, paint: Plane, background: float) -> None:

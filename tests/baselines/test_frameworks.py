@@ -15,10 +15,7 @@ from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameErro
 from fide_plugins.experiments import run as harness
 from fide_plugins.types import Float64
 
-
-def sphere(X: Float64) -> Float64:
-    value: Float64 = ((X - 0.3) ** 2).sum(axis=1)
-    return value
+from .conftest import sphere
 
 
 def points_of(name: str, evaluations: int, **options: Any) -> Float64:

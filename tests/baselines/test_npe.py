@@ -137,18 +137,15 @@ def test_densities_that_are_no_numbers_are_none(sbi: Any) -> None:
 
 def test_what_is_asked_comes_near_the_answer(sbi: Any) -> None:
     """A spot that shows both of its parameters: after two rounds it is known where it is."""
-    options = {**TINY, "popsize": 120, "epochs": 9, "width": 20, "transforms": 2}
-    ratios = []  # of median distances, after two rounds and before
-    for seed in range(3):
-        opt = NPE(2, TARGET, **options | {"support": 500, "batch_size": 12, "seed": seed})
-        distances = []
-        for _ in range(3):
-            X = opt.ask()
-            opt.tell(X, spot(X))
-            distances.append(float(np.median(np.abs(X - [0.3, 0.7]).max(axis=1))))
-        assert opt.trained == 2 and not opt._x
-        ratios.append(distances[2] / distances[0])
-    assert np.median(ratios) < 0.6, ratios
+    options = {**TINY, "popsize": 90, "epochs": 9, "width": 20, "transforms": 2}
+    opt = NPE(2, TARGET, **options | {"support": 500, "batch_size": 12})
+    distances = []  # medians
+    for _ in range(3):
+        X = opt.ask()
+        opt.tell(X, spot(X))
+        distances.append(float(np.median(np.abs(X - [0.3, 0.7]).max(axis=1))))
+    assert opt.trained == 2 and not opt._x
+    assert distances[2] < 0.6 * distances[0]  # 0.10 to 0.23 times for six seeds
 
 
 def test_candidates_of_exchangeable_blocks_have_one_order(sbi: Any) -> None:

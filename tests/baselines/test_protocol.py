@@ -22,12 +22,9 @@ from fide_plugins.errors import (
 )
 from fide_plugins.types import Float64
 
+from .conftest import sphere
+
 Subject = Any  # of conftest.py
-
-
-def sphere(X: Float64) -> Float64:
-    value: Float64 = ((X - 0.3) ** 2).sum(axis=1)
-    return value
 
 
 def test_all_baselines_are_tested(subjects: list[Subject]) -> None:

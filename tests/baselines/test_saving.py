@@ -14,14 +14,8 @@ from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import CheckpointError, DeviceError, LossError, UnknownNameError
 from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.runtime import checkpoint
-from fide_plugins.types import Float64
 
 Subject = Any  # of conftest.py
-
-
-def sphere(X: Float64) -> Float64:
-    value: Float64 = ((X - 0.3) ** 2).sum(axis=1)
-    return value
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 1.0])

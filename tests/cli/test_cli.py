@@ -9,7 +9,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,11 +25,7 @@ from fide_plugins.cli.messages import duration, plain
 from .conftest import KEYS, fide, one_line
 
 SMALL = ["--optimizer", "cma", "--size", "24"]
-
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def test_json_is_the_last_line_of_standard_output_with_these_keys(
@@ -237,34 +235,20 @@ def test_doctor_is_short_and_imports_nothing_heavy() -> None:
 # -- interruption ----------------------------------------------------------------------------------
 
 
-def interrupted(signum: int, words: list[str]) -> tuple[int, str, str]:
-    """Exit code and output of a command that gets a signal while it renders."""
-    before = Path("cut/run.json").stat().st_mtime_ns if Path("cut/run.json").exists() else 0
-    child = subprocess.Popen(
-        [sys.executable, "-m", "fide_plugins", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    while not Path("cut/run.json").exists() or Path("cut/run.json").stat().st_mtime_ns == before:
-        assert child.poll() is None  # the file is written just before the first render
-        time.sleep(0.005)
-    time.sleep(0.05)
-    child.send_signal(signum)
-    out, err = child.communicate(timeout=60)
-    return child.returncode, out, err
-
-
 def test_interrupt_saves_and_resume_reaches_the_same_result(
-    capsys: pytest.CaptureFixture[str],
+    forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["run", "voronoi", *SMALL, "--task-set", "cells=2", "--budget", "2500", "--json"]
     words += ["--out"]
     assert main([*words, "whole"]) == 0
     whole = json.loads(capsys.readouterr().out)
     for signum, code, more in ((signal.SIGINT, 130, []), (signal.SIGTERM, 143, ["--resume"])):
-        returned, out, err = interrupted(signum, [*words, "cut", *more])
-        assert (returned, out) == (code, ""), err
+        before = written("cut/run.json")
+        command = forked_command(*words, "cut", *more)
+        command.wait_until(lambda old=before: written("cut/run.json") != old)  # at the first render
+        time.sleep(0.05)
+        returned, err = command.stop(signum)
+        assert returned == code, err
         assert "saved in cut" in err and "--out cut --resume" in err
         assert json.loads(Path("cut/run.json").read_text())["status"] == "interrupted"
     assert main([*words, "cut", "--resume"]) == 0
@@ -276,6 +260,11 @@ def test_interrupt_saves_and_resume_reaches_the_same_result(
         for out in ("whole", "cut")
     ]
     assert curves[0] == curves[1]
+
+
+def written(path: str) -> int | None:
+    """When a file was written; None: it is not there."""
+    return Path(path).stat().st_mtime_ns if Path(path).exists() else None
 
 
 def test_a_run_that_fails_is_exit_code_1(

@@ -21,14 +21,9 @@ from .conftest import fide
 
 SMALL = ["--optimizers", "cma,random", "--seeds", "2", "--budget", "40", "--size", "16"]
 SMALL += ["--task-set", "cells=2"]
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.mark.figures
 def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["compare", "voronoi", *SMALL, "--losses", "loi", "--out", "out"]
     assert fide(*words, "--threshold", "loi=0.5") == 0

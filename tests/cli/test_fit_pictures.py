@@ -16,12 +16,7 @@ from fide_plugins.errors import OptionError
 
 from .conftest import KEYS, fide, one_line
 
-pytestmark = pytest.mark.figures
-
-
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = [pytest.mark.figures, pytest.mark.usefixtures("empty_folder")]
 
 
 def picture(path: str, mode: str, size: tuple[int, int]) -> None:

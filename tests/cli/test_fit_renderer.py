@@ -9,8 +9,8 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -134,21 +134,19 @@ def test_a_picture_is_reduced_to_the_renderers_size(capsys: pytest.CaptureFixtur
     assert fide("fit", "large.png", *words, "--size", 16) == 0
 
 
-def test_ctrl_c_saves_and_resume_goes_on(target: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_saves_and_resume_goes_on(
+    target: Path, forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     (target.parent / "slow.py").write_text(SLOW)
-    words = [sys.executable, "-m", "fide_plugins", "fit", "target.png"]
-    words += ["--renderer", "slow.py:render", "--workers", "0", "--out", "out"]
-    child = subprocess.Popen([*words, "--budget", "100000"], stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 60
-    while not Path("out/run.ckpt").exists() and time.monotonic() < until:
-        time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=60)
-    assert child.returncode == 130, err
+    words = ["fit", "target.png", "--renderer", "slow.py:render", "--workers", "0", "--out", "out"]
+    command = forked_command(*words, "--budget", 100_000)
+    command.wait_until(Path("out/run.ckpt").exists)
+    code, err = command.stop(signal.SIGINT)
+    assert code == 130, err
     assert "stopped by SIGINT after" in err and "--resume" in err
     done = json.loads(Path("out/run.json").read_text())["totals"]["evaluations"]
     assert done > 0
-    assert fide(*words[3:], "--budget", done + 5, "--resume", "--json") == 0
+    assert fide(*words, "--budget", done + 5, "--resume", "--json") == 0
     assert summary(capsys)["evaluations"] == done + 5
 
 

@@ -175,7 +175,7 @@ damages = st.lists(
 WHOLE = (FOLDER / "saved").read_bytes()
 
 
-@settings(max_examples=150 * CASES, deadline=None)
+@settings(max_examples=100 * CASES, deadline=None)
 @given(damages, st.booleans())
 def test_damaged_bytes_of_a_checkpoint(kinds: list[tuple[int, int, int]], mended: bool) -> None:
     """Refused by the checksum; if that is mended too, refused or read as a dict."""
@@ -219,7 +219,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=300 * CASES, deadline=None)
+@settings(max_examples=75 * CASES, deadline=None)
 @given(st.one_of(st.binary(max_size=60), json_values.map(lambda v: json.dumps(v).encode())))
 def test_a_record_of_a_run_that_is_none(content: bytes) -> None:
     (FOLDER / "run.json").write_bytes(content)
@@ -294,7 +294,7 @@ for _kind in ("PNG", "JPEG", "GIF", "TIFF", "BMP", "WEBP", "PPM", "ICO", "TGA"):
 
 
 @pytest.mark.filterwarnings("ignore")  # Pillow's remarks on damaged files
-@settings(max_examples=500 * CASES, deadline=None)
+@settings(max_examples=150 * CASES, deadline=None)
 @given(st.sampled_from(sorted(PICTURES)), damages)
 def test_a_damaged_picture_is_a_picture_or_refused(
     kind: str, kinds: list[tuple[int, int, int]]
@@ -336,7 +336,7 @@ SCENE = b"""<scene version="3.0.0">
 (FOLDER / "more.xml").write_text('<scene version="3.0.0"></scene>')
 
 
-@settings(max_examples=500 * CASES, deadline=None)
+@settings(max_examples=150 * CASES, deadline=None)
 @given(damages)
 def test_a_damaged_scene_is_a_scene_or_refused(kinds: list[tuple[int, int, int]]) -> None:
     (FOLDER / "scene.xml").write_bytes(damage(SCENE, kinds))

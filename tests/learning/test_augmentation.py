@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from fide_plugins.learning import augmentation
-from fide_plugins.learning.augmentation import augmented
+from fide_plugins.learning.augmentation import AUGMENT, augmented
 
 Change = Callable[[Tensor, torch.Generator], Tensor]
-CHANGES: list[Change] = [change for change, _ in augmentation._CHANGES]
+CHANGES: list[Change] = [change for change, _ in augmentation._CHANGES["photograph"]]
 every_change = pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 
 
@@ -54,6 +54,29 @@ def test_some_images_stay_as_they_are() -> None:
     images = waves(2000, 16)
     same = (augmented(images, seeded()) == images).flatten(1).all(1).sum()
     assert 15 < int(same) < 100
+
+
+def test_nothing_is_changed_where_nobody_asks_for_it() -> None:
+    images = waves()
+    torch.testing.assert_close(augmented(images, seeded(), "none"), images, rtol=0, atol=0)
+
+
+def test_what_two_renders_differ_in_moves_nothing_and_keeps_colors() -> None:
+    """Focus and noise alone: flat images keep their color but for noise, and edges their place."""
+    flat = torch.full((400, 3, 16, 16), 0.4)
+    mean = augmented(flat, seeded(), "render").mean((2, 3))
+    assert float((mean - 0.4).abs().max()) < 6 * 0.02 / 16  # six standard errors of the noise
+    rows = torch.linspace(0.2, 0.8, 16)[:, None].expand(400, 3, 16, 16).contiguous()
+    changed = (augmented(rows, seeded(), "render") - rows)[:, :, 2:-2, 2:-2].mean((1, 2, 3))
+    assert float(changed.abs().max()) < 6 * 0.02 / (3 * 144) ** 0.5
+    moved = (augmented(rows, seeded()) - rows)[:, :, 2:-2, 2:-2].mean((1, 2, 3))
+    assert float(moved.abs().max()) > 0.01
+
+
+@pytest.mark.parametrize("augment", AUGMENT)
+def test_each_way_is_reproducible(augment: str) -> None:
+    first, again = (augmented(waves(), seeded(3), augment) for _ in range(2))
+    assert torch.equal(first, again)
 
 
 @every_change

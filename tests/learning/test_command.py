@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,9 +27,7 @@ def render(params):
 """
 
 
-@pytest.fixture(autouse=True)
-def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
 def fide(*words: object) -> int:
@@ -144,13 +140,14 @@ def test_the_global_preset_of_a_fit_and_of_a_run(
     assert "needs a budget of at least 10,000 renders, not 9000" in capsys.readouterr().err
     assert not Path("runs").exists()
     monkeypatch.setattr(rounds, "LEAST", 350)
+    monkeypatch.setattr(rounds, "_PASSES", 2)
     for words in (
         (*fit, "--workers", 2, "--stop-at", 1e-5),
         ("run", "gradient.py:render", "--target", "t.png", *fit[-3:]),
     ):
         assert fide(*words, "--budget", 350, "--out", words[0]) == 0
         found = json.loads(capsys.readouterr().out.splitlines()[-1])
-        assert 200 < found["evaluations"] <= 350 and found["best_loss"] < 1e-4
+        assert 100 < found["evaluations"] <= 350 and found["best_loss"] < 1e-4
         settings = json.loads(Path(words[0], "run.json").read_text())["settings"]
         assert settings["options"] == {"preset": "global"}
         assert fide("solutions", words[0]) == 0
@@ -158,25 +155,20 @@ def test_the_global_preset_of_a_fit_and_of_a_run(
     assert fide("run", "voronoi", "--optimizer", "cma", "--preset", "global") == 2
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_keeps_what_is_there_and_resume_goes_on(
-    signum: signal.Signals, tmp_path: Path
+    signum: signal.Signals, forked_command: Callable[..., Any]
 ) -> None:
     Path("gradient.py").write_text(SCENE)
-    words = ("gradient.py:render", "--size", "16", "--out", "m.fide", "--passes", "100000")
-    command = [sys.executable, "-m", "fide_plugins", "learn", *words, "--renders", "300"]
-    heard = partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # as in a terminal
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=heard) as process:
-        assert process.stderr is not None
-        while not (line := process.stderr.readline()).startswith("pass "):
-            assert line, "it has ended"
-        process.send_signal(signum)
-        errors = process.stderr.read()
-        assert process.wait(60) == 128 + signum
+    words = ("gradient.py:render", "--size", 16, "--out", "m.fide", "--renders", 300, "--passes")
+    command = forked_command("learn", *words, 100_000)
+    while not (line := command.stderr.readline()).startswith("pass "):
+        assert line, "it has ended"
+    code, errors = command.stop(signum)
+    assert code == 128 + signum
     assert f"stopped by {signum.name}; what was rendered and learned is kept" in errors
     assert "--resume" in errors and "Traceback" not in errors
     assert {path.name for path in Path("m.fide.renders").iterdir()} == {
         *("settings", "training", "000000.npz", "000001.npz", "000002.npz")
     }
-    assert fide("learn", *words[:-1], 1, "--renders", 300, "--resume") == 0
+    assert fide("learn", *words, 1, "--resume") == 0

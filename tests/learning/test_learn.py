@@ -281,3 +281,39 @@ def test_the_global_generator_is_left_alone(model: Model) -> None:
 def test_a_space_is_kept(model: Model) -> None:
     assert isinstance(model.space, Space)
     assert model.space == SPACE
+
+
+def test_a_model_says_how_its_renders_were_changed(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 1}
+    models = {}
+    for augment in ("none", "photograph"):
+        file = tmp_path / augment
+        learn(plain, 2, out=file, augment=augment, **arguments)
+        models[augment] = Model.load(file)
+        assert models[augment].report.augment == augment
+        assert f"augment='{augment}'" in str(models[augment].report)
+    curves = {models[augment].report.curve for augment in models}
+    assert len(curves) == 2  # other images, other losses
+    default = learn(plain, 2, **arguments)
+    assert default.report.curve == models["photograph"].report.curve
+
+
+def test_training_begins_again_where_images_are_changed_otherwise(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 2}
+    learn(plain, 2, out=tmp_path / "m", **arguments)
+    again = learn(plain, 2, out=tmp_path / "m", augment="none", **arguments)
+    fresh = learn(plain, 2, augment="none", **arguments)
+    assert again.report.curve == fresh.report.curve
+
+
+def test_an_unknown_way_to_change_images_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="unknown augment 'photo': known are none, photo"):
+        learn(plain, 2, augment="photo")
+
+
+def test_a_model_of_before_there_was_a_choice_does_not_say(tmp_path: Path) -> None:
+    model = learn(plain, 2, renders=100, size=SIDE, passes=1)
+    state = model.report.state_dict()
+    del state["augment"]
+    report = type(model.report).from_state(state)
+    assert report.augment is None and "augment" not in str(report)

@@ -43,10 +43,15 @@ class Disk:
         return disk(params)
 
 
+def allow_few(patch: pytest.MonkeyPatch) -> None:
+    """Allow a small budget and learn briefly: what is tested does not depend on them."""
+    patch.setattr(rounds, "LEAST", BUDGET)
+    patch.setattr(rounds, "_PASSES", 2)
+
+
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Allow a small budget: what is tested does not depend on it."""
-    monkeypatch.setattr(rounds, "LEAST", BUDGET)
+    allow_few(monkeypatch)
 
 
 def fitted(render: Any = disk, picture: Float64 = PICTURE, **options: Any) -> Any:
@@ -59,7 +64,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Disk, Path]:
     """A fit that nothing has stopped, its renderer, and its folder."""
     render, folder = Disk(), tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rounds, "LEAST", BUDGET)
+        allow_few(patch)
         result = fitted(render, out=folder)
     return result, render, folder
 

@@ -8,6 +8,7 @@ import torch
 
 import fide_tasks
 from fide_plugins.learning import learn
+from fide_plugins.learning.hypotheses import _middle
 from fide_plugins.learning.sets import Blocks
 
 
@@ -40,3 +41,13 @@ def test_where_something_is_counts_from_the_first_step() -> None:
             said = head.log_prob(images, torch.zeros(24, 8), torch.full((24, 4), 0.5))
         spread.append(float(said.std()))
     assert np.median(spread) > 1e-3
+
+
+def test_the_middle_of_sets_goes_around_circles() -> None:
+    rng = np.random.default_rng(0)
+    truth = np.array([0.999, 0.3, 0.002, 0.98])
+    periodic = np.array([True, False, True, False])
+    x = truth + 0.05 * rng.standard_normal((2000, 4))
+    x = np.where(periodic, np.mod(x, 1.0), np.clip(x, 0.0, 1.0))
+    apart = np.abs(_middle(x, periodic) - truth)
+    assert np.where(periodic, np.minimum(apart, 1 - apart), apart).max() < 0.01

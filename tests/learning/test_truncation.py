@@ -81,7 +81,7 @@ def test_in_the_region_points_are_as_of_the_prior(tmp_path: Path) -> None:
     """Samples of the posterior, in their place, would make that of the second round narrower."""
     picture = np.full((SIDE, SIDE), 0.5)
     file = tmp_path / "noisy.fide"
-    model = learn(Noisy(), renders=1500, size=SIDE, passes=6, out=file)
+    model = learn(Noisy(), renders=1000, size=SIDE, passes=4, out=file)
     region = Truncated.read(file, picture, seed=0)
     grid = np.linspace(0, 1, 2001)
     inside = grid[model.log_prob(picture, grid[:, None]) >= region.threshold]

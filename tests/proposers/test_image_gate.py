@@ -223,3 +223,16 @@ def test_failures_cost_a_proposer_as_much_as_the_worst_losses() -> None:
     assert failed == pytest.approx(worst)
     tied = adapt(np.where(losses >= 8, np.inf, losses), [8, 9])
     assert tied == pytest.approx(adapt(losses, [8, 9]))
+
+
+def test_images_of_a_known_picture_end_searches_as_soon_as_they_agree() -> None:
+    rng = np.random.default_rng(4)
+    known, other = ImageGate(Options(), (None,), known=True), ImageGate(Options(), (None,))
+    assert not known.guided  # nothing was seen yet
+    for generation in range(1, 25):
+        losses = rng.random(12)
+        for gate in (known, other):
+            gate.note_images(tokens_at(losses), TARGET, losses)
+        assert known.guided == (known.strength == 1.0)
+        assert other.guided == (generation >= 20)
+    assert known.guided

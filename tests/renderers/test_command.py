@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -212,12 +212,14 @@ def test_a_failure_names_command_parameters_and_output(
     assert str(pickle.loads(pickle.dumps(caught.value))) == text
 
 
-def test_a_program_that_hangs_is_stopped_with_all_it_started(tmp_path: Path) -> None:
+def test_a_program_that_hangs_is_stopped_with_all_it_started(
+    tmp_path: Path, ends: Callable[[int], bool]
+) -> None:
     Path("starts.py").write_text(STARTS)
     text = f"{sys.executable} -I -S starts.py {{out}} {{gray}} {{floor}}"
     with pytest.raises(RenderError, match="did not end within 1 s; give it more time"):
         CommandRenderer(text, SPACE, timeout=1)(params())
-    _wait_until_gone(int(Path("pid").read_text()))
+    assert ends(int(Path("pid").read_text()))
     assert os.listdir(tmp_path / "tmp") == []
 
 
@@ -244,7 +246,9 @@ def test_the_time_of_a_render_is_that_of_all_views_together(
     assert given[6:] == [None, None]
 
 
-def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on() -> None:
+def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(
+    ends: Callable[[int], bool],
+) -> None:
     Path("starts.py").write_text(STARTS)
     text = f"{sys.executable} -I -S starts.py {{out}} {{gray}} {{floor}}"
     slow, quick = CommandRenderer(text, SPACE, timeout=1), CommandRenderer(template(), SPACE)
@@ -252,10 +256,12 @@ def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on() -> None:
         with pytest.raises(RenderError, match="did not end within 1 s"):
             pool.submit(slow, params()).result(60)
         assert np.shape(pool.submit(quick, params()).result(60)) == (4, 5, 3)
-    _wait_until_gone(int(Path("pid").read_text()))
+    assert ends(int(Path("pid").read_text()))
 
 
-def test_ctrl_c_stops_the_program_and_leaves_nothing(tmp_path: Path) -> None:
+def test_ctrl_c_stops_the_program_and_leaves_nothing(
+    tmp_path: Path, ends: Callable[[int], bool]
+) -> None:
     Path("pids.py").write_text(
         "import os, time\nopen('pid.new', 'w').write(str(os.getpid()))\n"
         "os.rename('pid.new', 'pid')\ntime.sleep(600)\n"
@@ -279,19 +285,5 @@ def test_ctrl_c_stops_the_program_and_leaves_nothing(tmp_path: Path) -> None:
         time.sleep(0.02)
     child.send_signal(signal.SIGINT)
     assert child.wait(60) != 0
-    _wait_until_gone(int(Path("pid").read_text()))
+    assert ends(int(Path("pid").read_text()))
     assert os.listdir(tmp_path / "tmp") == []
-
-
-def _wait_until_gone(pid: int) -> None:
-    """Wait until a process, which may be nobody's child, is gone or a zombie."""
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        try:
-            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        except (FileNotFoundError, ProcessLookupError):
-            return
-        if state in "ZX":
-            return
-        time.sleep(0.02)
-    raise AssertionError(f"process {pid} still runs")

@@ -112,3 +112,22 @@ def test_what_nobody_asks_for_is_forgotten() -> None:
         progress.note(np.array([1.0 / (1 + generation)]))
     assert len(progress.history) == 31
     assert progress.history[-1] == 1 / 1000
+
+
+@pytest.mark.parametrize(
+    ("rate", "above", "over"),
+    [
+        (0.96, 0.0, True),  # a quarter in seven generations is too little
+        (0.96, 100.0, False),
+        (0.9, 0.0, False),
+        (1.0, INF, True),  # the usual rule
+    ],
+)
+def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: bool) -> None:
+    search = Termination(1 / 6, 5, 0.1, brisk_above=above)
+    verdicts = []
+    for generation in range(12):
+        search.note(np.array([10.0 * rate**generation]))
+        verdicts.append(search.is_over(WIDE))
+    assert any(verdicts) == over
+    assert not any(verdicts[:5])

@@ -20,7 +20,7 @@ from fide_plugins.errors import ImageError
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
-RNG = np.random.default_rng(41)
+SEED = 41
 THERE = torch.device("meta")  # PyTorch starts no driver for it
 
 
@@ -83,11 +83,11 @@ def device() -> Iterator[PretendedDevice]:
 
 
 def picture(height: int = 90, width: int = 101, n: int = 3) -> Any:
-    return RNG.random((n, height, width, 3), dtype=np.float32)
+    return np.random.default_rng(SEED).random((n, height, width, 3), dtype=np.float32)
 
 
 def rand(*shape: int) -> torch.Tensor:
-    return torch.from_numpy(RNG.random(shape, dtype=np.float32))
+    return torch.from_numpy(np.random.default_rng(SEED).random(shape, dtype=np.float32))
 
 
 # -- rules -----------------------------------------------------------------------------------------

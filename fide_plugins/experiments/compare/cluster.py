@@ -1,8 +1,4 @@
-"""Work items on the workers of a Dask cluster, which write to a shared folder.
-
-Each worker must have one thread, `dask worker --nthreads 1`: runs in one process would distort
-each other's measured time.
-"""
+"""Work items on the workers of a Dask cluster, which write to a shared folder."""
 
 from __future__ import annotations
 
@@ -11,11 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.cluster import connected
 
 __all__ = ["on_dask"]
-
-_TIMEOUT = 20.0  # seconds until the scheduler must answer, and until one worker must be there
 
 
 def on_dask(
@@ -34,17 +29,9 @@ def on_dask(
     Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the cluster
     cannot be used.
     """
-    try:
-        from distributed import Client, as_completed
-    except ImportError as error:
-        raise DependencyError(
-            "--dask needs the package distributed: pip install 'fide-plugins[dask]'"
-        ) from error
-    try:
-        client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TimeoutError) as error:
-        raise OptionError(f"no Dask scheduler answers at {address}: {error}") from error
-    with client:
+    with connected(address) as client:
+        from distributed import as_completed
+
         _check(client, out)
         futures = {client.submit(work, item, pure=False): item for item in items}
         completed: Any = as_completed(futures, loop=client.loop)  # type: ignore[no-untyped-call]
@@ -56,17 +43,7 @@ def on_dask(
 
 
 def _check(client: Any, out: Path) -> None:
-    """Raise OptionError unless every worker has one thread and sees the folder."""
-    try:
-        client.wait_for_workers(1, timeout=_TIMEOUT)
-    except TimeoutError as error:
-        raise OptionError("the Dask cluster has no worker; start one: dask worker") from error
-    for name, worker in client.scheduler_info(n_workers=-1)["workers"].items():
-        if worker["nthreads"] != 1:
-            raise OptionError(
-                f"the Dask worker {name} has {worker['nthreads']} threads, which would distort the "
-                "measured time; start it with: dask worker --nthreads 1"
-            )
+    """Raise OptionError unless every worker sees the folder."""
     probe = out / f".probe.{secrets.token_hex(6)}.tmp"
     probe.touch()
     try:

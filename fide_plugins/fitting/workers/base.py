@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from fide_plugins.fitting.rendering import Outcome
-from fide_plugins.types import Float64
 
 __all__ = ["Task", "Workers"]
 
@@ -24,8 +23,8 @@ class Workers(Protocol):
     def usable(self) -> int:
         """How many of them can render: all but those that hang and cannot be killed."""
 
-    def submit(self, x: Float64) -> Task:
-        """Render the point x (d,)."""
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes."""
 
     def outcome(self, task: Task) -> Outcome:
         """What a task that is done has given; never raises what went wrong."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from concurrent.futures import Executor
+from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting.rendering import Renderer
+from fide_plugins.fitting.rendering import Outcome
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.executors import OfExecutor
 from fide_plugins.fitting.workers.here import Here
@@ -15,12 +17,15 @@ from fide_plugins.fitting.workers.threads import DaemonThreads
 
 __all__ = ["workers_for"]
 
+_Renderer: TypeAlias = Callable[[Any], Outcome]
+
 
 def workers_for(
-    renderer: Renderer, number: int, executor: object, timeout: float | None
+    renderer: _Renderer, number: int, executor: object, timeout: float | None
 ) -> Workers:
     """Workers for a renderer; nothing is started yet.
 
+    renderer: an outcome for a point x (d,), or for whatever is submitted.
     number: of renders at a time; 0: in this process.
     executor: None or "processes", "threads", an executor of `concurrent.futures`, or what has a
         method `get_executor`, as Dask's Client.
@@ -43,7 +48,7 @@ def workers_for(
     return OfExecutor(_as_executor(executor), renderer, number, own=False)
 
 
-def _processes_or_threads(renderer: Renderer, number: int) -> Workers:
+def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
     try:
         return Processes(renderer, number)
     except Exception as error:  # whatever the user's objects raise when they are pickled
@@ -57,7 +62,7 @@ def _processes_or_threads(renderer: Renderer, number: int) -> Workers:
         return _threads(renderer, number)
 
 
-def _processes(renderer: Renderer, number: int) -> Workers:
+def _processes(renderer: _Renderer, number: int) -> Workers:
     try:
         return Processes(renderer, number)
     except Exception as error:
@@ -67,7 +72,7 @@ def _processes(renderer: Renderer, number: int) -> Workers:
         ) from error
 
 
-def _threads(renderer: Renderer, number: int) -> Workers:
+def _threads(renderer: _Renderer, number: int) -> Workers:
     return OfExecutor(DaemonThreads(number), renderer, number, own=True)
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from typing import Any
 
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Renderer, unpack
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, unpack
 from fide_plugins.fitting.workers.base import Task
 from fide_plugins.fitting.workers.threads import DaemonThreads
-from fide_plugins.types import Float64
 
 __all__ = ["OfExecutor"]
 
@@ -24,7 +24,9 @@ class OfExecutor:
     missing until it ends.
     """
 
-    def __init__(self, executor: Executor, renderer: Renderer, number: int, own: bool) -> None:
+    def __init__(
+        self, executor: Executor, renderer: Callable[[Any], Outcome], number: int, own: bool
+    ) -> None:
         self.number = number
         self._executor, self._own = executor, own
         self._threads = isinstance(executor, ThreadPoolExecutor | DaemonThreads)
@@ -42,8 +44,8 @@ class OfExecutor:
         self._hanging = [task for task in self._hanging if not task.done()]
         return self.number - len(self._hanging)
 
-    def submit(self, x: Float64) -> Task:
-        """Render the point x (d,)."""
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes."""
         clock = _Clock()
         if self._threads:
             task: Task = self._executor.submit(_noting, clock, self._renderer, x)
@@ -105,6 +107,6 @@ class _Clock:
         self.began: float | None = None
 
 
-def _noting(clock: _Clock, render: Callable[[Float64], Outcome], x: Float64) -> Outcome:
+def _noting(clock: _Clock, render: Callable[[Any], Outcome], x: Any) -> Outcome:
     clock.began = time.monotonic()
     return render(x)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
+from typing import Any
 
-from fide_plugins.fitting.rendering import Outcome, Renderer
+from fide_plugins.fitting.rendering import Outcome
 from fide_plugins.fitting.workers.base import Task
-from fide_plugins.types import Float64
 
 __all__ = ["Here"]
 
@@ -18,11 +19,11 @@ class Here:
     number = 1
     usable = 1
 
-    def __init__(self, renderer: Renderer) -> None:
+    def __init__(self, renderer: Callable[[Any], Outcome]) -> None:
         self._renderer = renderer
 
-    def submit(self, x: Float64) -> Task:
-        """Render the point x (d,) now."""
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes, now."""
         task: Task = Future()
         task.set_result(self._renderer(x))
         return task

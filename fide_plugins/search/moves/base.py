@@ -50,6 +50,7 @@ class Start:
     mean, std: (d,), of its first distribution.
     population: its population size in units of the run's.
     patience: generations without progress that end it, in units of the run's.
+    brisk_above: loss above which it has to be quick, see `termination`; None: it may be slow.
     held: (d,), axes that keep their coordinates in the mean during the search; None: none.
     """
 
@@ -57,6 +58,7 @@ class Start:
     std: Float64
     population: int = 1
     patience: int = 1
+    brisk_above: float | None = None
     held: npt.NDArray[np.bool_] | None = None
 
 

@@ -62,6 +62,9 @@ class Choice:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         n = len(self.names)
+        if np.shape(state["gain"]) == (n - 1,):  # saved before there was the last move
+            last = {"gain": self._gain[-1:], "cost": self._cost[-1:]}
+            state = {name: np.append(state[name], value) for name, value in last.items()}
         form = {"gain": array(n, low=1e-300), "cost": array(n, low=1e-300)}
         check(state, form, {}, "choice")  # type: ignore[arg-type]
         self._gain, self._cost = state["gain"].copy(), state["cost"].copy()

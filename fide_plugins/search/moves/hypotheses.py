@@ -3,6 +3,10 @@
 The first generation renders some of them. The best distinct ones are the starts of searches, each
 as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
 (`termination.is_hopeless`). The other moves come after them.
+
+Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
+wrong then is repaired by moves of single blocks (`split`), not by another set.  So few are
+rendered, one is searched, and narrowly.
 """
 
 from __future__ import annotations
@@ -18,11 +22,14 @@ from fide_plugins.types import Float64
 
 __all__ = ["Hypotheses"]
 
-_RENDERED = 96
+_RENDERED = 48
+_RENDERED_SETS = 8
 _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
+_BETTER = 0.1  # of the typical loss
 _NARROWEST, _WIDEST = 0.02, 1 / 6  # standard deviations
+_WIDEST_SET = 0.06
 _SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
     "waiting": array("waiting", "d", low=0.0, high=1.0),
@@ -31,11 +38,15 @@ _SCHEMA: dict[str, Schema] = {
 
 
 class Hypotheses:
-    """Points x (n, d) of the cube, drawn from a posterior; none without a model."""
+    """Points x (n, d) of the cube, drawn from a posterior; none without a model.
+
+    sets: whether they are sets of exchangeable blocks.
+    """
 
     name = "learned"
 
-    def __init__(self, x: Float64 | None, dim: int) -> None:
+    def __init__(self, x: Float64 | None, dim: int, *, sets: bool = False) -> None:
+        self._sets = sets
         self.x = np.empty((0, dim)) if x is None else x
         self._waiting = np.empty((0, dim))  # starts that were not searched yet, best first
         self.typical: float | None = None
@@ -51,9 +62,14 @@ class Hypotheses:
         """Whether a search can begin at another one."""
         return len(self._waiting) > 0
 
+    @property
+    def brisk_above(self) -> float | None:
+        """Loss above which a search is no better than a start: a part of the typical one."""
+        return None if self.typical is None else _BETTER * self.typical
+
     def draw(self) -> Float64:
         """Those that are rendered first, (m, d)."""
-        return self.x[:_RENDERED]
+        return self.x[: _RENDERED_SETS if self._sets else _RENDERED]
 
     def learn(
         self,
@@ -67,7 +83,10 @@ class Hypotheses:
         """
         chosen = [best]
         for _, x in sorted(found, key=lambda one: one[0]):
-            if len(chosen) < _SEARCHED and min(distance(x, y) for y in chosen) >= _APART:
+            if (
+                len(chosen) < (1 if self._sets else _SEARCHED)
+                and min(distance(x, y) for y in chosen) >= _APART
+            ):
                 chosen.append(x)
         self._waiting = np.array(chosen)
         self.typical = float(np.median([loss for loss, _ in found])) if found else None
@@ -75,7 +94,7 @@ class Hypotheses:
     def next(self, known: Known) -> Start:
         """Begin at the next one; there must be one."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
-        return Start(x, self._spread(x, known))
+        return Start(x, self._spread(x, known), brisk_above=self.brisk_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:
         """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
@@ -88,7 +107,8 @@ class Hypotheses:
         order = np.argsort(squares.sum(axis=1), kind="stable")
         nearest = squares[order[: max(2, int(_NEAREST * len(self.x)))]]
         spread = np.sqrt(nearest.mean(axis=0))
-        return np.asarray(np.clip(spread, _NARROWEST, _WIDEST), np.float64)
+        widest = _WIDEST_SET if self._sets else _WIDEST
+        return np.asarray(np.clip(spread, _NARROWEST, widest), np.float64)
 
     def forget(self) -> None:
         """There are none: the target is another one."""

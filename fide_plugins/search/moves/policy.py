@@ -40,6 +40,7 @@ from fide_plugins.search.moves.policy_schema import check_policy
 from fide_plugins.search.moves.refine import Refine
 from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
 from fide_plugins.search.moves.removal import Removal, changed
+from fide_plugins.search.moves.resample import Resample
 from fide_plugins.search.moves.sensitivity import Sensitivity
 from fide_plugins.search.moves.split import Split
 from fide_plugins.search.moves.swap import Swap
@@ -48,7 +49,10 @@ from fide_plugins.types import Float64
 
 __all__ = ["MovePolicy", "Stage", "Start"]
 
-_PRIOR, _PRIORS = 0.1, {"split": 0.5, "change value": 0.5}  # gain of a move before it is tried
+_PRIOR, _PRIORS = (
+    0.1,
+    {"split": 0.5, "change value": 0.5, "resample": 0.5},
+)  # gain of a move before it is tried
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
 _TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
@@ -97,12 +101,13 @@ class MovePolicy:
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
+        self.hypotheses = Hypotheses(hypotheses, dim, sets=bool(groups))
+        family.append(Resample(self.hypotheses))
         self._moves = {move.name: move for move in family}
         self._choice = Choice(
             {name: _PRIORS.get(name, _PRIOR) for name in self._moves}, _COST * popsize
         )
         self._rng = np.random.default_rng((seed, 1))
-        self.hypotheses = Hypotheses(hypotheses, dim)
         self.stage = Stage.RESTART if self.hypotheses.there else Stage.SEARCH
         self.move: str | None = Hypotheses.name if self.hypotheses.there else None
         """Name of the move that is under way; None in the first search."""
@@ -143,8 +148,16 @@ class MovePolicy:
         guided: whether images say where to go on.
         """
         if self.hypotheses.waiting:
+            before = self.known.incumbent
             if found is not None:
                 self._settle(found, evaluations)
+            if guided and self._refines():
+                self.start = self._moves[Refine.name].begin_at(self.known, self.known.here.x)
+                self.move = Refine.name
+                return self._go(Stage.SEARCH)
+            if guided and self._resamples(before):
+                self.move = Resample.name
+                return self._go(Stage.RESTART)
             return self._begin_at_hypothesis()
         if found is None or not guided:
             self.known.incumbent = None
@@ -194,6 +207,21 @@ class MovePolicy:
             for name, move in self._moves.items()
             if name != BeginAnew.name and move.possible(self.known)
         ]
+
+    def _refines(self) -> bool:
+        """Whether the best so far is in the right place, and not yet at the end of its descent."""
+        known, below = self.known, self.hypotheses.brisk_above
+        if known.incumbent is None or below is None or known.incumbent.loss > below:
+            return False
+        optimum = known.optima.of(known.incumbent)
+        return optimum is not None and not optimum.refined
+
+    def _resamples(self, before: TrainingSample | None) -> bool:
+        """Whether to draw again what is open: after a hypothesis, and as long as that helps."""
+        known = self.known
+        if known.incumbent is None or not self._moves[Resample.name].possible(known):
+            return False
+        return self.move == Hypotheses.name or known.incumbent is not before
 
     def _begin_at_hypothesis(self) -> Stage:
         self.move, self.start = Hypotheses.name, self.hypotheses.next(self.known)
@@ -316,6 +344,7 @@ class MovePolicy:
         Raises ValueError for what it cannot have given.
         """
         known = self.known
+        state = _completed(state)
         check_policy(state, known, [*self._moves, Hypotheses.name])
         self.hypotheses.load_state_dict(state.get("hypotheses"))
         self.stage, self.move = Stage(state["stage"]), state["move"]
@@ -333,6 +362,11 @@ class MovePolicy:
         known.sensitivity.load_state_dict(state["sensitivity"])
         known.values.load_state_dict(state["values"])
         self._choice.load_state_dict(state["choice"])
+
+
+def _completed(state: Mapping[str, Any]) -> dict[str, Any]:
+    """State of a version in which no start had to be brisk, as this one has it."""
+    return {**state, "start": {"brisk_above": None, **state["start"]}}
 
 
 def _gain(before: float, after: float) -> float:

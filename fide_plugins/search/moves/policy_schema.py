@@ -33,6 +33,7 @@ _SCHEMA: dict[str, Schema] = {
         "std": array("d", low=0.0, high=1e6),
         "population": whole(1, 2**10),
         "patience": whole(1, 100),
+        "brisk_above": maybe(real()),
         "held": maybe(array("d", kind="b")),
     },
     "alone": whole(),

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,17 +35,19 @@ def test_every_item_has_its_result_and_a_death_takes_one_with_it(child: Any) -> 
     assert os.getpid() not in pids and 1 <= len(pids) <= 3
 
 
-def test_leaving_early_ends_the_processes(child: Any, tmp_path: Path) -> None:
+def test_leaving_early_ends_the_processes(
+    child: Any, tmp_path: Path, ends: Callable[[int], bool]
+) -> None:
     started = time.monotonic()
     results = in_processes(child.work, [1, tmp_path / "a"], 2, child.lost)
     assert next(results)[1] == 1
     pid = _written(tmp_path / "a")
     results.close()  # type: ignore[attr-defined]
-    assert _gone(pid) and time.monotonic() - started < child.LONG / 2
+    assert ends(pid) and time.monotonic() - started < child.LONG / 2
 
 
 def test_a_second_ctrl_c_does_not_wait(
-    child: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    child: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[int], bool]
 ) -> None:
     started = time.monotonic()
     results = in_processes(child.stubborn, [1, tmp_path / "a"], 2, child.lost)
@@ -59,7 +62,7 @@ def test_a_second_ctrl_c_does_not_wait(
     monkeypatch.setattr(processes._Worker, "join", impatient)
     with pytest.raises(KeyboardInterrupt):
         results.close()  # type: ignore[attr-defined]
-    assert _gone(pid) and time.monotonic() - started < child.LONG / 2
+    assert ends(pid) and time.monotonic() - started < child.LONG / 2
 
 
 SCRIPT = """
@@ -73,7 +76,7 @@ if __name__ == "__main__":
 """
 
 
-def test_processes_follow_their_parent(tmp_path: Path) -> None:
+def test_processes_follow_their_parent(tmp_path: Path, ends: Callable[[int], bool]) -> None:
     script = tmp_path / "script.py"
     out = tmp_path / "a"
     script.write_text(SCRIPT.format(folder=HERE, out=str(out)))
@@ -83,7 +86,7 @@ def test_processes_follow_their_parent(tmp_path: Path) -> None:
     finally:
         parent.kill()
         parent.wait()
-    assert _gone(pid)
+    assert ends(pid)
 
 
 def _written(path: Path) -> int:
@@ -92,17 +95,3 @@ def _written(path: Path) -> int:
             return int(path.read_text())
         time.sleep(0.01)
     raise AssertionError("the process never began")
-
-
-def _gone(pid: int) -> bool:
-    """Whether a process ends soon, or has; one that nobody waits for is a zombie (Z)."""
-    for _ in range(1000):
-        try:
-            os.kill(pid, 0)
-            status = Path(f"/proc/{pid}/stat")
-            if status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z":
-                return True
-        except (ProcessLookupError, FileNotFoundError):
-            return True
-        time.sleep(0.01)
-    return False

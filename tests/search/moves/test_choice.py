@@ -46,3 +46,13 @@ def test_state_goes_on_and_impossible_ones_are_refused() -> None:
     for wrong in (np.zeros(3), np.ones(2), np.array([1.0, np.nan, 1.0])):
         with pytest.raises(ValueError, match="choice"):
             copy.load_state_dict({"gain": wrong, "cost": np.ones(3)})
+
+
+def test_a_state_of_before_there_was_the_last_move_is_understood() -> None:
+    earlier = Choice({name: gain for name, gain in list(PRIORS.items())[:-1]}, 100.0)
+    earlier.note(earlier.names[0], 1.0, 10)
+    now = Choice(PRIORS, 100.0)
+    now.load_state_dict(earlier.state_dict())
+    fresh, names = Choice(PRIORS, 100.0), list(PRIORS)
+    fresh.note(earlier.names[0], 1.0, 10)
+    np.testing.assert_array_equal(now.probabilities(names), fresh.probabilities(names))

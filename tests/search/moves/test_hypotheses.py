@@ -36,3 +36,25 @@ def test_the_spread_goes_around_circles_and_knows_lamps_in_any_order() -> None:
     spread = begin(np.column_stack([around[:, 0], shuffled]))
     assert spread.max() < 0.04  # the hypotheses around it have 0.03
     np.testing.assert_allclose(spread, begin(around), rtol=1e-12)
+
+
+def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.random((512, SPACE.dim))  # as wide as can be
+    policies = [
+        MovePolicy(
+            np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
+            groups, SPACE.layout, x,
+        )
+        for groups in (SPACE.largest_family, [])
+    ]  # fmt: skip
+    rendered = [len(policy.draw(rng)) for policy in policies]
+    assert rendered[0] < rendered[1] / 2
+    stds, waiting = [], []
+    for policy in policies:
+        found = [(float(i), row) for i, row in enumerate(policy.hypotheses.draw())]
+        policy.hypotheses.learn(found, found[0][1], policy.known.exchangeability.distance)
+        stds.append(policy.hypotheses.next(policy.known).std.max())
+        waiting.append(policy.hypotheses.waiting)
+    assert waiting == [False, True]
+    assert stds[0] < stds[1] / 2

@@ -1,0 +1,173 @@
+"""Renders on a real Dask scheduler and two workers, in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fide_tasks
+from fide_plugins.cli import main
+from fide_plugins.errors import RenderError
+from fide_plugins.learning import LearnProgress, Model, learn, rendering
+from fide_plugins.learning.renderer import as_renderer
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.store import RenderStore
+from fide_plugins.runtime import cluster as cluster_module
+from fide_plugins.types import Float64
+
+distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+
+SIDE = 16
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+
+space = Space(left=Float(0, 1), right=Float(0, 1))
+
+
+def render(params):
+    return np.repeat(np.linspace(params["left"], params["right"], 16)[None], 16, axis=0)
+"""
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    import dask
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+        ) as cluster,
+    ):
+        yield cluster
+
+
+@pytest.fixture
+def client(cluster: Any) -> Iterator[Any]:
+    with distributed.Client(cluster, set_as_default=False) as client:
+        client.wait_for_workers(2)
+        yield client
+
+
+def store(folder: Path, dim: int = 2) -> RenderStore:
+    return RenderStore(folder, {"dim": dim, "size": [SIDE, SIDE], "seed": 0, "renderer": "r"})
+
+
+def test_a_cluster_renders_the_same_and_goes_on(client: Any, tmp_path: Path) -> None:
+    task = fide_tasks.make("voronoi", SIDE, cells=2)
+
+    def stop(at: LearnProgress) -> None:
+        if (at.stage, at.done) == ("render", 200):
+            raise KeyboardInterrupt
+
+    arguments: dict[str, Any] = {"renders": 400, "size": SIDE, "passes": 1}
+    there = tmp_path / "there"
+    with pytest.raises(KeyboardInterrupt):
+        learn(task, out=there, executor=client, workers=2, on_progress=stop, **arguments)
+    kept = {path: path.stat().st_mtime_ns for path in Path(f"{there}.renders").glob("*.npz")}
+    assert len(kept) == 2
+    learn(task, out=there, executor=client, **arguments)
+    learn(task, out=tmp_path / "here", **arguments)
+    assert all(path.stat().st_mtime_ns == when for path, when in kept.items())
+    stores = (RenderStore.there(tmp_path / f"{name}.renders") for name in ("there", "here"))
+    for one, two in zip(*(store.read_all() for store in stores), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert client.submit(int, "7").result() == 7  # it is the caller's
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_lost_worker_costs_the_shard_it_rendered(client: Any, tmp_path: Path) -> None:
+    side, mark, calls = SIDE, str(tmp_path / "killed"), str(tmp_path / "calls")
+
+    def once_deadly(x: Float64) -> Float64:
+        with open(calls, "a") as file:
+            file.write(".")
+        if x[0] > 0.5:
+            try:
+                open(mark, "x").close()
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
+
+    kept = store(tmp_path / "store")
+    assert fill(kept, as_renderer(once_deadly, 2), 600, executor=client, workers=2) == 0
+    assert Path(mark).exists() and len(kept.read(600)[0]) == 600
+    assert 600 < len(Path(calls).read_text()) <= 600 + 2 * 100
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+def test_a_render_that_ends_every_worker_is_one_that_failed(client: Any, tmp_path: Path) -> None:
+    """With a worker what it had rendered is lost, too: nothing else may be counted as failed."""
+    made = store(tmp_path)
+    x = np.concatenate([made.parameters(shard) for shard in range(2)])
+    side, worst = SIDE, float(np.sort(x[:, 0])[1])  # of two
+
+    def deadly(x: Float64) -> Float64:
+        if x[0] <= worst:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return np.outer(np.linspace(0, x[0], side), np.linspace(0, x[1], side))
+
+    assert fill(made, as_renderer(deadly, 2), 200, executor=client, workers=4) == 2
+    np.testing.assert_array_equal(made.read(200)[0], x[x[:, 0] > worst])
+
+
+def test_a_lost_scheduler_is_said_and_what_was_rendered_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rendering, "_LOOK", 0.1)
+    task = fide_tasks.make("voronoi", SIDE, cells=2)
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
+    )
+    with cluster, distributed.Client(cluster, timeout=1, set_as_default=False) as client:
+        made = store(tmp_path, 10)
+        with pytest.raises(RenderError, match="the scheduler of the Dask cluster is lost"):
+            fill(
+                made,
+                as_renderer(task, None),
+                10_000,
+                executor=client,
+                workers=1,
+                on_progress=lambda done: cluster.close(),
+            )
+    assert 1 <= len(list(tmp_path.glob("*.npz"))) < 100
+
+
+def test_the_command_learns_on_a_cluster(
+    cluster: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("gradient.py").write_text(SCENE)
+    words = ["learn", "gradient.py:render", "--size", "16", "--passes", "1", "--out", "m.fide"]
+    assert main([*words, "--renders", "200", "--dask", cluster.scheduler_address]) == 0
+    assert Model.load("m.fide").report.renders == 196
+    assert main([*words, "--renders", "300", "--resume", "--workers", "1"]) == 0
+    x, images = RenderStore.there("m.fide.renders").read(300)
+    expected = np.rint(255 * (x[:, :1] + (x[:, 1:] - x[:, :1]) * np.linspace(0, 1, 16)))
+    assert np.abs(images[:, 0, :, 0] - expected).max() <= 1
+    capsys.readouterr()
+    assert main([*words, "--workers", "2", "--dask", cluster.scheduler_address]) == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+def test_clusters_that_cannot_be_used_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cluster_module, "_TIMEOUT", 0.3)
+    words = ["learn", "voronoi", "--out", "m.fide", "--dask"]
+    assert main([*words, "tcp://127.0.0.1:9"]) == 2
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
