@@ -40,6 +40,8 @@ CONFIGURATIONS: Configurations = {
     "CMA-ES, default k, restarts": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
     "CMA-ES, k = 500": ("cma", {"popsize": 500}),
+    "PGPE, k = 256": ("pgpe", {}),
+    "PGPE, k = 32": ("pgpe", {"popsize": 32}),
     "FIDE fast": ("fide", {"preset": "fast"}),
     "FIDE accurate": ("fide", {"preset": "accurate"}),
     "FIDE paper, 4 epochs": ("fide", {"preset": "paper", "epochs": 4}),

@@ -42,6 +42,7 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "inverse": "fide_plugins.baselines.inverse:Inverse",
     "lq-cma-es": "fide_plugins.baselines.lq_cma:LQCMA",
     "npe": "fide_plugins.baselines.npe.search:NPE",
+    "pgpe": "fide_plugins.baselines.pgpe:PGPE",
     "random": "fide_plugins.baselines.random:Random",
     "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",

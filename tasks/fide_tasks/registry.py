@@ -24,6 +24,7 @@ _TASKS = {  # name: module that holds it, class
     "spline": ("fide_tasks.spline", "Spline"),
     "sprites": ("fide_tasks.sprites", "Sprites"),
     "stick_figure": ("fide_tasks.stick_figure", "StickFigure"),
+    "triangles": ("fide_tasks.triangles", "Triangles"),
     "voronoi": ("fide_tasks.voronoi", "Voronoi"),
 }
 _GROUPS = {  # of tasks
@@ -31,6 +32,7 @@ _GROUPS = {  # of tasks
     "exchangeable": ("lamps", "sprites"),
     "folding": ("arm", "lens", "stick_figure"),
     "smooth": ("ball",),
+    "many": ("triangles",),
 }
 
 
@@ -39,7 +41,8 @@ def names(group: str = "paper") -> list[str]:
 
     "paper" are the scenes of the paper. The others belong to this package: "exchangeable", scenes
     of several objects in any order; "folding", scenes with several basins; "smooth", scenes for
-    comparison with solvers of least-squares problems. "all" are all tasks.
+    comparison with solvers of least-squares problems; "many", scenes of hundreds of parameters.
+    "all" are all tasks.
 
     Raises ValueError for an unknown group.
     """

@@ -101,6 +101,7 @@ SUBJECTS = [
     Subject("nevergrad:TwoPointsDE", evaluations=40),
     Subject("optuna:CmaEsSampler", evaluations=40),
     Subject("npe", evaluations=60),
+    Subject("pgpe"),
     Subject("random"),
     Subject("turbo", evaluations=30),
     Subject("zerograds"),

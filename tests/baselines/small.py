@@ -38,6 +38,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "transforms": 1,
         "support": 50,
     },
+    "pgpe": {"popsize": 20},
     "random": {},
     "turbo": {"popsize": 10, "initial": 10, "candidates": 40, "steps": 5},
     "zerograds": {"batch": 4},

@@ -12,7 +12,8 @@ import fide_tasks
 from fide_tasks import Parameter
 from fide_tasks.generated import GeneratedTask
 
-OWN = [name for name in fide_tasks.names("all") if name not in fide_tasks.names()]
+ELSEWHERE = (*fide_tasks.names(), *fide_tasks.names("many"))  # targets are not drawn: a photograph
+OWN = [name for name in fide_tasks.names("all") if name not in ELSEWHERE]
 Array = NDArray[np.float64]
 
 

@@ -30,7 +30,8 @@ def test_groups_of_names() -> None:
     assert fide_tasks.names("exchangeable") == ["lamps", "sprites"]
     assert fide_tasks.names("folding") == ["arm", "lens", "stick_figure"]
     assert fide_tasks.names("smooth") == ["ball"]
-    groups = ("paper", "exchangeable", "folding", "smooth")
+    assert fide_tasks.names("many") == ["triangles"]
+    groups = ("paper", "exchangeable", "folding", "smooth", "many")
     every = sorted(name for group in groups for name in fide_tasks.names(group))
     assert fide_tasks.names("all") == every
     with pytest.raises(ValueError, match="group must be one of all, paper, .*, not 'papers'"):
@@ -68,6 +69,11 @@ def test_unknown_option_lists_the_known() -> None:
         ("lamps", {"lamps": 0}, "lamps must be a whole number >= 1, not 0"),
         ("lamps", {"layout": "rows"}, "layout must be one of 'block', 'strided', not 'rows'"),
         ("sprites", {"sprites": 2.5}, "sprites must be a whole number >= 1, not 2.5"),
+        ("triangles", {"triangles": 1}, "triangles must be a whole number >= 2, not 1"),
+        ("triangles", {"opacity": 0}, r"opacity must lie in \(0, 1\], not 0"),
+        ("triangles", {"background": "noise"}, "background must be one of 'gray', 'white'"),
+        ("triangles", {"normalize": 1}, "normalize must be True or False, not 1"),
+        ("triangles", {"target": "face"}, "target must be one of 'photograph', 'random'"),
         ("spline", {"target": "asterisk"}, "target must be one of 'ampersand', 'random'"),
     ],
 )

@@ -1,0 +1,113 @@
+"""Triangles against geometry, and what the numbers of es-clip mean."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fide_tasks
+from fide_tasks import Task
+
+SIZE = 96
+HIDDEN = [0.1, 0.1, 0.9, 0.1, 0.5, 0.9, 1.0, 0.0, 0.0, 0.0]  # opacity 0
+
+
+def plain(**options: Any) -> Task:
+    """Two triangles on black whose numbers are themselves the coordinates and colors."""
+    given = {"triangles": 2, "normalize": False, "background": "black", "opacity": 1.0}
+    return fide_tasks.make("triangles", SIZE, **{**given, **options})
+
+
+def one(task: Task, *triangles: list[float]) -> NDArray[np.float32]:
+    image: NDArray[np.float32] = task.render(np.array([triangles]).reshape(1, -1))[0]
+    return image
+
+
+def white(corners: NDArray[np.float64]) -> list[float]:
+    return [*corners.ravel().tolist(), 1.0, 1.0, 1.0, 1.0]
+
+
+def test_a_triangle_covers_what_its_corners_say() -> None:
+    task = plain()
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    for corners in np.random.default_rng(0).random((20, 3, 2)):
+        (ax, ay), (bx, by), (cx, cy) = corners * SIZE
+        double = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if abs(double) < 0.02 * SIZE**2:
+            continue  # slivers: see below
+        # barycentric coordinates, and how far one pixel is in each
+        s = ((bx - x) * (cy - y) - (cx - x) * (by - y)) / double
+        t = ((cx - x) * (ay - y) - (ax - x) * (cy - y)) / double
+        least = np.min([s, t, 1 - s - t], axis=0)
+        pixel = np.max([np.hypot(bx - cx, by - cy), np.hypot(cx - ax, cy - ay),
+                        np.hypot(ax - bx, ay - by)]) / abs(double)  # fmt: skip
+        image = one(task, white(corners), HIDDEN)[:, :, 0]
+        np.testing.assert_allclose(image[least > pixel], 1, atol=1e-5)
+        np.testing.assert_array_equal(image[least < -pixel], 0)
+        assert abs(image.sum() - abs(double) / 2) < 0.03 * abs(double) / 2 + 4
+
+
+def test_the_order_of_corners_and_their_sense_do_not_matter() -> None:
+    corners = np.array([[0.2, 0.1], [0.9, 0.4], [0.3, 0.8]])
+    expected = one(plain(), white(corners), HIDDEN)
+    for order in ([1, 2, 0], [2, 1, 0]):
+        np.testing.assert_allclose(one(plain(), white(corners[order]), HIDDEN), expected, atol=1e-5)
+
+
+def test_a_triangle_without_opacity_changes_nothing() -> None:
+    below = white(np.array([[0.2, 0.1], [0.9, 0.4], [0.3, 0.8]]))
+    moved = [0.3, 0.5, 0.8, 0.2, 0.6, 0.7, 0.2, 0.9, 0.4, 0.0]
+    np.testing.assert_array_equal(one(plain(), below, HIDDEN), one(plain(), below, moved))
+
+
+def test_what_is_painted_last_is_in_front() -> None:
+    place = [0.1, 0.1, 0.9, 0.1, 0.5, 0.9]
+    red, blue = [*place, 1.0, 0.0, 0.0, 0.5], [*place, 0.0, 0.0, 1.0, 0.5]
+    middle = SIZE // 2
+    np.testing.assert_allclose(
+        one(plain(background="white"), red, blue)[middle // 2, middle], [0.5, 0.25, 0.75], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        one(plain(background="white"), blue, red)[middle // 2, middle], [0.75, 0.25, 0.5], atol=1e-5
+    )
+
+
+def test_a_triangle_that_vanishes_fades() -> None:
+    def ink(height: float) -> float:
+        flat = np.array([[0.1, 0.5], [0.9, 0.5], [0.5, 0.5 + height]])
+        return float(one(plain(), white(flat), HIDDEN).mean())
+
+    inks = [ink(h) for h in (0.0, 1e-4, 1e-3, 4e-3, 2e-2)]
+    assert inks[0] < 1e-6 and inks == sorted(inks)
+
+
+def test_the_image_varies_continuously() -> None:
+    task = fide_tasks.make("triangles", 48, triangles=10)
+    x = np.random.default_rng(1).random(task.dim)
+    direction = np.random.default_rng(2).normal(size=task.dim)
+    change = [
+        np.abs(np.diff(task.render(np.stack([x, x + h * direction])), axis=0)).max()
+        for h in (1e-2, 1e-4, 1e-6)
+    ]
+    assert change[1] < 0.1 * change[0] and change[2] < 0.1 * change[1]
+
+
+def test_only_differences_relative_to_their_range_count() -> None:
+    task = fide_tasks.make("triangles", 48, triangles=10)
+    x = np.random.default_rng(3).random((10, 10))
+    scaled = 0.3 + 0.2 * x
+    images = task.render(np.stack([x.ravel(), scaled.ravel()]))
+    np.testing.assert_allclose(images[1], images[0], atol=1e-4)
+    stretched = (x - x.min(axis=0)) / (x.max(axis=0) - x.min(axis=0))
+    raw = fide_tasks.make("triangles", 48, triangles=10, normalize=False)
+    np.testing.assert_allclose(raw.render(stretched.reshape(1, -1))[0], images[0], atol=1e-5)
+
+
+def test_all_of_an_image_of_several_blocks_is_painted() -> None:
+    small = fide_tasks.make("triangles", 60, triangles=5)
+    large = fide_tasks.make("triangles", 240, triangles=5)
+    X = np.random.default_rng(4).random((1, small.dim))
+    coarse = large.render(X)[0].reshape(60, 4, 60, 4, 3).mean(axis=(1, 3))
+    assert np.abs(coarse - small.render(X)[0]).mean() < 0.01
