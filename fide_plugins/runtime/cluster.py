@@ -54,6 +54,6 @@ def _check(client: Any) -> None:
     for name, worker in workers_of(client).items():
         if worker["nthreads"] != 1:
             raise OptionError(
-                f"the Dask worker {name} has {worker['nthreads']} threads, which would share one "
-                "process and distort the measured time; start it with: dask worker --nthreads 1"
+                f"the Dask worker {name} has {worker['nthreads']} threads, whose tasks would share "
+                "one process and each other's time; start it with: dask worker --nthreads 1"
             )

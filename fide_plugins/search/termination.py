@@ -4,8 +4,8 @@ A search has *stalled* when its best loss has improved by less than a stated fra
 number of generations.  It has *collapsed* when all its samples are one point, for any renderer.  It
 is *hopeless* when it has a loss to beat and, at the rate of its last generations, will not.
 
-Where other starts are waiting, a search has to be *brisk* as long as its loss is still high: in the
-right place it loses a third in every few generations.
+A search from hypotheses of a learned model has to be *brisk* as long as its loss is still high: in
+the right place it loses a third in every few generations.
 
 That is for a search that images guide: it is quick, and moves have a use for what it found.  A
 search by losses alone is slow, some of its descents wait long for the covariance, and all that

@@ -92,7 +92,7 @@ def prepare(
     out
         run directory; None writes nothing.
     resume
-        continue the run in `out` if there is one; otherwise start it.  The budget may be another
+        continue the run in `out` if there is one; otherwise start it.  The budget may be a larger
         one, unless the optimizer depends on it.
     checkpoint_every
         seconds between checkpoints, at least twenty times the time to write one.  A process that
@@ -138,6 +138,11 @@ def prepare(
             out, settings, resume=resume, command=_words(command), may_change=may_change
         )
         record, searcher = _restored(directory, record, searcher, fidelity)
+        if record.evaluations > budget:
+            raise OptionError(
+                f"the run in {directory.path} has {record.evaluations} renders already, and the "
+                f"budget is {budget}: give at least as many, or name another directory"
+            )
         directory.write_run()
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,

@@ -35,6 +35,7 @@ class Choice:
         self.names = tuple(priors)
         self._gain = _PRIOR_TRIES * np.array(list(priors.values()))
         self._cost = np.full(len(priors), _PRIOR_TRIES * cost)
+        self._untried = {"gain": self._gain[-1:], "cost": self._cost[-1:]}  # the last move
 
     def note(self, name: str, gain: float, evaluations: int) -> None:
         """Note the outcome of a move."""
@@ -63,8 +64,7 @@ class Choice:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         n = len(self.names)
         if np.shape(state["gain"]) == (n - 1,):  # saved before there was the last move
-            last = {"gain": self._gain[-1:], "cost": self._cost[-1:]}
-            state = {name: np.append(state[name], value) for name, value in last.items()}
+            state = {name: np.append(state[name], one) for name, one in self._untried.items()}
         form = {"gain": array(n, low=1e-300), "cost": array(n, low=1e-300)}
         check(state, form, {}, "choice")  # type: ignore[arg-type]
         self._gain, self._cost = state["gain"].copy(), state["cost"].copy()

@@ -50,7 +50,7 @@ class Hypotheses:
         self.x = np.empty((0, dim)) if x is None else x
         self._waiting = np.empty((0, dim))  # starts that were not searched yet, best first
         self.typical: float | None = None
-        """Median loss of those that were rendered; None before, and where no image is known."""
+        """Median loss of those that were rendered; None before, and where it is not known."""
 
     @property
     def there(self) -> bool:
@@ -64,8 +64,11 @@ class Hypotheses:
 
     @property
     def brisk_above(self) -> float | None:
-        """Loss above which a search is no better than a start: a part of the typical one."""
-        return None if self.typical is None else _BETTER * self.typical
+        """Loss above which a search is no better than a start: a part of the typical one.
+
+        None where that is unknown, or not positive: losses of the user's own may be of any sign.
+        """
+        return None if self.typical is None or self.typical <= 0 else _BETTER * self.typical
 
     def draw(self) -> Float64:
         """Those that are rendered first, (m, d)."""
@@ -89,7 +92,8 @@ class Hypotheses:
             ):
                 chosen.append(x)
         self._waiting = np.array(chosen)
-        self.typical = float(np.median([loss for loss, _ in found])) if found else None
+        typical = float(np.median([loss for loss, _ in found])) if found else np.inf
+        self.typical = typical if np.isfinite(typical) else None
 
     def next(self, known: Known) -> Start:
         """Begin at the next one; there must be one."""

@@ -14,6 +14,7 @@ from fide_plugins import optimizers
 from fide_plugins.baselines.random import Random
 from fide_plugins.errors import (
     CheckpointError,
+    OptionError,
     RenderError,
 )
 from fide_plugins.experiments import run as harness
@@ -106,8 +107,10 @@ def test_a_larger_budget_goes_on_as_if_it_had_been_given_at_once(
     assert same(whole, resumed)
     assert resumed.generations.tolist() == whole.generations.tolist()
     assert json.loads((tmp_path / "run.json").read_text())["settings"]["budget"] == 230
-    smaller = harness.run(NoisyTint(), **settings, budget=first, out=tmp_path, resume=True)
-    assert smaller.evaluations == 230  # nothing that was computed is lost
+    before = (tmp_path / "run.json").read_text()
+    with pytest.raises(OptionError, match=f"has 230 renders already, and the budget is {first}"):
+        harness.run(NoisyTint(), **settings, budget=first, out=tmp_path, resume=True)
+    assert (tmp_path / "run.json").read_text() == before
 
 
 def test_an_optimizer_that_depends_on_its_budget_refuses_another_one(tmp_path: Path) -> None:

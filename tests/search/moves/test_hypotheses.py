@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from fide_plugins import Float, Group, Space
+from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.policy import MovePolicy
 from fide_plugins.types import Float64
 
@@ -58,3 +60,18 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
         waiting.append(policy.hypotheses.waiting)
     assert waiting == [False, True]
     assert stds[0] < stds[1] / 2
+
+
+@pytest.mark.parametrize(
+    ("losses", "above"), [([1.0, 2.0, 3.0], 0.2), ([-5.0] * 3, None), ([1.0, np.inf, np.inf], None)]
+)
+def test_a_search_has_to_be_brisk_only_above_a_positive_finite_loss(
+    losses: list[float], above: float | None
+) -> None:
+    hypotheses = Hypotheses(np.random.default_rng(0).random((10, 2)), 2)
+    found = [(loss, x) for loss, x in zip(losses, hypotheses.x, strict=False)]
+    hypotheses.learn(found, hypotheses.x[0], lambda x, y: float(np.abs(x - y).max()))
+    assert hypotheses.brisk_above == pytest.approx(above)
+    again = Hypotheses(None, 2)
+    again.load_state_dict(hypotheses.state_dict())  # which refuses what is not finite
+    assert again.typical == hypotheses.typical
