@@ -53,8 +53,9 @@ def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> 
         step=(o.shortest_step, o.longest_step),
         noise=o.sample_noise,
         r2_threshold=o.r2_threshold,
-        minimum=min(2 * popsize, remembered),
+        minimum=min(popsize, remembered),
         select=o.select_tokens,
+        screening=o.screening,
     )
 
 

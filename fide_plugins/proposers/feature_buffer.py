@@ -68,6 +68,11 @@ class FeatureBuffer:
         self._toward: tuple[Tensor, Float64] | None = None  # a target, its products with all images
 
     @property
+    def tokens(self) -> int:
+        """How many tokens are in use."""
+        return int(self.used.sum())
+
+    @property
     def rounding(self) -> float:
         """Energy of features below which there are only their last digits."""
         return float(1e-14 * np.square(self.origin[self.used]).sum())
@@ -155,7 +160,7 @@ class FeatureBuffer:
 
     def _by_token(self, features: Float64) -> Float64:
         """(n, f) -> (n, tokens in use, C)."""
-        return features.reshape(len(features), int(self.used.sum()), self.origin.shape[1])
+        return features.reshape(len(features), self.tokens, self.origin.shape[1])
 
     def state_dict(self) -> dict[str, Any]:
         """All that `add` changes."""

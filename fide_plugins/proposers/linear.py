@@ -52,11 +52,13 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.sparse import csc_array
 from torch import Tensor
 
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
-from fide_plugins.proposers.ridge import ridge
+from fide_plugins.proposers.ridge import explained, ridge
+from fide_plugins.proposers.screening import affordable, local_regressions
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each
 from fide_plugins.types import Float64
 
@@ -70,7 +72,6 @@ _SCHEMA: Schema = {
 }
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
-_SMALLEST_GAP = 1e-3  # of a leverage to 1
 _SMALLEST_SCALE = 1e-9  # of ranks: the best alone counts long before
 _MOST_BYTES = 2**28  # of features in one buffer
 
@@ -84,6 +85,8 @@ class _Regression(NamedTuple):
     """(n, d): parameters, in units of std, for each scalar product with a candidate."""
     explained: Float64
     """(d,): leave-one-out R^2, at most 1, below 0 where the mean predicts better."""
+    slopes: csc_array | None = None
+    """(f, d): what features say beyond their products, see `proposers.screening`."""
 
 
 class LinearProposer(Previewed, SingleProposer):
@@ -105,6 +108,8 @@ class LinearProposer(Previewed, SingleProposer):
         for always.
     minimum : candidates that must be known before anything is proposed.
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
+    screening : whether a parameter may be predicted from the tokens that show it alone, see
+        `proposers.screening`.
     """
 
     def __init__(
@@ -121,9 +126,11 @@ class LinearProposer(Previewed, SingleProposer):
         r2_threshold: float = 0.05,
         minimum: int = 2,
         select: bool = True,
+        screening: bool = True,
     ) -> None:
         self.dim, self.capacity, self.minimum = dim, capacity, minimum
         self.channel_subsets, self.select = channel_subsets, select
+        self.screening = screening
         self.rank_weight_scale, self.ridge = rank_weight_scale, ridge
         self.sources, self.step, self.noise = sources, step, noise
         self.r2_threshold = r2_threshold
@@ -206,10 +213,15 @@ class LinearProposer(Previewed, SingleProposer):
         row = buffer.gram @ w
         gram = buffer.gram - row - row[:, None] + w @ row  # products of deviations from the mean
         rounding = buffer.rounding + _SMALLEST_ENERGY
-        fit = ridge(gram * root * root[:, None], u, self.ridge, rounding)
-        leverages = fit.leverages + w  # of the regression, and of the mean
-        gaps = np.maximum(1 - leverages, _SMALLEST_GAP)
-        return _Regression(w, fit.coefficients, _explained(u, fit.residuals / gaps[:, None]))
+        gram = gram * root * root[:, None]
+        fit = ridge(gram, u, self.ridge, rounding)
+        all_tokens = fit.coefficients, explained(u, fit, w)
+        if not self.screening or not buffer.tokens or not affordable(n, self.dim):
+            return _Regression(w, *all_tokens)
+        e = (buffer.features - w @ buffer.features) * root[:, None]
+        about = gram, self.ridge, rounding, all_tokens
+        local = local_regressions(e, buffer.tokens, u, w, *about)
+        return _Regression(w, local.coefficients, local.explained, local.slopes)
 
     def _trust(self, fit: _Regression) -> Float64:
         """How much of each parameter is proposed, (d,) in [0, 1]."""
@@ -253,15 +265,12 @@ def _correct(
     products = buffer.products(target, sources)
     deviations = products - (products @ fit.w)[:, None]
     corrections: Float64 = (deviations * np.sqrt(fit.w)) @ fit.coefficients
-    return corrections
-
-
-def _explained(u: Float64, residuals: Float64) -> Float64:
-    """Share of the variance of u (n, d) that is not in the residuals, (d,)."""
-    scale = np.maximum(np.abs(u).max(axis=0), _TINY)  # squares would overflow
-    variance = np.square(u / scale).sum(axis=0)
-    share: Float64 = 1 - np.square(residuals / scale).sum(axis=0) / np.maximum(variance, _TINY)
-    return share
+    if fit.slopes is None:
+        return corrections
+    distinct, which = np.unique(sources, return_inverse=True)
+    missing = np.array([buffer.missing(target, int(i)) for i in distinct])
+    local: Float64 = missing @ fit.slopes
+    return corrections + local[which]
 
 
 def _ranks(losses: Float64) -> npt.NDArray[np.intp]:

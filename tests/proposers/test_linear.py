@@ -25,7 +25,7 @@ MIXING = np.random.default_rng(1).standard_normal((D, T * C))
 def make(**changes: Any) -> LinearProposer:
     options: dict[str, Any] = {
         "capacity": 30, "rank_weight_scale": 0.1, "ridge": 0.2, "sources": 1, "step": (1.0, 1.0),
-        "noise": 0.0, "r2_threshold": 0.0,
+        "noise": 0.0, "r2_threshold": 0.0, "screening": False,
     }  # fmt: skip
     return LinearProposer(D, **(options | changes))
 
@@ -170,9 +170,10 @@ def test_a_random_part_of_the_sample_s_deviation_is_kept() -> None:
     assert part.mean() == pytest.approx(0.25, abs=0.02)
 
 
-def test_a_linear_renderer_is_solved_at_once() -> None:
+@pytest.mark.parametrize("screening", [False, True])
+def test_a_linear_renderer_is_solved_at_once(screening: bool) -> None:
     x, tokens, losses = scene(30, bend=0.0)
-    proposer = make(ridge=1e-7, rank_weight_scale=1.0, sources=6)
+    proposer = make(ridge=1e-7, rank_weight_scale=1.0, sources=6, screening=screening)
     proposer.update(x, tokens, losses, STD)
     answer = np.array([0.62, 0.31, 0.9])  # far from what was seen
     target = images_of(answer[None], bend=0.0)[0]
@@ -180,10 +181,11 @@ def test_a_linear_renderer_is_solved_at_once() -> None:
     np.testing.assert_allclose(proposed, np.broadcast_to(answer, (20, D)), atol=1e-4)
 
 
-def test_a_source_that_shows_the_target_stays_where_it_is() -> None:
+@pytest.mark.parametrize("screening", [False, True])
+def test_a_source_that_shows_the_target_stays_where_it_is(screening: bool) -> None:
     x, tokens, losses = scene(20)
     losses[7] = -1.0
-    proposer = make()
+    proposer = make(screening=screening)
     proposer.update(x, tokens, losses, STD)
     np.testing.assert_allclose(propose(proposer, tokens[7])[0], x[7], atol=1e-7)
 
@@ -211,6 +213,7 @@ def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
     return x, tokens, losses
 
 
+@pytest.mark.parametrize("screening", [False, True])
 @pytest.mark.parametrize("std", [1e-200, 1e-12, 1.0])
 @pytest.mark.parametrize(
     "what",
@@ -226,9 +229,9 @@ def collapsed(what: str) -> tuple[Float64, Tensor, Float64]:
         "features nearly equal",
     ],
 )
-def test_finite_when_the_buffer_has_collapsed(what: str, std: float) -> None:
+def test_finite_when_the_buffer_has_collapsed(what: str, std: float, screening: bool) -> None:
     x, tokens, losses = collapsed(what)
-    proposer = make(sources=5, step=(0.3, 1.2), noise=0.5, ridge=1e-9)
+    proposer = make(sources=5, step=(0.3, 1.2), noise=0.5, ridge=1e-9, screening=screening)
     wide = np.full(D, std)
     proposer.update(x, tokens, losses, wide)
     z = 0.5 + std * np.random.default_rng(0).standard_normal((20, D))
@@ -238,22 +241,24 @@ def test_finite_when_the_buffer_has_collapsed(what: str, std: float) -> None:
     assert np.isfinite(proposed).all()
 
 
-def test_an_image_that_says_nothing_moves_nothing() -> None:
+@pytest.mark.parametrize("screening", [False, True])
+def test_an_image_that_says_nothing_moves_nothing(screening: bool) -> None:
     x, tokens, losses = collapsed("images equal")
-    proposer = make()
+    proposer = make(screening=screening)
     proposer.update(x, tokens, losses, STD)
     proposed = propose(proposer, images_of(np.full((1, D), 0.7))[0])
     np.testing.assert_allclose(proposed[0], x[np.argmin(losses)], atol=1e-6)
 
 
-def test_proposals_are_samples_where_images_say_nothing() -> None:
+@pytest.mark.parametrize("screening", [False, True])
+def test_proposals_are_samples_where_images_say_nothing(screening: bool) -> None:
     rng = np.random.default_rng(0)
     x, _, losses = scene(30)
     noise = torch.as_tensor(rng.standard_normal((30, T, C)), dtype=torch.float32)
     equal = collapsed("images equal")
     z = 0.5 + STD * rng.standard_normal((8, D))
     for told in ((x, noise, losses), equal):
-        proposer = make(r2_threshold=0.05, rank_weight_scale=0.5, sources=5)
+        proposer = make(r2_threshold=0.05, rank_weight_scale=0.5, sources=5, screening=screening)
         proposer.update(*told, STD)
         proposed = propose(proposer, noise[0] + 1, z=z)
         same = np.isclose(proposed, z, rtol=0, atol=1e-9)
@@ -333,8 +338,9 @@ def test_ready_from_the_stated_minimum_and_not_after_forgetting() -> None:
     np.testing.assert_array_equal(a, b)
 
 
-def test_state_goes_on_bit_for_bit() -> None:
-    original, copy = make(noise=0.5, sources=4), make(noise=0.5, sources=4)
+@pytest.mark.parametrize("screening", [False, True])
+def test_state_goes_on_bit_for_bit(screening: bool) -> None:
+    original, copy = (make(noise=0.5, sources=4, screening=screening) for _ in range(2))
     x, tokens, losses = scene(40)
     original.update(x[:25], tokens[:25], losses[:25], STD)
     copy.load_state_dict(deepcopy(original.state_dict()))

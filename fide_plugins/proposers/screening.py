@@ -1,0 +1,119 @@
+"""Each parameter from the tokens that show it: local regressions beside the one of all tokens.
+
+Most parameters change a part of the image.  A regression on all tokens must first learn which, and
+until it has seen more candidates than there are parameters, what the others change is noise to it.
+So tokens are *screened* (Fan & Lv 2008, doi:10.1111/j.1467-9868.2008.00674.x): by how much of
+each token a parameter explains on its own.
+
+Notation
+--------
+=======  =========  ==============================================================================
+symbol   shape      meaning
+=======  =========  ==============================================================================
+e        (n, T, C)  features of n candidates, deviations from their weighted mean, times sqrt(w)
+u        (n, d)     their parameters, likewise
+s        (d, T)     |u_p . e_t|^2 / (|u_p|^2 |e_t|^2), the share of token t that p explains
+v        (d, T)     weights of tokens, s beyond what chance alone explains, the largest 1
+G_p      (n, n)     sum_t (v_pt + floor) e_t e_t^T
+=======  =========  ==============================================================================
+
+Parameter p is regressed with the scalar products G_p in place of those of all tokens alike.  The
+floor leaves a little of these, so that nothing is lost where screening finds nothing.  Of a scene
+whose parameters change the whole image, the regression on all tokens is the better one: each
+parameter takes the one that predicts it better, by its leave-one-out residuals.  Screening
+has seen the candidate that is left out, which flatters the local regression: on Voronoi-8 by 0.1 of
+R^2 for 20 candidates, and by 0.03 for 60.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csc_array
+
+from fide_plugins.proposers.ridge import explained, ridges
+from fide_plugins.types import Float64
+
+__all__ = ["Local", "affordable", "local_regressions"]
+
+_FLOOR = 0.003  # weight of a token that shows nothing
+_CHANCE = 2.0  # times the share that chance explains
+_MOST_TOKENS = 32  # of a parameter, the strongest
+_MOST_WORK = 3e8  # d n^3, beyond which a regression for each parameter takes too long
+_TINY = 1e-300
+
+
+class Local(NamedTuple):
+    """Regressions of single parameters."""
+
+    better: npt.NDArray[np.bool_]
+    """(d,): which parameters they predict better than the regression on all tokens."""
+    explained: Float64
+    """(d,): leave-one-out R^2 of the better one."""
+    coefficients: Float64
+    """(n, d): of the scalar products of all tokens alike."""
+    slopes: csc_array
+    """(T * C, d): parameters, in units of u, for each feature; added to the former."""
+
+
+def affordable(n: int, d: int) -> bool:
+    """Whether d regressions on n candidates take little time: milliseconds."""
+    return d * float(n) ** 3 <= _MOST_WORK
+
+
+def local_regressions(
+    e: Float64,
+    tokens: int,
+    u: Float64,
+    w: Float64,
+    gram: Float64,
+    penalty: float,
+    rounding: float,
+    all_tokens: tuple[Float64, Float64],
+) -> Local:
+    """Regress each parameter on the tokens that show it.
+
+    e: (n, T * C) and u: (n, d), weighted deviations, see above; w: (n,), the weights.
+    tokens: T, above 0.  gram: (n, n), e e^T.  penalty, rounding: see `ridge`.
+    all_tokens: coefficients (n, d) and leave-one-out R^2 (d,) of the regression on all tokens.
+    """
+    v, channels = token_weights(e, tokens, u, w), e.shape[1] // tokens
+    shown = np.argsort(-v, axis=1, kind="stable")[:, :_MOST_TOKENS]  # (d, m)
+    v = np.take_along_axis(v, shown, axis=1)
+    features = (shown[:, :, None] * channels + np.arange(channels)).reshape(len(v), -1)  # (d, m C)
+    largest = max(float(np.abs(e).max()), _TINY)
+    rough = (e / largest).astype(np.float32)  # its errors are far below the penalty
+    parts = [
+        np.take(rough, f, axis=1) * np.repeat(np.sqrt(one), channels)
+        for f, one in zip(features, v, strict=True)
+    ]
+    grams = largest**2 * np.array([part @ part.T for part in parts], np.float64)
+    fit = ridges(grams + _FLOOR * gram, u, penalty, rounding)
+    found = explained(u, fit, w)
+    better = found > all_tokens[1]
+    slopes = [
+        largest * (part.T @ alpha) * np.repeat(np.sqrt(one), channels)
+        for part, alpha, one in zip(parts, fit.coefficients.T, v, strict=True)
+    ]
+    ends = np.concatenate([[0], np.cumsum(np.where(better, features.shape[1], 0))])
+    entries = np.array(slopes)[better].ravel(), features[better].ravel(), ends
+    return Local(
+        better,
+        np.where(better, found, all_tokens[1]),
+        np.where(better, _FLOOR * fit.coefficients, all_tokens[0]),
+        csc_array(entries, shape=(e.shape[1], len(v))),
+    )
+
+
+def token_weights(e: Float64, tokens: int, u: Float64, w: Float64) -> Float64:
+    """Weights v (d, T) of tokens for each parameter; see above for e, u and w."""
+    n, d = u.shape
+    u = u / np.maximum(np.abs(u).max(axis=0), _TINY)  # squares would overflow
+    products = np.square(u.T @ e).reshape(d, tokens, -1).sum(axis=2)
+    energy = np.square(e).reshape(n, tokens, -1).sum(axis=(0, 2))
+    share = products / (np.square(u).sum(axis=0)[:, None] * energy + _TINY)
+    beyond = np.maximum(share - _CHANCE * np.square(w).sum(), 0.0)  # 1 / n, if all count alike
+    weights: Float64 = beyond / np.maximum(beyond.max(axis=1, keepdims=True), 1e-12)
+    return weights
