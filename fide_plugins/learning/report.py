@@ -28,7 +28,9 @@ _UNSEEN = 0.05  # nats: what 64 samples of a uniform density seem to say is abou
 class Report:
     """What held-out renders say of a model.
 
-    renders: learned from.  failed: renders that failed.  held_out: renders that judge.
+    renders: learned from.  failed: renders that failed.  held_out: renders not learned from.
+    scale: by which all standard deviations of the density were multiplied, see `calibration`.
+    fitted: how many held-out renders chose it; the other ones judge.
     seconds: of training, in all calls together.
     nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
     within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
@@ -54,17 +56,24 @@ class Report:
     unseen: tuple[str, ...]
     curve: tuple[tuple[float, float, float], ...]
     augment: str | None = None
+    scale: float = 1.0
+    fitted: int = 0
 
     def __str__(self) -> str:
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
             + ("" if self.augment is None else f", augment={self.augment!r}"),
-            f"{-self.nll:.2f} nats better than the uniform prior on {self.held_out:,} held-out "
-            "renders",
+            f"{-self.nll:.2f} nats better than the uniform prior on "
+            f"{self.held_out - self.fitted:,} held-out renders",
             f"one of {_HYPOTHESES} hypotheses within 0.05 of the box in {self.within[0]:.0%}, "
             f"within 0.1 in {self.within[1]:.0%} of pictures",
             f"90 % regions hold the truth in {self.coverage:.0%}",
         ]
+        if self.fitted:
+            lines.append(
+                f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
+                f"{self.scale:.2f}"
+            )
         if self.unseen:
             lines.append(f"the images tell nothing of {', '.join(self.unseen)}")
         return "\n".join(lines)
