@@ -6,7 +6,7 @@
 
 Each scene has 500 renders of parameters from a seed of this script, of the size that the model has
 learned: they were not learned from, nor did they choose when to stop or the scale of the density. A
-picture's region of share p is where the density is above that of all but p of 200 hypotheses. Each
+picture's region of share p is where the density is above that of all but p of 99 hypotheses. Each
 model is judged as it is, and without the scale that was fitted after training. Every judgment is
 one line of the output file; a second call does what is missing.
 """
@@ -36,7 +36,7 @@ from fide_plugins.learning.renderer import as_renderer
 RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"
 SHARES = (0.5, 0.8, 0.9, 0.95)
 GOAL = (0.85, 0.95)  # of the region of 90 %
-_SEED, _HYPOTHESES, _TOGETHER = 777_001, 200, 100
+_SEED, _HYPOTHESES, _TOGETHER = 777_001, 99, 100
 _KEY = ("scene", "model", "scaled", "pictures")
 
 Row = dict[str, Any]

@@ -31,7 +31,10 @@ class Head(Protocol):
     scale: float
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
-        """Logarithm of the density (B,) at u (B, d); features (B, places, C) and (B, width)."""
+        """Logarithm of the density (B,) at u (B, d); features (B, places, C) and (B, width).
+
+        Features of one picture, (1, places, C) and (1, width), are those of all u.
+        """
         ...
 
     def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:

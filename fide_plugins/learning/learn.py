@@ -274,7 +274,7 @@ class _Plan:
         aside = held_out(len(x))
         distance = Distance(np.array(self.periodic), self.blocks)
         fit, judges = shares(aside)
-        network.scale = fitted_scale(network, x[fit], images[fit])
+        network.scale = fitted_scale(network, x[fit], images[fit], self.seed)
         judgment = judge(network, x[judges], images[judges], self._names, distance, self.seed)
         report = Report(
             renders=int((~aside).sum()),

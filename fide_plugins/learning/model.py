@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
-from fide_plugins.learning.calibration import LARGEST, SMALLEST
+from fide_plugins.learning.calibration import LARGEST
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import resized
@@ -55,7 +55,7 @@ _SCHEMA: Schema = {
     "periodic": each(flag),
     "blocks": each(each(whole())),
     "weights": table(numbers),
-    "scale": real(SMALLEST, LARGEST),
+    "scale": real(1.0, LARGEST),
     "familiarity": {
         "mean": array("F"),
         "precision": array("F", "F"),

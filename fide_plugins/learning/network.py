@@ -69,10 +69,7 @@ class Network(nn.Module):
 
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
-        places, vector = self.encoder(images)
-        if len(images) == 1:
-            places, vector = places.expand(len(u), -1, -1), vector.expand(len(u), -1)
-        return self.density.log_prob(places, vector, u)
+        return self.density.log_prob(*self.encoder(images), u)
 
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:

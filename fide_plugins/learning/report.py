@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 from scipy.optimize import linear_sum_assignment
 
+from fide_plugins.learning.calibration import HYPOTHESES, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.types import Float64
@@ -154,10 +155,10 @@ def judge(
     generator = torch.Generator().manual_seed(seed)
     for i in range(min(len(x), _PICTURES)):
         image = as_input(images[i : i + 1])
-        drawn = network.sample(image, _HYPOTHESES, generator)
+        drawn = network.sample(image, HYPOTHESES, generator)
         samples = drawn.numpy().astype(np.float64)
-        drawings.append(samples)
-        inside.append(_in_region(network, image, drawn, u[i]))
+        drawings.append(samples[:_HYPOTHESES])
+        inside.append(in_region(network, image, drawn, u[i]))
         ranks.append((samples < x[i]).mean(axis=0))
         told.append(_information(samples))
     seen = np.mean(told, axis=0) >= _UNSEEN
@@ -184,13 +185,6 @@ def _nearest(
 ) -> float:
     """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show."""
     return float(distance(np.where(seen, samples, truth), truth).min())
-
-
-def _in_region(network: Network, image: torch.Tensor, drawn: torch.Tensor, u: torch.Tensor) -> bool:
-    """Whether u (d,) is in the region of highest density that holds 90 % of what is drawn."""
-    points = torch.cat([u[None], drawn])
-    density = network.log_prob(image, points).numpy()
-    return bool(density[0] >= np.quantile(density[1:], 0.1))
 
 
 def _information(samples: Float64) -> Float64:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from torch import Tensor
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import Model, learn
 from fide_plugins.learning.axes import Components
-from fide_plugins.learning.calibration import fitted_scale, shares
+from fide_plugins.learning.calibration import LARGEST, fitted_scale, shares
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.runtime import checkpoint
 
@@ -67,20 +68,28 @@ def narrow(of: Network, to: float) -> None:
 
 
 @pytest.mark.parametrize(("head", "blocks"), KINDS)
-@pytest.mark.parametrize("wrong", [0.5, 1.6])
-def test_the_scale_that_was_lost_is_found(head: str, blocks: list[list[int]], wrong: float) -> None:
-    """Parameters come from a density; one that is wider by `wrong` is mended."""
+def test_the_scale_that_was_lost_is_found(head: str, blocks: list[list[int]]) -> None:
+    """Parameters come from a density; one that is half as wide is mended."""
     true = network(head, blocks)
     narrow(true, 0.03)
-    u = drawn(true, 600).numpy().astype(np.float64)
+    u = drawn(true, 120).numpy().astype(np.float64)
     images = np.repeat(PICTURE, len(u), axis=0)
     sure = network(head, blocks)
-    narrow(sure, 0.03 * wrong)
+    narrow(sure, 0.015)
     found = fitted_scale(sure, u, images)
-    ratio = np.exp(np.log(wrong) * np.log(0.5 / 2e-3) / np.log(1 / 2e-3))  # on a circle
-    assert min(1 / wrong, 1 / ratio) * 0.9 < found < max(1 / wrong, 1 / ratio) * 1.1
+    on_a_circle = 2 ** (np.log(0.5 / 2e-3) / np.log(1 / 2e-3))  # 1.85
+    assert on_a_circle * 0.8 < found < 2 * 1.2  # 120 renders tell it to 5 %
     assert sure.scale == 1.0  # as it was
-    assert fitted_scale(true, u, images) == pytest.approx(1.0, abs=0.1)
+    assert fitted_scale(true, u, images) == pytest.approx(1.0, abs=0.2)
+    narrow(sure, 0.06)
+    assert fitted_scale(sure, u, images) == 1.0  # never narrower
+
+
+def test_the_scale_has_an_end() -> None:
+    sure = network("mixture", [])
+    narrow(sure, 0.003)
+    u = np.random.default_rng(0).random((60, 5))
+    assert fitted_scale(sure, u, np.repeat(PICTURE, 60, axis=0)) == LARGEST
 
 
 @pytest.mark.parametrize("periodic", [False, True])
@@ -99,10 +108,11 @@ def test_renders_that_choose_do_not_judge() -> None:
     aside = np.arange(5000) % 50 == 0
     fit, judges = shares(aside)
     assert (fit.sum(), judges.sum()) == (50, 50)
+    assert [some.sum() for some in shares(np.ones(2000, bool))] == [300, 1700]
     np.testing.assert_array_equal(fit | judges, aside)
     assert not (fit & judges).any()
-    fit, judges = shares(np.arange(1900) % 50 == 0)  # 38: too few
-    assert not fit.any() and judges.sum() == 38
+    fit, judges = shares(np.arange(4900) % 50 == 0)  # 98: too few
+    assert not fit.any() and judges.sum() == 98
     assert fitted_scale(network("mixture", []), np.zeros((0, 5)), PICTURE[:0]) == 1.0
 
 
@@ -110,12 +120,15 @@ def test_the_scale_comes_with_the_file(tmp_path: Path) -> None:
     def gray(x: Any) -> Any:
         return np.broadcast_to(x[0], (SIDE, SIDE))
 
-    model = learn(gray, 2, renders=2000, size=SIDE, passes=1, out=tmp_path / "m")
-    assert (model.report.fitted, model.report.held_out) == (20, 40)
-    assert model.report.scale == model.network.scale != 1.0
-    assert "calibrated by 20 other held-out renders" in str(model.report)
+    learned = learn(gray, 2, renders=5000, size=SIDE, passes=1)
+    assert (learned.report.fitted, learned.report.held_out) == (50, 100)
+    assert learned.report.scale == learned.network.scale
+    assert "calibrated by 50 other held-out renders" in str(learned.report)
+    learned.network.scale = 1.3
+    model = replace(learned, report=replace(learned.report, scale=1.3))
+    model.save(tmp_path / "m")
     again = Model.load(tmp_path / "m")
-    assert again.network.scale == model.network.scale
+    assert again.network.scale == 1.3
     assert again.report == model.report
     picture = gray([0.4])
     np.testing.assert_array_equal(again.sample(picture, 8), model.sample(picture, 8))
