@@ -69,7 +69,8 @@ class Network(nn.Module):
 
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
-        return self.density.log_prob(*self.encoder(images), u)
+        places, vector = self.encoder(images)
+        return self.density.log_prob(places, vector, u)
 
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:
