@@ -36,7 +36,7 @@ from fide_plugins.learning.renderer import as_renderer
 RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"
 SHARES = (0.5, 0.8, 0.9, 0.95)
 GOAL = (0.85, 0.95)  # of the region of 90 %
-_SEED, _HYPOTHESES, _TOGETHER = 777_001, 99, 100
+_SEED, _HYPOTHESES, _TOGETHER = 777_002, 99, 100
 _KEY = ("scene", "model", "scaled", "pictures")
 
 Row = dict[str, Any]
