@@ -5,10 +5,11 @@
     python benchmarks/fit_workers.py busy
     python benchmarks/fit_workers.py cost
 
-loss: Voronoi, 8 cells (40 parameters), 64 px, 1,000 renders by one worker and by eight.  Eight
-workers are simulated: each render takes 100 ms of a clock of their own, give or take a tenth, so
-results arrive in an order as of real workers, without waiting.  Every run is one line of the output
-file; a second call does what is missing.
+loss: a scene (Voronoi: 8 cells, 40 parameters), 64 px, 1,000 renders by one worker, by eight, and
+by whole generations, each told when it is complete.  Eight workers are simulated: each
+render takes 100 ms of a clock of their own, give or take a tenth, so results arrive in an order as
+of real workers, without waiting.  Every run is one line of the output file; a second call does what
+is missing.  --cma: with nothing proposed and no restarts.
 busy: eight worker processes and a renderer of 100 ms.
 cost: milliseconds of CPU time of a candidate, by hand and by `fit`, the least of several
 repetitions.
@@ -36,23 +37,28 @@ from fide_plugins import FIDE, fit
 
 BUDGET, WORKERS, SECONDS = 1000, 8, 0.1
 MARKS = (250, 500, 1000)
+GENERATIONS = 0  # in the place of a number of workers
+NAMES = {WORKERS: "eight workers", GENERATIONS: "whole generations"}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=["loss", "table", "busy", "cost"])
     parser.add_argument("--seeds", default="0-9")
+    parser.add_argument("--scene", default="voronoi")
+    parser.add_argument("--cma", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("runs/fit_workers.jsonl"))
     arguments = parser.parse_args()
     if arguments.what == "loss":
         first, last = map(int, arguments.seeds.split("-"))
-        measure_losses(range(first, last + 1), arguments.out)
-    if arguments.what == "busy":
+        kind = arguments.scene + (" cma" if arguments.cma else "")
+        measure_losses(range(first, last + 1), kind, arguments.out)
+    elif arguments.what == "busy":
         busy()
     elif arguments.what == "cost":
         cost()
     else:
-        print(table(rows_of(arguments.out)))
+        print(tables(rows_of(arguments.out)))
 
 
 # -- loss ------------------------------------------------------------------------------------------
@@ -89,35 +95,60 @@ class SimulatedWorkers(Executor):
             future.set_result(result)
 
 
-def measure_losses(seeds: range, out: Path) -> None:
+def measure_losses(seeds: range, kind: str, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(row["seed"], row["workers"]) for row in rows_of(out)}
+    done = {(kind_of(row), row["seed"], row["workers"]) for row in rows_of(out)}
     for seed in seeds:
-        for workers in (1, WORKERS):
-            if (seed, workers) not in done:
-                append(out, losses(seed, workers))
+        for workers in (1, WORKERS, GENERATIONS):
+            if (kind, seed, workers) not in done:
+                append(out, {"kind": kind, **losses(kind, seed, workers)})
 
 
-def losses(seed: int, workers: int) -> dict[str, Any]:
+def kind_of(row: dict[str, Any]) -> str:
+    return str(row.get("kind", "voronoi"))
+
+
+def losses(kind: str, seed: int, workers: int) -> dict[str, Any]:
     """Best losses of one run; target and optimizer have the same seed."""
-    task = fide_tasks.make("voronoi", size=64, seed=seed)
-    several = {"workers": workers, "executor": SimulatedWorkers(workers, seed)}
-    where: dict[str, Any] = {"workers": 0} if workers == 1 else several
+    scene, *cma = kind.split()
+    task = fide_tasks.make(scene, size=64, seed=seed)
+    options: dict[str, Any] = {"proposer": "none", "restarts": "none"} if cma else {}
 
     def render(x: Any) -> Any:
         return task.render(x[None])[0]
 
-    result = fit(render, task.target, task.dim, BUDGET, seed=seed, progress=False, **where)
-    found = {str(mark): float(result.curve[mark - 1, 1]) for mark in MARKS}
+    if workers == GENERATIONS:
+        opt, told = FIDE(task.dim, task.target, seed=seed, **options), np.empty(0)
+        while len(told) < BUDGET:
+            X = opt.ask()
+            told = np.append(told, opt.tell(X, task.render(X)))
+        curve = np.minimum.accumulate(told)
+    else:
+        several = {"workers": workers, "executor": SimulatedWorkers(workers, seed)}
+        options |= {"workers": 0} if workers == 1 else several
+        result = fit(render, task.target, task.dim, BUDGET, seed=seed, progress=False, **options)
+        curve = result.curve[:, 1]
+    found = {str(mark): float(curve[mark - 1]) for mark in MARKS}
     return {"seed": seed, "workers": workers, "losses": found}
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def tables(rows: list[dict[str, Any]]) -> str:
+    """Eight workers, then whole generations, beside one worker, for each kind of run."""
+    parts = []
+    for kind in sorted({kind_of(row) for row in rows}):
+        own = [row for row in rows if kind_of(row) == kind]
+        parts += [f"{kind}, {name}: {table(own, w)}" for w, name in NAMES.items()]
+    return "\n\n".join(parts)
+
+
+def table(rows: list[dict[str, Any]], others: int) -> str:
     by = {(row["seed"], row["workers"]): row["losses"] for row in rows}
-    seeds = sorted({s for s, w in by if w == 1} & {s for s, w in by if w == WORKERS})
-    lines = [f"{len(seeds)} seeds", "| renders | one worker | eight | ratio | 95 % of it |"]
+    seeds = sorted({s for s, w in by if w == 1} & {s for s, w in by if w == others})
+    if len(seeds) < 2:
+        return "no seeds"
+    lines = [f"{len(seeds)} seeds", "| renders | one worker | these | ratio | 95 % of it |"]
     for mark in map(str, MARKS):
-        one, eight = (np.log([by[s, w][mark] for s in seeds]) for w in (1, WORKERS))
+        one, eight = (np.log([by[s, w][mark] for s in seeds]) for w in (1, others))
         ratios = eight - one
         spread = 1.96 * ratios.std(ddof=1) / len(seeds) ** 0.5
         numbers = one.mean(), eight.mean(), ratios.mean(), ratios.mean() - spread
