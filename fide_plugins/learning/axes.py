@@ -58,6 +58,14 @@ class Components:
             weight = F.log_softmax(weight, dim=-1)
         return cls(weight, mean, std, wraps)
 
+    def widened(self, scale: float) -> Components:
+        """Return the same with standard deviations times `scale`, see `calibration`."""
+        if scale == 1.0:
+            return self
+        largest = torch.where(self.periodic, _LARGEST_PERIODIC, _LARGEST)
+        std = torch.minimum(self.std * scale, largest)  # what wraps stays within three turns
+        return Components(self.weight, self.mean, std, self.periodic)
+
     def log_density(self, u: Tensor) -> Tensor:
         """Logarithm of each component's density (..., d, K), without its weight, at u (..., d)."""
         z = (u[..., None] - self.mean) / self.std

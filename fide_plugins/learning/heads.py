@@ -23,10 +23,18 @@ __all__ = ["Autoregressive", "Head", "Mixture"]
 
 
 class Head(Protocol):
-    """Density of u (d,) given features."""
+    """Density of u (d,) given features.
+
+    scale: of all standard deviations, see `calibration`.
+    """
+
+    scale: float
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
-        """Logarithm of the density (B,) at u (B, d); features (B, places, C) and (B, width)."""
+        """Logarithm of the density (B,) at u (B, d); features (B, places, C) and (B, width).
+
+        Features of one picture, (1, places, C) and (1, width), are those of all u.
+        """
         ...
 
     def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
@@ -46,7 +54,7 @@ class Mixture(nn.Module):
         self, width: int, periodic: Tensor, components: int = 8, hidden: int = 256
     ) -> None:
         super().__init__()
-        self.components = components
+        self.components, self.scale = components, 1.0
         self.register_buffer("periodic", periodic, persistent=False)
         numbers = len(periodic) * components * NUMBERS
         self.layers = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, numbers))
@@ -54,7 +62,7 @@ class Mixture(nn.Module):
     def _of(self, vector: Tensor) -> tuple[Tensor, Components]:
         """Log weights (B, K) and components (B, d, K)."""
         raw = self.layers(vector).view(len(vector), len(self.periodic), self.components, NUMBERS)
-        found = Components.of(raw, self.periodic, normalize=False)
+        found = Components.of(raw, self.periodic, normalize=False).widened(self.scale)
         return F.log_softmax(found.weight.mean(dim=1), dim=-1), found
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
@@ -83,7 +91,7 @@ class Autoregressive(nn.Module):
     def __init__(self, width: int, periodic: Tensor, components: int = 6, hidden: int = 96) -> None:
         super().__init__()
         d = len(periodic)
-        self.components, self.hidden = components, hidden
+        self.components, self.hidden, self.scale = components, hidden, 1.0
         self.register_buffer("periodic", periodic, persistent=False)
         self.register_buffer("before", _before(d), persistent=False)
         self.context = nn.Linear(width, d * hidden)
@@ -104,7 +112,8 @@ class Autoregressive(nn.Module):
         h = h.view(-1, d, hidden).transpose(0, 1)  # (d, B, hidden)
         h = F.gelu(torch.baddbmm(self.second_bias, h, self.second)) + h
         raw = torch.baddbmm(self.out_bias, h, self.out).transpose(0, 1)
-        return Components.of(raw.view(-1, d, self.components, NUMBERS), self.periodic)
+        found = Components.of(raw.view(-1, d, self.components, NUMBERS), self.periodic)
+        return found.widened(self.scale)
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
         """See `Head`."""

@@ -16,6 +16,7 @@ import torch
 
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT
+from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
@@ -93,7 +94,9 @@ def learn(
     size
         longer side, in pixels, of what the network sees; 16 to 256.
     passes
-        over the renders, at most; training ends earlier where held-out renders say so.
+        over the renders, at most; training ends earlier where held-out renders say so.  With more
+        of them the same call goes on from where it ended, at the rate that the longer schedule has
+        there.
     time
         seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
         result depends on the machine.
@@ -270,7 +273,9 @@ class _Plan:
     ) -> Model:
         aside = held_out(len(x))
         distance = Distance(np.array(self.periodic), self.blocks)
-        judgment = judge(network, x[aside], images[aside], self._names, distance, self.seed)
+        fit, judges = shares(aside)
+        network.scale = fitted_scale(network, x[fit], images[fit], self.seed)
+        judgment = judge(network, x[judges], images[judges], self._names, distance, self.seed)
         report = Report(
             renders=int((~aside).sum()),
             failed=failed,
@@ -283,6 +288,8 @@ class _Plan:
             unseen=judgment.unseen,
             curve=tuple((a, b, c) for a, b, c in training.curve),
             augment=self.augment,
+            scale=network.scale,
+            fitted=int(fit.sum()),
         )
         learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
         familiarity = Familiarity.of(
@@ -355,9 +362,10 @@ def kind_of(
 
 
 def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
-    """Go on from a checkpoint of the same plan; another plan begins again."""
+    """Go on from a checkpoint of the same plan, or of fewer passes; another plan begins again."""
     saved = checkpoint.read(file, _KIND)
-    if {"augment": "photograph", **saved.get("plan", {})} != plan:  # older plans do not name it
+    there = {"augment": "photograph", **saved.get("plan", {})}  # older plans do not name it
+    if {**there, "passes": plan["passes"]} != plan or there["passes"] > plan["passes"]:
         return
     try:
         training.load_state_dict(saved["state"])

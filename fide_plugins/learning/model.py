@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
+from fide_plugins.learning.calibration import LARGEST
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import resized
@@ -54,6 +55,7 @@ _SCHEMA: Schema = {
     "periodic": each(flag),
     "blocks": each(each(whole())),
     "weights": table(numbers),
+    "scale": real(1.0, LARGEST),
     "familiarity": {
         "mean": array("F"),
         "precision": array("F", "F"),
@@ -67,7 +69,7 @@ _SCHEMA: Schema = {
 class Model:
     """What `learn` returns.
 
-    network: made of `size`, `head`, `periodic` and `blocks`.
+    network: made of `size`, `head`, `periodic` and `blocks`, its density calibrated.
     space: names of the parameters; None: they have none.
     shape: height and width of the renders that were given.
     renderer, version: name of the renderer, and the version that the user stated.
@@ -195,6 +197,7 @@ class Model:
             "periodic": list(self.periodic),
             "blocks": [list(block) for block in self.blocks],
             "weights": dict(self.network.state_dict()),
+            "scale": self.network.scale,
             "familiarity": self.familiarity.state_dict(),
             "report": self.report.state_dict(),
         }
@@ -215,7 +218,7 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
-        state = {"fingerprint": None, **state}  # files of earlier versions have none
+        state = {"fingerprint": None, "scale": 1.0, **state}  # earlier versions have none
         check(state, _SCHEMA, {}, "model")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
@@ -223,6 +226,7 @@ class Model:
         (height, width), (h, w) = state["shape"], state["size"]
         network = Network((h, w), state["periodic"], state["head"], blocks)
         network.load(state["weights"])
+        network.scale = float(state["scale"])
         network.eval()
         return cls(
             network,

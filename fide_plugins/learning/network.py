@@ -58,11 +58,18 @@ class Network(nn.Module):
         head: Head = self.head
         return head
 
+    @property
+    def scale(self) -> float:
+        """Of the standard deviations of the density, see `calibration`; no weight."""
+        return self.density.scale
+
+    @scale.setter
+    def scale(self, scale: float) -> None:
+        self.density.scale = scale
+
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
         places, vector = self.encoder(images)
-        if len(images) == 1:
-            places, vector = places.expand(len(u), -1, -1), vector.expand(len(u), -1)
         return self.density.log_prob(places, vector, u)
 
     @torch.no_grad()

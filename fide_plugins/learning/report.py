@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 from scipy.optimize import linear_sum_assignment
 
+from fide_plugins.learning.calibration import HYPOTHESES, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.types import Float64
@@ -28,7 +29,9 @@ _UNSEEN = 0.05  # nats: what 64 samples of a uniform density seem to say is abou
 class Report:
     """What held-out renders say of a model.
 
-    renders: learned from.  failed: renders that failed.  held_out: renders that judge.
+    renders: learned from.  failed: renders that failed.  held_out: renders not learned from.
+    scale: by which all standard deviations of the density were multiplied, see `calibration`.
+    fitted: how many held-out renders chose it; the other ones judge.
     seconds: of training, in all calls together.
     nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
     within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
@@ -54,17 +57,24 @@ class Report:
     unseen: tuple[str, ...]
     curve: tuple[tuple[float, float, float], ...]
     augment: str | None = None
+    scale: float = 1.0
+    fitted: int = 0
 
     def __str__(self) -> str:
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
             + ("" if self.augment is None else f", augment={self.augment!r}"),
-            f"{-self.nll:.2f} nats better than the uniform prior on {self.held_out:,} held-out "
-            "renders",
+            f"{-self.nll:.2f} nats better than the uniform prior on "
+            f"{self.held_out - self.fitted:,} held-out renders",
             f"one of {_HYPOTHESES} hypotheses within 0.05 of the box in {self.within[0]:.0%}, "
             f"within 0.1 in {self.within[1]:.0%} of pictures",
             f"90 % regions hold the truth in {self.coverage:.0%}",
         ]
+        if self.fitted:
+            lines.append(
+                f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
+                f"{self.scale:.2f}"
+            )
         if self.unseen:
             lines.append(f"the images tell nothing of {', '.join(self.unseen)}")
         return "\n".join(lines)
@@ -145,10 +155,10 @@ def judge(
     generator = torch.Generator().manual_seed(seed)
     for i in range(min(len(x), _PICTURES)):
         image = as_input(images[i : i + 1])
-        drawn = network.sample(image, _HYPOTHESES, generator)
+        drawn = network.sample(image, HYPOTHESES, generator)
         samples = drawn.numpy().astype(np.float64)
-        drawings.append(samples)
-        inside.append(_in_region(network, image, drawn, u[i]))
+        drawings.append(samples[:_HYPOTHESES])
+        inside.append(in_region(network, image, drawn, u[i]))
         ranks.append((samples < x[i]).mean(axis=0))
         told.append(_information(samples))
     seen = np.mean(told, axis=0) >= _UNSEEN
@@ -175,13 +185,6 @@ def _nearest(
 ) -> float:
     """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show."""
     return float(distance(np.where(seen, samples, truth), truth).min())
-
-
-def _in_region(network: Network, image: torch.Tensor, drawn: torch.Tensor, u: torch.Tensor) -> bool:
-    """Whether u (d,) is in the region of highest density that holds 90 % of what is drawn."""
-    points = torch.cat([u[None], drawn])
-    density = network.log_prob(image, points).numpy()
-    return bool(density[0] >= np.quantile(density[1:], 0.1))
 
 
 def _information(samples: Float64) -> Float64:

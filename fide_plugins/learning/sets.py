@@ -56,6 +56,7 @@ class Blocks(nn.Module):
         others = [i for i in range(len(periodic)) if i not in set(index.flatten().tolist())]
         self.others, self.dim = others, len(periodic)
         self.rest = Autoregressive(width, periodic[others]) if others else None
+        self._scale = 1.0
         n, length = index.shape
         self.place_in = nn.Linear(channels, _WIDTH)
         self.register_buffer("waves", _waves(grid), persistent=False)
@@ -73,7 +74,18 @@ class Blocks(nn.Module):
             h = layer(h, image)
         raw = self.out(F.layer_norm(h, h.shape[-1:]))
         raw = raw.view(len(places), len(self.blocks), -1, 1, NUMBERS)
-        return Components.of(raw, self.periodic)
+        return Components.of(raw, self.periodic).widened(self._scale)
+
+    @property
+    def scale(self) -> float:
+        """See `heads.Head`; that of the other axes, too."""
+        return self._scale
+
+    @scale.setter
+    def scale(self, scale: float) -> None:
+        self._scale = scale
+        if self.rest is not None:
+            self.rest.scale = scale
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
         """See `heads.Head`; a lower bound, see the module's text."""

@@ -306,6 +306,18 @@ def test_training_begins_again_where_images_are_changed_otherwise(tmp_path: Path
     assert again.report.curve == fresh.report.curve
 
 
+def test_more_passes_go_on_and_fewer_begin_again(tmp_path: Path) -> None:
+    arguments: dict[str, Any] = {"renders": 200, "size": SIDE}
+    file = tmp_path / "m"
+    short = learn(plain, 2, passes=2, out=file, **arguments).report.curve
+    longer = learn(plain, 2, passes=4, out=file, **arguments).report.curve
+    assert len(longer) == 4 and longer[:2] == short
+    assert [row[0] for row in longer] == [196.0 * k for k in (1, 2, 3, 4)]
+    fresh = learn(plain, 2, passes=3, **arguments).report.curve
+    assert learn(plain, 2, passes=3, out=file, **arguments).report.curve == fresh
+    assert fresh[0] != short[0]  # each schedule has rates of its own
+
+
 def test_an_unknown_way_to_change_images_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="unknown augment 'photo': known are none, photo"):
         learn(plain, 2, augment="photo")
