@@ -47,8 +47,8 @@ class ProposalOptions:
         parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
         600 candidates at most.
     select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
-    screening: predict a parameter from the tokens that show it, where that is better, see
-        `proposers.screening`.
+    screening: predict a parameter from the tokens that show it, where that is better; of more
+        parameters than k, up to some hundred, see `proposers.screening`.
     rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
         see `proposers.linear`.
     """

@@ -58,7 +58,7 @@ from torch import Tensor
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
-from fide_plugins.proposers.screening import affordable, local_regressions
+from fide_plugins.proposers.screening import local_regressions
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each
 from fide_plugins.types import Float64
 
@@ -216,7 +216,7 @@ class LinearProposer(Previewed, SingleProposer):
         gram = gram * root * root[:, None]
         fit = ridge(gram, u, self.ridge, rounding)
         all_tokens = fit.coefficients, explained(u, fit, w)
-        if not self.screening or not buffer.tokens or not affordable(n, self.dim):
+        if not self.screening or not buffer.tokens:
             return _Regression(w, *all_tokens)
         e = (buffer.features - w @ buffer.features) * root[:, None]
         about = gram, self.ridge, rounding, all_tokens
