@@ -38,13 +38,12 @@ def make_proposer(
 
 def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> LinearProposer:
     from fide_plugins.proposers.linear import LinearProposer
-    from fide_plugins.proposers.screening import affordable
+    from fide_plugins.proposers.ridge import affordable
 
     o = options.proposal
     enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
     generations = o.buffer_generations or (4 if dim > popsize else 8)
     remembered = min(max(generations * popsize, enough), _MOST_REMEMBERED)
-    # Few parameters are soon told apart by all tokens.
     screening = o.screening and dim > popsize and affordable(remembered, dim)
     return LinearProposer(
         dim,

@@ -47,20 +47,21 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy.sparse import csc_array
 from torch import Tensor
 
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
-from fide_plugins.proposers.screening import local_regressions
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each
 from fide_plugins.types import Float64
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_array
 
 __all__ = ["LinearProposer"]
 
@@ -126,7 +127,7 @@ class LinearProposer(Previewed, SingleProposer):
         r2_threshold: float = 0.05,
         minimum: int = 2,
         select: bool = True,
-        screening: bool = True,
+        screening: bool = False,
     ) -> None:
         self.dim, self.capacity, self.minimum = dim, capacity, minimum
         self.channel_subsets, self.select = channel_subsets, select
@@ -218,6 +219,8 @@ class LinearProposer(Previewed, SingleProposer):
         all_tokens = fit.coefficients, explained(u, fit, w)
         if not self.screening or not buffer.tokens:
             return _Regression(w, *all_tokens)
+        from fide_plugins.proposers.screening import local_regressions
+
         e = (buffer.features - w @ buffer.features) * root[:, None]
         about = gram, self.ridge, rounding, all_tokens
         local = local_regressions(e, buffer.tokens, u, w, *about)

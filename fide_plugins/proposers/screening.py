@@ -25,7 +25,7 @@ has seen the candidate that is left out, which flatters the local regression: on
 R^2 for 20 candidates, and by 0.03 for 60.
 
 Where there are no more parameters than candidates in a generation, all tokens tell them apart as
-soon; and with some hundred parameters as many regressions would take too long (`affordable`).
+soon; and with some hundred parameters as many regressions would take too long (`ridge.affordable`).
 """
 
 from __future__ import annotations
@@ -39,12 +39,11 @@ from scipy.sparse import csc_array
 from fide_plugins.proposers.ridge import explained, ridges
 from fide_plugins.types import Float64
 
-__all__ = ["Local", "affordable", "local_regressions"]
+__all__ = ["Local", "local_regressions"]
 
 _FLOOR = 0.003  # weight of a token that shows nothing
 _CHANCE = 2.0  # times the share that chance explains
 _MOST_TOKENS = 32  # of a parameter, the strongest
-_MOST_WORK = 3e8  # d n^3, beyond which a regression for each parameter takes too long
 _TINY = 1e-300
 
 
@@ -59,11 +58,6 @@ class Local(NamedTuple):
     """(n, d): of the scalar products of all tokens alike."""
     slopes: csc_array
     """(T * C, d): parameters, in units of u, for each feature; added to the former."""
-
-
-def affordable(n: int, d: int) -> bool:
-    """Whether d regressions on n candidates take little time: milliseconds."""
-    return d * float(n) ** 3 <= _MOST_WORK
 
 
 def local_regressions(

@@ -25,7 +25,7 @@ MIXING = np.random.default_rng(1).standard_normal((D, T * C))
 def make(**changes: Any) -> LinearProposer:
     options: dict[str, Any] = {
         "capacity": 30, "rank_weight_scale": 0.1, "ridge": 0.2, "sources": 1, "step": (1.0, 1.0),
-        "noise": 0.0, "r2_threshold": 0.0, "screening": False,
+        "noise": 0.0, "r2_threshold": 0.0,
     }  # fmt: skip
     return LinearProposer(D, **(options | changes))
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.proposers import screening
+from fide_plugins import FIDE, encoders
+from fide_plugins.options import make_options
+from fide_plugins.proposers import make_proposer, screening
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.proposers.ridge import explained, ridge, ridges
-from fide_plugins.proposers.screening import affordable, local_regressions, token_weights
+from fide_plugins.proposers.ridge import affordable, explained, ridge, ridges
+from fide_plugins.proposers.screening import local_regressions, token_weights
 from fide_plugins.types import Float64
 
 D, T, C = 12, 40, 3
@@ -156,3 +158,34 @@ def test_images_that_say_nothing_are_trusted_little_more() -> None:
 def test_many_parameters_of_many_candidates_are_not_affordable() -> None:
     assert affordable(60, 40) and affordable(120, 80)
     assert not affordable(240, 160) and not affordable(450, 300)
+
+
+def test_the_option_is_for_more_parameters_than_candidates() -> None:
+    """Robot's seven parameters are told apart by all tokens, and are proposed for as ever."""
+    for dim, popsize, screened in ((40, 15, True), (12, 15, False), (300, 21, False)):
+        options = make_options("balanced", {"screening": True})
+        proposer = make_proposer(options, dim, popsize, 0, encoders.make("dense"))
+        assert isinstance(proposer, LinearProposer)
+        assert proposer.screening == screened
+        assert proposer.minimum == (1 if screened else 2) * popsize
+
+
+def test_a_search_with_screening_goes_on_from_a_checkpoint_bit_for_bit() -> None:
+    rng = np.random.default_rng(0)
+    target = rng.random((32, 32, 3))
+
+    def render(X: Float64) -> Float64:
+        images = np.repeat(np.repeat(X[:, :64].reshape(-1, 8, 8), 4, axis=1), 4, axis=2)
+        return np.stack([images] * 3, axis=-1)
+
+    opt, other = (FIDE(64, target, seed=3, screening=True) for _ in range(2))
+    for _ in range(8):
+        X = opt.ask()
+        opt.tell(X, render(X))
+    assert opt.state.proposer is not None and opt.state.proposer.ready
+    other.load_state_dict(opt.state_dict())
+    for _ in range(3):
+        X, Y = opt.ask(), other.ask()
+        np.testing.assert_array_equal(X, Y)
+        opt.tell(X, render(X))
+        other.tell(Y, render(Y))
