@@ -163,14 +163,14 @@ class FIDE(Retargeting):
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
         about = self.x0, setting.sigma0, k, self.target_tokens, subsets[0], self.seed
-        moves = MovePolicy(*about, groups, cells, hypotheses)
+        moves, known = MovePolicy(*about, groups, cells, hypotheses), hypotheses is not None
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
             descent=Descent(moves.start, moves.goal, setting),
             moves=moves,
-            gate=ImageGate(o, subsets, known=hypotheses is not None),
-            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder),
+            gate=ImageGate(o, subsets, known=known),
+            proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
         )
 

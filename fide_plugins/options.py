@@ -47,8 +47,9 @@ class ProposalOptions:
         parameters (d <= k); 3 in preset "fast"; of many (d > 4 k) at least 3 d / 2 candidates;
         600 candidates at most.
     select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
-    screening: predict a parameter from the tokens that show it, where that is better, for few
-        renders; of more parameters than k, up to some hundred, see `proposers.screening`.
+    screening: predict a parameter from the tokens that show it, where that is better, see
+        `proposers.screening`; of more parameters than k, up to some hundred; None: where the
+        search begins at hypotheses of a learned model.
     rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
         see `proposers.linear`.
     """
@@ -61,7 +62,7 @@ class ProposalOptions:
     channel_subsets: tuple[int, ...] = _option((), rules.whole_numbers)
     buffer_generations: int | None = _option(None, rules.whole(1))
     select_tokens: bool = _option(True, rules.switch)
-    screening: bool = _option(False, rules.switch)
+    screening: bool | None = _option(None, rules.switch)
     rank_weight_scale: float = _option(0.5, rules.positive)
     ridge: float = _option(0.02, rules.positive)
     sources: int = _option(5, rules.whole(1))

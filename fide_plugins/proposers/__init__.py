@@ -19,24 +19,35 @@ _MOST_REMEMBERED = 600  # candidates; a generation costs a regression on as many
 
 
 def make_proposer(
-    options: Options, dim: int, popsize: int, seed: int, encoder: PatchEncoder
+    options: Options,
+    dim: int,
+    popsize: int,
+    seed: int,
+    encoder: PatchEncoder,
+    *,
+    learned: bool = False,
 ) -> Proposer | None:
-    """Proposer that the options name; None for "none"."""
+    """Proposer that the options name; None for "none".
+
+    learned: whether the search begins at hypotheses of a learned model.
+    """
     if options.proposer == "linear":
-        return _linear(options, dim, popsize, encoder)
+        return _linear(options, dim, popsize, encoder, learned=learned)
     if options.proposer == "forward":
         return _forward(options, dim, popsize, encoder)
     if options.proposer == "both":
         from fide_plugins.proposers.ensemble import EnsembleProposer
 
-        inverse = _linear(options, dim, popsize, encoder)
+        inverse = _linear(options, dim, popsize, encoder, learned=learned)
         return EnsembleProposer(inverse, _forward(options, dim, popsize, encoder))
     if options.proposer == "diffusion":
         return _diffusion(options, dim, seed, encoder)
     return None
 
 
-def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> LinearProposer:
+def _linear(
+    options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool
+) -> LinearProposer:
     from fide_plugins.proposers.linear import LinearProposer
     from fide_plugins.proposers.ridge import affordable
 
@@ -44,7 +55,7 @@ def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> 
     enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
     generations = o.buffer_generations or (4 if dim > popsize else 8)
     remembered = min(max(generations * popsize, enough), _MOST_REMEMBERED)
-    screening = o.screening and dim > popsize and affordable(remembered, dim)
+    wanted = learned if o.screening is None else o.screening
     return LinearProposer(
         dim,
         capacity=remembered,
@@ -55,9 +66,9 @@ def _linear(options: Options, dim: int, popsize: int, encoder: PatchEncoder) -> 
         step=(o.shortest_step, o.longest_step),
         noise=o.sample_noise,
         r2_threshold=o.r2_threshold,
-        minimum=min(popsize if screening else 2 * popsize, remembered),
+        minimum=min(2 * popsize, remembered),
         select=o.select_tokens,
-        screening=screening,
+        screening=wanted and dim > popsize and affordable(remembered, dim),
     )
 
 

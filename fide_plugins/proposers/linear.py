@@ -57,7 +57,7 @@ from torch import Tensor
 from fide_plugins.proposers.base import Previewed, SingleProposer
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each
+from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ _SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
     "buffers": each(anything),
+    "screening": flag,
 }
 _TINY = 1e-300
 _SMALLEST_ENERGY = 1e-30
@@ -107,7 +108,7 @@ class LinearProposer(Previewed, SingleProposer):
     noise : largest share of a sample's deviation that is kept.
     r2_threshold : R^2 of a parameter from which on it is wholly proposed, in proportion below; 0
         for always.
-    minimum : candidates that must be known before anything is proposed.
+    minimum : candidates that must be known before anything is proposed; with screening half.
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
     screening : whether a parameter may be predicted from the tokens that show it alone, see
         `proposers.screening`.
@@ -149,7 +150,7 @@ class LinearProposer(Previewed, SingleProposer):
     @property
     def ready(self) -> bool:
         """Whether there is enough to propose from."""
-        return len(self._x) >= self.minimum
+        return len(self._x) >= (self.minimum // 2 if self.screening else self.minimum)
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,).
@@ -246,6 +247,7 @@ class LinearProposer(Previewed, SingleProposer):
             "x": self._x,
             "losses": self._losses,
             "buffers": buffers,
+            "screening": self.screening,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
@@ -255,7 +257,9 @@ class LinearProposer(Previewed, SingleProposer):
         """
         self._fits = {}
         own = {"d": self.dim}
+        state = {"screening": False, **state}  # saved before there was screening
         check(state, _SCHEMA, own, "proposer")
+        self.screening = state["screening"]
         self._x, self._losses = state["x"], state["losses"]
         for buffer, saved in zip(self._buffers, state["buffers"], strict=True):
             buffer.load_state_dict(saved, own["n"], (sides or {}).get("T"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -160,32 +162,51 @@ def test_many_parameters_of_many_candidates_are_not_affordable() -> None:
     assert not affordable(240, 160) and not affordable(450, 300)
 
 
-def test_the_option_is_for_more_parameters_than_candidates() -> None:
-    """Robot's seven parameters are told apart by all tokens, and are proposed for as ever."""
-    for dim, popsize, screened in ((40, 15, True), (12, 15, False), (300, 21, False)):
-        options = make_options("balanced", {"screening": True})
-        proposer = make_proposer(options, dim, popsize, 0, encoders.make("dense"))
+@pytest.mark.parametrize(
+    ("dim", "popsize", "possible"), [(40, 15, True), (12, 15, False), (300, 21, False)]
+)
+def test_it_is_for_more_parameters_than_candidates(dim: int, popsize: int, possible: bool) -> None:
+    """By default with a learned model.  Robot's seven parameters are told apart by all tokens."""
+    for wanted, learned in ((True, False), (None, True), (False, True), (None, False)):
+        options = make_options("balanced", {"screening": wanted})
+        encoder = encoders.make("dense")
+        proposer = make_proposer(options, dim, popsize, 0, encoder, learned=learned)
         assert isinstance(proposer, LinearProposer)
-        assert proposer.screening == screened
-        assert proposer.minimum == (1 if screened else 2) * popsize
+        assert proposer.screening == (possible and wanted is not False and (wanted or learned))
 
 
-def test_a_search_with_screening_goes_on_from_a_checkpoint_bit_for_bit() -> None:
-    rng = np.random.default_rng(0)
-    target = rng.random((32, 32, 3))
+def pixels(X: Float64) -> Float64:
+    """Images (n, 32, 32, 3) of 64 gray squares."""
+    images = np.repeat(np.repeat(X.reshape(-1, 8, 8), 4, axis=1), 4, axis=2)
+    return np.stack([images] * 3, axis=-1)
 
-    def render(X: Float64) -> Float64:
-        images = np.repeat(np.repeat(X[:, :64].reshape(-1, 8, 8), 4, axis=1), 4, axis=2)
-        return np.stack([images] * 3, axis=-1)
 
-    opt, other = (FIDE(64, target, seed=3, screening=True) for _ in range(2))
-    for _ in range(8):
+def told(generations: int, **options: Any) -> FIDE:
+    opt = FIDE(64, pixels(np.random.default_rng(0).random((1, 64)))[0], seed=3, **options)
+    for _ in range(generations):
         X = opt.ask()
-        opt.tell(X, render(X))
+        opt.tell(X, pixels(X))
+    return opt
+
+
+def test_a_search_goes_on_from_a_checkpoint_bit_for_bit() -> None:
+    """Also where the option does not say so, as without the model with which it began."""
+    opt = told(8, screening=True)
     assert opt.state.proposer is not None and opt.state.proposer.ready
-    other.load_state_dict(opt.state_dict())
-    for _ in range(3):
-        X, Y = opt.ask(), other.ask()
-        np.testing.assert_array_equal(X, Y)
-        opt.tell(X, render(X))
-        other.tell(Y, render(Y))
+    for other in (told(0, screening=True), told(0)):
+        other.load_state_dict(opt.state_dict())
+        for _ in range(3):
+            X, Y = opt.ask(), other.ask()
+            np.testing.assert_array_equal(X, Y)
+            other.tell(Y, pixels(Y))
+            opt.tell(X, pixels(X))
+        opt = told(8, screening=True)
+
+
+def test_a_checkpoint_without_screening_is_read() -> None:
+    opt = told(8)
+    saved = opt.state_dict()
+    del saved["proposer"]["screening"]  # as it was before
+    other = told(0)
+    other.load_state_dict(saved)
+    np.testing.assert_array_equal(opt.ask(), other.ask())
