@@ -145,13 +145,13 @@ def table(rows: list[dict[str, Any]], others: int) -> str:
     by = {(row["seed"], row["workers"]): row["losses"] for row in rows}
     seeds = sorted({s for s, w in by if w == 1} & {s for s, w in by if w == others})
     if len(seeds) < 2:
-        return "no seeds"
+        return "fewer than two seeds"
     lines = [f"{len(seeds)} seeds", "| renders | one worker | these | ratio | 95 % of it |"]
     for mark in map(str, MARKS):
-        one, eight = (np.log([by[s, w][mark] for s in seeds]) for w in (1, others))
-        ratios = eight - one
+        one, other = (np.log([by[s, w][mark] for s in seeds]) for w in (1, others))
+        ratios = other - one
         spread = 1.96 * ratios.std(ddof=1) / len(seeds) ** 0.5
-        numbers = one.mean(), eight.mean(), ratios.mean(), ratios.mean() - spread
+        numbers = one.mean(), other.mean(), ratios.mean(), ratios.mean() - spread
         cells = [f"{np.exp(number):.3g}" for number in (*numbers, ratios.mean() + spread)]
         lines.append(f"| {mark} | {' | '.join(cells[:3])} | {cells[3]} to {cells[4]} |")
     return "\n".join(lines)

@@ -122,6 +122,8 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
+    if name == "learned" and not arguments.model:
+        parser.error("the configuration 'learned' needs --model; without one name it otherwise")
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
     done = {tuple(row[k] for k in _KEY) for row in read(arguments.out)}
     for target in arguments.targets:

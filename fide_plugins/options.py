@@ -48,8 +48,8 @@ class ProposalOptions:
         600 candidates at most.
     select_tokens: leave out tokens that do not vary, see `proposers.feature_buffer`.
     screening: predict a parameter from the tokens that show it, where that is better, see
-        `proposers.screening`; of more parameters than k, up to some hundred; None: where the
-        search begins at hypotheses of a learned model.
+        `proposers.screening`; None: where the search begins at hypotheses of a learned model.
+        Without effect of at most k parameters, or of very many or many channels (`affordable`).
     rank_weight_scale, ridge, sources, shortest_step, longest_step, sample_noise, r2_threshold:
         see `proposers.linear`.
     """

@@ -365,7 +365,9 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
     """Go on from a checkpoint of the same plan, or of fewer passes; another plan begins again."""
     saved = checkpoint.read(file, _KIND)
     there = {"augment": "photograph", **saved.get("plan", {})}  # older plans do not name it
-    if {**there, "passes": plan["passes"]} != plan or there["passes"] > plan["passes"]:
+    passes = there.get("passes")
+    fewer = isinstance(passes, int) and passes <= plan["passes"]
+    if not fewer or {**there, "passes": plan["passes"]} != plan:
         return
     try:
         training.load_state_dict(saved["state"])

@@ -49,7 +49,6 @@ def _linear(
     options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool
 ) -> LinearProposer:
     from fide_plugins.proposers.linear import LinearProposer
-    from fide_plugins.proposers.ridge import affordable
 
     o = options.proposal
     enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
@@ -68,7 +67,7 @@ def _linear(
         r2_threshold=o.r2_threshold,
         minimum=min(2 * popsize, remembered),
         select=o.select_tokens,
-        screening=wanted and dim > popsize and affordable(remembered, dim),
+        screening=wanted and dim > popsize,
     )
 
 

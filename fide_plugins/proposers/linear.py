@@ -108,10 +108,11 @@ class LinearProposer(Previewed, SingleProposer):
     noise : largest share of a sample's deviation that is kept.
     r2_threshold : R^2 of a parameter from which on it is wholly proposed, in proportion below; 0
         for always.
-    minimum : candidates that must be known before anything is proposed; with screening half.
+    minimum : candidates that must be known before anything is proposed; with screening half, but
+        not fewer than 2.
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
     screening : whether a parameter may be predicted from the tokens that show it alone, see
-        `proposers.screening`.
+        `proposers.screening`.  It is saved with the buffer: a search that is loaded goes on so.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class LinearProposer(Previewed, SingleProposer):
     @property
     def ready(self) -> bool:
         """Whether there is enough to propose from."""
-        return len(self._x) >= (self.minimum // 2 if self.screening else self.minimum)
+        return len(self._x) >= (max(2, self.minimum // 2) if self.screening else self.minimum)
 
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Remember candidates x (n, d), the tokens (n, T, C) of their images, losses (n,).
@@ -220,8 +221,10 @@ class LinearProposer(Previewed, SingleProposer):
         all_tokens = fit.coefficients, explained(u, fit, w)
         if not self.screening or not buffer.tokens:
             return _Regression(w, *all_tokens)
-        from fide_plugins.proposers.screening import local_regressions
+        from fide_plugins.proposers.screening import affordable, local_regressions
 
+        if not affordable(n, self.dim, buffer.features.shape[1] // buffer.tokens):
+            return _Regression(w, *all_tokens)
         e = (buffer.features - w @ buffer.features) * root[:, None]
         about = gram, self.ridge, rounding, all_tokens
         local = local_regressions(e, buffer.tokens, u, w, *about)

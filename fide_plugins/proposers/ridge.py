@@ -19,11 +19,10 @@ import torch
 
 from fide_plugins.types import Float64
 
-__all__ = ["Ridge", "affordable", "explained", "ridge", "ridges"]
+__all__ = ["Ridge", "explained", "ridge", "ridges"]
 
 _TINY = 1e-300
 _SMALLEST_GAP = 1e-3  # of a leverage to 1
-_MOST_WORK = 3e8
 _SAFE = 1e-4  # smallest penalty for the inverse; then G + p is conditioned well enough
 
 
@@ -83,11 +82,6 @@ def ridges(grams: Float64, u: Float64, penalty: float, rounding: float) -> Ridge
         np.hstack([fit.residuals for fit in each]),
         np.stack([fit.leverages for fit in each], axis=1),
     )
-
-
-def affordable(n: int, d: int) -> bool:
-    """Whether `ridges` of d parameters on n examples take milliseconds, not tenths of a second."""
-    return d * float(n) ** 3 <= _MOST_WORK
 
 
 def explained(u: Float64, fit: Ridge, w: Float64) -> Float64:

@@ -25,7 +25,7 @@ has seen the candidate that is left out, which flatters the local regression: on
 R^2 for 20 candidates, and by 0.03 for 60.
 
 Where there are no more parameters than candidates in a generation, all tokens tell them apart as
-soon; and with some hundred parameters as many regressions would take too long (`ridge.affordable`).
+soon; and with very many parameters or channels d regressions would take too long (`affordable`).
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ from scipy.sparse import csc_array
 from fide_plugins.proposers.ridge import explained, ridges
 from fide_plugins.types import Float64
 
-__all__ = ["Local", "local_regressions"]
+__all__ = ["Local", "affordable", "local_regressions"]
 
 _FLOOR = 0.003  # weight of a token that shows nothing
+_MOST_WORK = 1e9  # multiplications: tens of milliseconds
 _CHANCE = 2.0  # times the share that chance explains
 _MOST_TOKENS = 32  # of a parameter, the strongest
 _TINY = 1e-300
@@ -58,6 +59,11 @@ class Local(NamedTuple):
     """(n, d): of the scalar products of all tokens alike."""
     slopes: csc_array
     """(T * C, d): parameters, in units of u, for each feature; added to the former."""
+
+
+def affordable(n: int, d: int, channels: int) -> bool:
+    """Whether d regressions on n candidates, tokens of so many channels, take little time."""
+    return d * n**2 * (n + _MOST_TOKENS * channels) <= _MOST_WORK
 
 
 def local_regressions(
