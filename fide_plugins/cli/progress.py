@@ -39,15 +39,27 @@ def shares(progress: Progress) -> str:
     return "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
 
 
+def _facts(progress: Progress, speed: float) -> str:
+    """Best loss, where there is one, and renders per second, where something was rendered."""
+    facts = [] if progress.doing else [f"best {number(progress.best_loss)}"]
+    if speed > 0 or not progress.doing:
+        facts.append(f"{speed:.0f} renders/s")
+    return "  ".join(facts)
+
+
 class _Speed:
-    """Renders per second since the first call, which after resuming is not the start of the run."""
+    """Renders per second since the first call, which after resuming is not the start of the run.
+
+    What is done before the search counts by itself.
+    """
 
     def __init__(self) -> None:
         self._first: tuple[int, float] | None = None
+        self._doing = ""
 
     def __call__(self, progress: Progress) -> float:
-        if self._first is None:
-            self._first = progress.evaluations, progress.wall_s
+        if self._first is None or progress.doing != self._doing:
+            self._first, self._doing = (progress.evaluations, progress.wall_s), progress.doing
         done, seconds = self._first
         return (progress.evaluations - done) / max(progress.wall_s - seconds, 1e-9)
 
@@ -63,10 +75,8 @@ class _Lines:
             return
         self._last = now
         of = f"/{progress.budget}" if progress.budget else ""
-        note(
-            f"{self._what}  {progress.evaluations}{of}  "
-            f"best {number(progress.best_loss)}  {speed:.0f} renders/s  {shares(progress)}"
-        )
+        rest = progress.doing or shares(progress)
+        note(f"{self._what}  {progress.evaluations}{of}  {_facts(progress, speed)}  {rest}")
 
 
 @contextmanager
@@ -97,8 +107,10 @@ def _bar(what: str) -> Iterator[Report]:
         def report(progress: Progress) -> None:
             rate = speed(progress)
             left = (progress.budget - progress.evaluations) / rate if rate > 0 else 0.0
-            facts = f"best {number(progress.best_loss)}  {rate:.0f} renders/s"
-            bar.below = shares(progress) + (f"  {duration(left)} left" if left > 0 else "")
+            bar.below = progress.doing or shares(progress)
+            if left > 0 and not progress.doing:
+                bar.below += f"  {duration(left)} left"
+            facts = _facts(progress, rate)
             bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
 
         yield report

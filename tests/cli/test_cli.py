@@ -322,3 +322,29 @@ def test_the_bar_shows_speed_loss_and_shares(monkeypatch: pytest.MonkeyPatch) ->
     text = terminal.getvalue()
     for part in ("[red]x", "300/1000", "best 0.0125", "200 renders/s", "render 50%", "encode 25%"):
         assert part in text
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_progress_of_the_rounds_before_a_search(
+    terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is done, and how fast it renders; there is no best loss yet."""
+    import io
+
+    from fide_plugins.cli import progress
+    from fide_plugins.experiments.run import Progress
+
+    written = io.StringIO()
+    written.isatty = lambda: terminal  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", written)
+    monkeypatch.setattr(progress, "_EVERY", 0.0)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    nothing = dict.fromkeys(("render", "encode", "train", "search"), 0.0)
+    with progress.reporting("x") as report:
+        for done, seconds in ((0, 1.0), (300, 4.0)):
+            report(Progress(done, 1000, np.inf, seconds, nothing, "rendering for the first model"))
+    text = written.getvalue()
+    for part in ("300/1000", "100 renders/s", "rendering for the first model"):
+        assert part in text
+    assert "inf" not in text

@@ -146,8 +146,9 @@ class Run:
         """Learn before the search, which then begins with the model."""
 
         def show(renders: int, doing: str) -> None:
+            self._tick()
             if on_progress is not None:
-                on_progress(replace(self.progress, evaluations=renders))
+                on_progress(replace(self.progress, evaluations=renders, doing=doing))
 
         with interrupts.stoppable():
             learned = rounds.learn(1, show)

@@ -50,6 +50,7 @@ class Progress:
     best_loss: lowest loss so far; infinity before the first finite loss.
     wall_s: seconds so far, without interruptions.
     times: seconds by `PARTS`; the loop itself takes the rest.
+    doing: what is done before the search, such as "first model, pass 2/10"; then "".
     """
 
     evaluations: int
@@ -57,6 +58,7 @@ class Progress:
     best_loss: float
     wall_s: float
     times: dict[str, float]
+    doing: str = ""
 
 
 @dataclass(frozen=True, eq=False)
