@@ -5,6 +5,12 @@
     python benchmarks/learned_camera.py --model runs/san_miguel.fide --targets 120-139
     python benchmarks/learned_camera.py --table
 
+Or from nothing, one picture by itself; run directories are judged in the same way:
+
+    fide run san_miguel --size 56 --spp 8 --task-set threads=1 --task-seed 140 --loss perceptual \
+        --preset global --budget 60000 --out runs/global/140
+    python benchmarks/learned_camera.py --runs runs/global/*
+
 Every run (target, seed, configuration, size, samples, budget) is one line of the output file,
 appended when it is done; a second call does what is missing. What counts is the candidate with the
 lowest loss when the budget is spent: how far its camera is from the truth, in units of the box, in
@@ -35,6 +41,25 @@ NEAR = (0.005, 0.01, 0.02, 0.05)
 _KEY = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
 
 Row = dict[str, Any]
+
+
+def judge(directory: Path) -> Row:
+    """Row of a run of `fide run`; its configuration is the preset."""
+    record = json.loads((directory / "run.json").read_text())
+    settings, totals = record["settings"], record["totals"]
+    size, options = settings["size"][0], settings["task_options"]
+    task = fide_tasks.make(settings["task"], size, settings["task_seed"], **options)
+    camera = [i for i, one in enumerate(task.parameters) if one.group == "camera"]
+    periodic = np.array([one.periodic for one in task.parameters])
+    apart = difference(np.array(totals["x_best"]), task.x_star, periodic)
+    return {
+        "scene": settings["task"], "target": settings["task_seed"], "seed": settings["seed"],
+        "configuration": settings["options"].get("preset", settings["optimizer"]), "size": size,
+        "spp": options["spp"], "budget": settings["budget"], "loss": settings["loss"],
+        "best": totals["best_loss"], "apart": [round(a, 5) for a in apart.tolist()],
+        "camera": float(apart[camera].max()), "wall_s": round(totals["wall_s"]),
+        "load": record["load"],
+    }  # fmt: skip
 
 
 def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
@@ -91,9 +116,10 @@ def table(rows: list[Row]) -> str:
     for kind in dict.fromkeys((r["scene"], r["configuration"], r["budget"]) for r in rows):
         group = [r for r in rows if (r["scene"], r["configuration"], r["budget"]) == kind]
         counts = [sum(r["camera"] <= near for r in group) for near in NEAR]
-        at = [r["near_since"]["0.01"] or np.inf for r in group]
+        at = [r["near_since"]["0.01"] or np.inf for r in group if "near_since" in r]
         cells = " | ".join(f"{count} of {len(group)}" for count in counts)
-        lines.append(f"| {kind[0]} | {kind[1]} | {kind[2]:,} | {cells} | {np.median(at):.0f} |")
+        until = f"{np.median(at):.0f}" if at else "-"
+        lines.append(f"| {kind[0]} | {kind[1]} | {kind[2]:,} | {cells} | {until} |")
     return "\n".join(lines)
 
 
@@ -114,27 +140,41 @@ def main() -> None:
         "--configuration", nargs="+", default=["learned"], metavar="NAME [KEY=VALUE]"
     )
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--runs", nargs="+", type=Path, metavar="DIR", help="judge these")
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     if arguments.table:
         print(table(read(arguments.out)))
         return
+    if arguments.runs:
+        for directory in arguments.runs:
+            append(judge(directory), arguments.out)
+        return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
-    done = {tuple(row[k] for k in _KEY) for row in read(arguments.out)}
     for target in arguments.targets:
         row = {
             "scene": arguments.scene, "target": target, "seed": arguments.seed,
             "configuration": name, "size": arguments.size, "spp": arguments.spp,
             "budget": arguments.budget,
         }  # fmt: skip
-        if tuple(row[k] for k in _KEY) in done:
-            continue
-        row = measure(row, arguments.model, arguments.loss, options)
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(f"{target}: camera {row['camera']:.4f}, loss {row['best']:.3g}", file=sys.stderr)
+        if not there(row, arguments.out):
+            append(measure(row, arguments.model, arguments.loss, options), arguments.out)
+
+
+def there(row: Row, out: Path) -> bool:
+    """Whether the file has a row of the same run."""
+    return any(all(row[k] == other[k] for k in _KEY) for other in read(out))
+
+
+def append(row: Row, out: Path) -> None:
+    """Add a row that the file does not have."""
+    if there(row, out):
+        return
+    with out.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+    print(f"{row['target']}: camera {row['camera']:.4f}, loss {row['best']:.3g}", file=sys.stderr)
 
 
 if __name__ == "__main__":
