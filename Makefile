@@ -48,7 +48,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 demo: setup
 	@rm -rf runs/demo
-	$(BIN)/fide run voronoi --size 112 --budget 4000 --seed 1 --out runs/demo
+	$(BIN)/fide run voronoi --size 112 --budget 4000 --out runs/demo
 	@echo "Look at runs/demo/summary.png"
 
 test: setup

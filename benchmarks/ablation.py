@@ -86,7 +86,7 @@ CONFIGURATIONS: dict[str, Change] = {
     "buffer of 8 generations": Change({"buffer_generations": 8}),
     "buffer of 3 generations, first 3 channels (fast)": Change({"preset": "fast"}),
     "population of 30": Change({"popsize": 30}),
-    DIFFUSION: Change({"proposer": "diffusion", "encoder": "patch"}, budget=1000),
+    DIFFUSION: Change({"proposer": "diffusion", "encoder": "patch"}, budget=2000),
 }
 
 

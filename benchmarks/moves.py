@@ -54,6 +54,7 @@ SCENES = {
     "voronoi32": Scene("voronoi", {"cells": 32}, 1e-3, 50_000),
     "robot": Scene("robot", {}, 2e-5, 5000),
     "spline": Scene("spline", {"target": "random"}, 1e-3, 5000),
+    "two_cells": Scene("voronoi", {"variant": "distance"}, 1e-6, 2000),
     "sheets": Scene("sheets", {}, 1e-4, 4000),
     "lamps": Scene("lamps", {}, 1e-5, 5000, 64),
     "sprites": Scene("sprites", {}, 1e-3, 5000, 64),

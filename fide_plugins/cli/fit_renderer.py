@@ -227,5 +227,5 @@ def _report(result: Any, out: Path) -> None:
         from fide_plugins.renderers.naming import described
 
         print(plain(described(result.params)))
-    print(plain(result.status))
     print(f"look at {plain(out)}/best.png, or: fide solutions {plain(out)}")
+    print(plain(result.status))

@@ -139,9 +139,9 @@ def _report(result: Any, out: str) -> None:
             f"the recommended candidate {number(result.recommended_loss)}"
         )
     print(f"{duration(result.wall_s)}: {parts}")
+    print(f"look at {out}/summary.png")
     if result.status is not None:
         print(plain(result.status))
-    print(f"look at {out}/summary.png")
 
 
 def continuation(command: list[str], out: str) -> str:

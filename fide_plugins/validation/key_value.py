@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from fide_plugins.errors import OptionError
@@ -11,6 +12,8 @@ __all__ = ["parse"]
 
 def parse(text: str) -> tuple[str, Any]:
     """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
+
+    A value in brackets is a list, as JSON has it: ``groups=[[0,1],[2,3]]``.
 
     Raises OptionError (a ValueError) for anything else.
 
@@ -23,9 +26,20 @@ def parse(text: str) -> tuple[str, Any]:
     words: dict[str, Any] = {"true": True, "false": False}
     if value.lower() in words:
         return key, words[value.lower()]
+    if value.startswith("["):
+        return key, _listed(text, value)
     for kind in (int, float):
         try:
             return key, kind(value)
         except ValueError:
             continue
     return key, value
+
+
+def _listed(text: str, value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError as error:
+        raise OptionError(
+            f"{text!r}: a value in brackets is a list such as [[0,1],[2,3]] ({error})"
+        ) from error

@@ -79,6 +79,7 @@ def test_options_reach_the_optimizer_and_the_task(capsys: pytest.CaptureFixture[
     [
         ("a=5", 5), ("a=-5", -5), ("a=0.5", 0.5), ("a=1e-3", 1e-3), ("a=true", True),
         ("a=False", False), ("a=none", "none"), ("a=word", "word"), ("a=b=c", "b=c"), ("a=", ""),
+        ("a=[[0,1],[2,3]]", [[0, 1], [2, 3]]), ("a=[0.5, true]", [0.5, True]),
     ],
 )  # fmt: skip
 def test_settings_are_typed(text: str, value: object) -> None:
@@ -98,6 +99,10 @@ def test_settings_are_typed(text: str, value: object) -> None:
         ),
         (["run", "voronoi", *SMALL, "--set", "popsize=two"], "popsize must be .* not 'two'"),
         (["run", "voronoi", *SMALL, "--set", "popsize"], "key=value, not 'popsize'"),
+        (
+            ["run", "voronoi", *SMALL, "--set", "groups=[[0,1],[2,3"],
+            r"'groups=\[\[0,1\],\[2,3': a value in brackets is a list such as \[\[0,1\],\[2,3\]\]",
+        ),
         (["run", "voronoi", *SMALL, "--set", "seed=1"], "seed is an argument of the run"),
         (["run", "voronoi", *SMALL, "--preset", "fast"], "cma has no option 'preset'"),
         (["run", "voronoi", *SMALL, "--task-set", "colour=1"], "voronoi has no option 'colour'"),
