@@ -2,6 +2,7 @@
 
 =============  =====================================================================
 `estimate`     which remembered samples count for a solution; computed when read
+`basin`        which of them are of another solution with the same image
 `local_fit`    the Jacobian of the features there, and how well the samples tell it
 `covariance`   noise of the target, error of the search, what nothing determines
 =============  =====================================================================

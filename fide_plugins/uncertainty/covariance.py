@@ -20,7 +20,7 @@ import numpy as np
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.local_fit import LocalFit
 
-__all__ = ["WIDER", "covariance", "scale_of", "unexplained"]
+__all__ = ["WIDER", "covariance", "information", "scale_of", "unexplained"]
 
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]
@@ -42,7 +42,7 @@ def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
     still = np.diag(fit.cloud) < _STILL  # such a parameter never moved: nothing is known of it
     cloud[still], cloud[:, still] = 0.0, 0.0
     cloud[still, still] = 1.0
-    known = _information(fit) / scale
+    known = information(fit) / scale
     known[still], known[:, still] = 0.0, 0.0
     reach = np.linalg.inv(cloud)
     reach[still, still] = 0.0
@@ -69,8 +69,8 @@ def unexplained(fit: LocalFit, residual: Float64) -> Float64:
     return left
 
 
-def _information(fit: LocalFit) -> Float64:
-    """J J^T (d, d) without its error, in the directions in which it exceeds that."""
+def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
+    """J J^T (d, d) without its error, in the directions in which it exceeds `least` times that."""
     values, vectors = np.linalg.eigh(fit.normal)
     values = np.maximum(values, 1e-14 * values[-1] + np.finfo(np.float64).tiny)
     root = (vectors * np.sqrt(values)) @ vectors.T  # of the normal matrix: all directions alike
@@ -80,7 +80,7 @@ def _information(fit: LocalFit) -> Float64:
     L = np.linalg.cholesky(error + floor * np.eye(len(error)))
     inner = np.linalg.solve(L, np.linalg.solve(L, energy).T)
     ratios, directions = np.linalg.eigh((inner + inner.T) / 2)
-    known = np.where(ratios > _RESOLVED, ratios - 1, 0.0)
+    known = np.where(ratios > least, ratios - 1, 0.0)
     X = ((vectors / np.sqrt(values)) @ vectors.T) @ L @ directions
     information: Float64 = (X * known) @ X.T
     return information

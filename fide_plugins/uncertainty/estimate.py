@@ -4,7 +4,8 @@ The samples come from the run's memory (`search.memory`), in which every part of
 and the ends of searches.  Exchangeable blocks are matched to those of the solution; a sample whose
 blocks cannot be matched one to one is left out.  So are samples in which an integer or a choice
 has another value: they have no standard deviation themselves, and their samples say whether the
-picture tells the values apart (`values`).
+picture tells the values apart (`values`).  Samples of a twin, which has the same image far away,
+are left out (`basin`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from fide_plugins.proposers.training_sample import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.types import Float64
+from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.local_fit import LocalFit, fit_locally
 from fide_plugins.uncertainty.values import FEWEST, Pairs, looks_alike
@@ -29,6 +31,7 @@ __all__ = ["LocalEstimate"]
 
 _NUMBERS = 2**22  # differences of blocks that are held at once
 _NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
+_SPARE = 2  # times as many, of which those of twins are left out
 _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
@@ -96,7 +99,11 @@ class LocalEstimate:
         distances = np.square(seen - seen[nearest]).sum(axis=1)  # (n,)
         number = max(_NEAREST, _EACH * int(free.sum()))
         own = np.flatnonzero(kept)
-        near = np.sort(own[np.argsort(distances[own], kind="stable")[:number]])
+        pool = _most_alike(own, distances, _SPARE * number)
+        e, _ = _compressed(seen[pool], seen[nearest])
+        periodic = None if self.axes.periodic is None else self.axes.periodic[free]
+        rest = pool[~of_twins(u[pool][:, free], e, _floored(distances[pool]), periodic)]
+        near = _most_alike(rest if len(rest) >= least else pool, distances, number)
         values = self._other_values(points, matched, others & held)
         pairs = [(unit, rows, _nearest(own, rows)) for unit, rows in values]
         rows = np.concatenate([near, *(one for _, *both in pairs for one in both)])
@@ -176,6 +183,11 @@ def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[
     ordered = points.copy()
     ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
     return np.where(which[:, None], ordered, points), which
+
+
+def _most_alike(own: Indices, distances: Float64, number: int) -> Indices:
+    """So many of the samples `own` with the least distances (n,), in the order of asking."""
+    return np.sort(own[np.argsort(distances[own], kind="stable")[:number]])
 
 
 def _nearest(own: Indices, rows: Indices) -> Indices:
