@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from fide_plugins.errors import OptionError
@@ -219,8 +220,9 @@ def _with_views(target: object, views: Sequence[object] | None) -> object:
     if views is None:
         return target
     if not isinstance(views, list | tuple):
+        given = shorten(repr(views), 60)
         raise OptionError(
-            f"views must be a list of the pictures of further views, not {views!r}; "
+            f"views must be a list of the pictures of further views, not {given}; "
             "write views=[side], or target=[front, side]"
         )
     if isinstance(target, list | tuple):
