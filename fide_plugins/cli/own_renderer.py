@@ -80,7 +80,13 @@ def space_of(file: str | None) -> Space | None:
     """Space in the file that --space names; None without it."""
     from fide_plugins.space import Space
 
-    return None if file is None else Space.read(file)
+    try:
+        return None if file is None else Space.read(file)
+    except FileNotFoundError as error:
+        raise OptionError(
+            f"--space: there is no file {file!r}; name a TOML file with a table for each parameter "
+            "(docs/reference/space.md)"
+        ) from error
 
 
 def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, Space | int]:

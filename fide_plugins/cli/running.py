@@ -138,7 +138,7 @@ def _report(result: Any, out: str) -> None:
             f"without noise {number(result.reference_loss)}, "
             f"the recommended candidate {number(result.recommended_loss)}"
         )
-    print(f"{duration(result.wall_s)}: {parts}")
+    print(f"{duration(result.wall_s)}: {parts}" if parts else duration(result.wall_s))
     print(f"look at {out}/summary.png")
     if result.status is not None:
         print(plain(result.status))

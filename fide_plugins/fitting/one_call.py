@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 from fide_plugins.errors import OptionError
@@ -76,7 +77,7 @@ def fit(
         server), any executor of `concurrent.futures`, or Dask's Client; `workers` says how many
         renders it gets at a time.
     views
-        pictures of further views: the same as ``target=[target, *views]``.
+        list of pictures of further views: the same as ``target=[target, *views]``.
     mask, learned
         options of `FIDE`.
     callbacks
@@ -120,7 +121,7 @@ def fit(
     """
     return prepare(
         render,
-        target if views is None else [target, *views],
+        _with_views(target, views),
         space,
         stopping=Stopping.of(budget, time, stop_at, until_stalled),
         workers=workers,
@@ -212,3 +213,21 @@ def prepare(
 def _given(**options: Any) -> dict[str, Any]:
     """Options that are not None."""
     return {name: value for name, value in options.items() if value is not None}
+
+
+def _with_views(target: object, views: Sequence[object] | None) -> object:
+    """The target, or the list of it and further views; OptionError if they do not fit together."""
+    if views is None:
+        return target
+    if not isinstance(views, list | tuple):
+        given = shorten(repr(views), 60)
+        raise OptionError(
+            f"views must be a list of the pictures of further views, not {given}; "
+            "write views=[side], or target=[front, side]"
+        )
+    if isinstance(target, list | tuple):
+        raise OptionError(
+            "the target is a list of views already, and views adds more; write "
+            "target=[front, side] without views, or target=front, views=[side]"
+        )
+    return [target, *views]

@@ -233,6 +233,7 @@ RENDERER = ["target.png", "--renderer"]
         ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
         ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
         ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' on the PATH"),
+        ([*COMMAND, "ls {out} {gray}", "--space", "no.toml"], "there is no file 'no.toml'; name a"),
         ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
         ([*COMMAND, "ls {out}", "--space", "empty.toml"], "empty.toml: .gray.*low must be less"),
         (

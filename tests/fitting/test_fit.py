@@ -44,6 +44,19 @@ def test_one_worker_is_ask_and_tell_by_hand(workers: int) -> None:
     assert result.status == opt.status and result.stopped == "budget"
 
 
+def test_further_views_are_a_list_of_pictures() -> None:
+    def both(params: dict[str, float]) -> list[Any]:
+        return [disk()(params)] * 2
+
+    apart = fit(both, target(), SPACE, 20, views=[target()], workers=0, seed=0)
+    together = fit(both, [target(), target()], SPACE, 20, workers=0, seed=0)
+    assert np.array_equal(apart.curve, together.curve)
+    with pytest.raises(OptionError, match="views must be a list of the pictures .* not 2; write"):
+        fit(both, target(), SPACE, 20, views=2, workers=0)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="a list of views already"):
+        fit(both, [target(), target()], SPACE, 20, views=["front", "side"], workers=0)
+
+
 def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
     image, X, losses = target(), np.full((1, 4), 0.5), np.array([0.5])
     stopping = Stopping.of(500, None, None, False)
