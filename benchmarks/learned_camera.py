@@ -32,6 +32,7 @@ import numpy as np
 import torch
 from moves import literal, read, span
 from numpy.typing import NDArray
+from quality import append
 
 import fide_tasks
 from fide_plugins import FIDE
@@ -147,8 +148,9 @@ def main() -> None:
         print(table(read(arguments.out)))
         return
     if arguments.runs:
-        for directory in arguments.runs:
-            append(judge(directory), arguments.out)
+        for row in map(judge, arguments.runs):
+            if not there(row, arguments.out):
+                add(row, arguments.out)
         return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
@@ -160,7 +162,7 @@ def main() -> None:
             "budget": arguments.budget,
         }  # fmt: skip
         if not there(row, arguments.out):
-            append(measure(row, arguments.model, arguments.loss, options), arguments.out)
+            add(measure(row, arguments.model, arguments.loss, options), arguments.out)
 
 
 def there(row: Row, out: Path) -> bool:
@@ -168,12 +170,9 @@ def there(row: Row, out: Path) -> bool:
     return any(all(row[k] == other[k] for k in _KEY) for other in read(out))
 
 
-def append(row: Row, out: Path) -> None:
-    """Add a row that the file does not have."""
-    if there(row, out):
-        return
-    with out.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+def add(row: Row, out: Path) -> None:
+    """Add a row to the file, and say so."""
+    append(out, row)
     print(f"{row['target']}: camera {row['camera']:.4f}, loss {row['best']:.3g}", file=sys.stderr)
 
 

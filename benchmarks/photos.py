@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import os
 import statistics
 import tempfile
@@ -28,6 +27,7 @@ import matplotlib
 import numpy as np
 from moves import Row, read, span
 from PIL import Image
+from quality import append
 
 from fide_plugins.cli import main as fide
 from fide_plugins.types import Float32
@@ -76,10 +76,8 @@ def main() -> None:
         return
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     for planned in runs(arguments.seeds):
-        if any(planned.items() <= row.items() for row in read(arguments.out)):
-            continue
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(measure(planned)) + "\n")
+        if not any(planned.items() <= row.items() for row in read(arguments.out)):
+            append(arguments.out, measure(planned))
 
 
 def runs(seeds: range) -> Iterator[Row]:

@@ -13,7 +13,6 @@ picture is one line of the output file; a second call does what is missing.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -26,6 +25,7 @@ import numpy as np
 import torch
 from moves import Row, read, span
 from numpy.typing import NDArray
+from quality import append
 
 import fide_tasks
 from fide_plugins import FIDE, learn
@@ -55,8 +55,7 @@ def main() -> None:
         done = {row["target"] for row in read(arguments.out)}
         for target in (one for one in arguments.targets if one not in done):
             row = {"target": target, "learning_cpu_s": seconds, **measure(target, file)}
-            with arguments.out.open("a") as out:
-                out.write(json.dumps(row) + "\n")
+            append(arguments.out, row)
 
 
 def render(x: NDArray[np.float64]) -> NDArray[np.float32]:
