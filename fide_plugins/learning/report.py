@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from fide_plugins.learning.calibration import HYPOTHESES, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
+from fide_plugins.search.boundary import distance
 from fide_plugins.types import Float64
 
 __all__ = ["Distance", "Report", "judge"]
@@ -106,22 +107,18 @@ class Distance:
     def __call__(self, X: Float64, x: Float64) -> Float64:
         """Distances (n,) of points X (n, d) from x (d,)."""
         if len(self.blocks) == 0:
-            return np.asarray(self._apart(X, x).max(axis=1), np.float64)
-        return np.array([self._apart(self.matched(row, x), x).max() for row in X])
+            return np.asarray(distance(X, x, self.periodic).max(axis=1), np.float64)
+        return np.array([distance(self.matched(row, x), x, self.periodic).max() for row in X])
 
     def matched(self, row: Float64, x: Float64) -> Float64:
         """Return the point `row` (d,) with its blocks in the order in which they are nearest x."""
         wraps = self.periodic[self.blocks[0]]
-        apart = np.abs(row[self.blocks][:, None] - x[self.blocks][None])  # (n, n, L)
-        apart = np.where(wraps, np.minimum(apart, 1 - apart), apart).sum(axis=-1)
+        apart = distance(row[self.blocks][:, None], x[self.blocks][None], wraps)  # (n, n, L)
+        apart = apart.sum(axis=-1)
         _, place = linear_sum_assignment(apart)
         sorted_ = row.copy()
         sorted_[self.blocks[place]] = row[self.blocks]
         return sorted_
-
-    def _apart(self, X: Float64, x: Float64) -> Float64:
-        apart = np.abs(X - x)
-        return np.asarray(np.where(self.periodic, np.minimum(apart, 1 - apart), apart), np.float64)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from fide_plugins.types import Float64
 
-__all__ = ["into", "near"]
+__all__ = ["distance", "inside", "into", "near"]
 
 Mask = npt.NDArray[np.bool_]
 
@@ -40,6 +40,12 @@ def inside(x: Float64, periodic: Mask | None = None) -> Float64:
     if periodic is not None:
         x = np.where(periodic, into(x, periodic), x)
     return np.clip(x, 0.0, 1.0)
+
+
+def distance(x: Float64, y: Float64, periodic: Mask | None = None) -> Float64:
+    """Distances of coordinates x and y (..., d) of the cube, the shorter way where periodic."""
+    apart: Float64 = np.abs(x - y)
+    return apart if periodic is None else np.where(periodic, np.minimum(apart, 1.0 - apart), apart)
 
 
 def near(x: Float64, mean: Float64, periodic: Mask | None = None) -> Float64:

@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from fide_plugins.search import boundary
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.covariance import information
 from fide_plugins.uncertainty.local_fit import fit_locally
@@ -75,7 +76,4 @@ def _seen(u: Float64, energy: Float64) -> Float64:
 
 def _gap(one: Float64, others: Float64, periodic: Mask | None) -> float:
     """The largest coordinate of the step from one (d,) to the nearest of others (m, d)."""
-    steps = np.abs(others - one)
-    if periodic is not None:
-        steps = np.where(periodic, np.minimum(steps, 1 - steps), steps)
-    return float(steps.max(axis=1).min())
+    return float(boundary.distance(others, one, periodic).max(axis=1).min())

@@ -51,11 +51,9 @@ class Axes:
 
         which: axes (..., m) of coordinates x and y (..., m); None: all.
         """
-        difference: Float64 = np.abs(x - y)
-        if self.periodic is None:
-            return difference
-        periodic = self.periodic if which is None else self.periodic[which]
-        return np.where(periodic, np.minimum(difference, 1.0 - difference), difference)
+        if self.periodic is None or which is None:
+            return boundary.distance(x, y, self.periodic)
+        return boundary.distance(x, y, self.periodic[which])
 
     def inside(self, x: Float64) -> Float64:
         """Points (..., d) of the cube: periodic axes are wrapped, all others are clipped."""
