@@ -162,10 +162,13 @@ class CMAES:
         """Learn from one generation.
 
         z: (k, d), candidates as drawn (not repaired).
-        losses: (k,); the lower the better, +inf allowed.  Only their order matters.
+        losses: (k,); the lower the better, +inf allowed.  Only their order matters: where none is
+            finite there is no order, and nothing changes.
         injected: (k,), which of them this distribution did not draw.
         pair: where among them the first two of the sample are; None if one of them was lost.
         """
+        if not np.isfinite(losses).any():
+            return
         order = np.argsort(losses, kind="stable")
         y, lengths = self._steps(z[order], injected[order])
         y_w = self._weights[: self._mu] @ y[: self._mu]  # eq. 41

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from copy import deepcopy
 from typing import Any
 
@@ -173,6 +174,16 @@ def test_symmetric_positive_definite_whatever_is_told(what: str, injected: bool)
     for _ in range(60):
         search.tell(z, losses, np.full(8, injected))
         check_sane(search)
+
+
+def test_a_generation_without_a_finite_loss_changes_nothing() -> None:
+    """There is no order to learn from; the mean would walk at random, and sigma grow."""
+    search, rng = CMAES(np.full(4, 0.5), 0.1, 8), np.random.default_rng(0)
+    search.tell(z := search.sample(8, rng), z[:, 0], own(8))
+    before = copy.deepcopy(search.state_dict())
+    search.tell(search.sample(8, rng), np.full(8, np.inf), own(8))
+    for name, value in search.state_dict().items():
+        np.testing.assert_array_equal(value, before[name], err_msg=name)
 
 
 @pytest.mark.parametrize("std", [[1.0, 1e-8], [1.0, 1e-12], [1e-150, 1e150]])
