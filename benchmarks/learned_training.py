@@ -31,7 +31,7 @@ from moves import read
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.learning.learn import kind_of
+from fide_plugins.learning.head_choice import kind_of
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.report import Distance, judge

@@ -16,6 +16,7 @@ __all__ = [
     "add_run_arguments",
     "add_space_argument",
     "free_directory",
+    "lists",
     "names",
     "optimizer_options",
     "setting",
@@ -45,6 +46,17 @@ def setting(text: str) -> tuple[str, Any]:
         return key_value.parse(text)
     except OptionError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def lists(text: str) -> list[Any]:
+    """Parse a list of lists, as JSON has it, such as [[0,1],[2,3]]; what is in them is not checked.
+
+    A list without lists, as [] is, will do.
+    """
+    if not text.startswith("["):
+        raise argparse.ArgumentTypeError(f"a list such as [[0,1],[2,3]], or [], not {text!r}")
+    _, found = setting(f"groups={text}")
+    return list(found)
 
 
 def names(text: str) -> list[str]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from fide_plugins.cli.arguments import free_directory, optimizer_options
 from fide_plugins.cli.fit_pictures import pictures, weights_of
 from fide_plugins.cli.live import page_of
-from fide_plugins.cli.messages import duration, note, number, paragraph, plain
+from fide_plugins.cli.messages import duration, note, number, paragraph, plain, warnings_as_notes
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
 
@@ -45,7 +44,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
 
     who, args.optimizer = "fide fit", "fide"
-    with _warnings_as_notes(who):
+    with warnings_as_notes(who):
         try:
             fitting, out, again = _prepare(args, command)
         except RenderError as error:
@@ -189,14 +188,6 @@ def _progress() -> Any:
     from fide_plugins.cli.progress import lines
 
     return True if sys.stderr.isatty() else lines("fide fit")
-
-
-@contextmanager
-def _warnings_as_notes(who: str) -> Iterator[None]:
-    """Within this block, warnings are messages, without place and line."""
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda message, *rest: note(f"{who}: {paragraph(message)}")
-        yield
 
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:

@@ -21,8 +21,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import add_space_argument, setting, whole
-from fide_plugins.cli.messages import complain, note, paragraph, plain
+from fide_plugins.cli.arguments import add_space_argument, lists, setting, whole
+from fide_plugins.cli.messages import complain, note, paragraph, plain, warnings_as_notes
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, OptionError, RenderError
 
@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--augment", choices=("none", "render", "photograph"), default="photograph",
         help="how much renders are changed while they are learned: for pictures that the renderer "
         "makes, or for photographs (photograph)")  # fmt: skip
+    add("--head", choices=("autoregressive", "mixture", "set"),
+        help="density that is learned (set where parameters are exchangeable, autoregressive "
+        "elsewhere)")  # fmt: skip
+    add("--groups", type=lists, metavar="'[[0,1],[2,3]]'",
+        help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
+    add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
     add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
@@ -82,6 +88,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
     who = "fide learn"
     try:
         with (
+            warnings_as_notes(who),
             Interrupts() as interrupts,
             interrupts.stoppable(),  # each file is written at once
             _where(args) as where,
@@ -124,6 +131,9 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
         "time": None if args.time is None else seconds_of("time", args.time),
         "seed": args.seed,
         "augment": args.augment,
+        "head": args.head,
+        "groups": args.groups,
+        "version": args.version,
         "store_limit": args.store_limit,
         "out": args.out,
     }

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import logging
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["complain", "duration", "note", "notices", "number", "paragraph", "plain"]
+__all__ = [
+    "complain",
+    "duration",
+    "note",
+    "notices",
+    "number",
+    "paragraph",
+    "plain",
+    "warnings_as_notes",
+]
 
 
 def plain(text: object) -> str:
@@ -56,6 +66,14 @@ def notices(logger: str) -> Iterator[None]:
         log.removeHandler(handler)
         log.setLevel(before[0])
         log.propagate = before[1]
+
+
+@contextmanager
+def warnings_as_notes(who: str) -> Iterator[None]:
+    """Within this block, warnings are messages, without place and line."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *rest: note(f"{who}: {paragraph(message)}")
+        yield
 
 
 def number(value: float | None) -> str:

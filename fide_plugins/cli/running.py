@@ -11,7 +11,16 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
-from fide_plugins.cli.messages import complain, duration, note, notices, number, paragraph, plain
+from fide_plugins.cli.messages import (
+    complain,
+    duration,
+    note,
+    notices,
+    number,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
 from fide_plugins.errors import FideError, RenderError
 
 __all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_run"]
@@ -101,7 +110,7 @@ def _execute(
 
     who = f"fide {command[1]}"
     try:
-        with notices("fide_tasks"):
+        with notices("fide_tasks"), warnings_as_notes(who):
             prepared = prepare()
     except RenderError as error:
         note(f"{who}: {failed}: {paragraph(error)}")
@@ -113,7 +122,8 @@ def _execute(
         note(f"{who}: {failed}")
         return 1
     try:
-        return execute(prepared)
+        with warnings_as_notes(who):
+            return execute(prepared)
     except Interrupted as stop:
         saved, again = stopped(prepared)
         note(f"{who}: {stop}{saved}")

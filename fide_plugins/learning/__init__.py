@@ -11,10 +11,12 @@ file               idea
 `model`            hypotheses, density, one file
 `renderer`         a user's function, or a task
 `store`            renders on disk, in shards
+`identity`         whether what renders now is what rendered before
 `rendering`        fills the store, in one process or several, or on a cluster
 `network`          encoder and head
 `encoder`          a small convolutional network
 `heads`            densities of the parameters: autoregressive, mixture
+`head_choice`      which head, and which blocks are exchangeable
 `sets`             exchangeable blocks as a set
 `axes`             densities on one axis: truncated and wrapped Gaussians
 `augmentation`     what separates a picture from a render

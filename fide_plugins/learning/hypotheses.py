@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import OptionError
-from fide_plugins.renderers.fingerprint import changed, fingerprint_of
+from fide_plugins.renderers.fingerprint import changed, fingerprint_of, version_of
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
@@ -50,12 +50,10 @@ def hypotheses_of(
     target = _only(target)
     far = learned.unfamiliarity(target)
     if far > 1:
-        warnings.warn(
+        warn_user(
             f"the model of {learned.renderer!r} has learned nothing like this picture (its "
             f"features are {far:.1f} times as far from those of renders as is usual): the search "
-            "goes on without the model",
-            RuntimeWarning,
-            stacklevel=5,
+            "goes on without the model"
         )
         return None
     x = learned.sample(target, _DRAWN, seed % 2**32)
@@ -71,23 +69,38 @@ def _middle(x: Float64, periodic: npt.NDArray[np.bool_]) -> Float64:
 
 
 def model_for(learned: Any, render: object) -> Any:
-    """Model of a file, or what else is given as `learned`; warns if it is of another renderer.
+    """Model of a file, or what else is given as `learned`, for a search of images by `render`.
 
-    Raises OSError or CheckpointError for a file that is no model.
+    Warns if it is of another renderer, but where both state the same version.
+
+    Raises OptionError where they state different versions, or `render` one that is no text; OSError
+    or CheckpointError for a file that is no model.
     """
     if learned is None:
         return None
     from fide_plugins.learning.model import Model
 
     model = Model.load(learned) if isinstance(learned, str | os.PathLike) else learned
-    if isinstance(model, Model) and changed(model.fingerprint, fingerprint_of(render)):
-        warnings.warn(
-            f"the model has learned {model.renderer!r}, and that is not what renders here, or it "
-            "was changed since; learn it again if its images are others now",
-            RuntimeWarning,
-            stacklevel=4,
-        )
+    if isinstance(model, Model):
+        _check_renderer(model, render)
     return model
+
+
+def _check_renderer(model: Model, render: object) -> None:
+    """Raise OptionError, or warn, unless the model is of this renderer."""
+    here = version_of(render)
+    if model.version is not None and here is not None:
+        if model.version != here:
+            raise OptionError(
+                f"the model has learned version {model.version!r} of {model.renderer!r}, and the "
+                f"renderer states version {here!r}: learn this version into another file, or leave "
+                "out the model"
+            )
+    elif changed(model.fingerprint, fingerprint_of(render)):
+        warn_user(
+            f"the model has learned {model.renderer!r}, and that is not what renders here, or it "
+            "was changed since; learn it again if its images are others now"
+        )
 
 
 def _only(target: Any) -> Any:

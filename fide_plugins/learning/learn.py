@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
+from fide_plugins.errors import CheckpointError, OptionError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.head_choice import kind_of
+from fide_plugins.learning.identity import version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
-from fide_plugins.learning.rendering import check_workers, fill
+from fide_plugins.learning.rendering import check_workers, fill, too_few
 from fide_plugins.learning.report import Distance, Report, judge
 from fide_plugins.learning.store import RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training, held_out
@@ -111,7 +113,8 @@ def learn(
         arguments goes on where another one was interrupted, and more `renders` add to them.  None:
         nothing is kept.
     groups
-        exchangeable blocks of axes, such as [[0, 1], [2, 3]]; None: those of the space.
+        exchangeable blocks of axes, such as [[0, 1], [2, 3]]; []: none are exchangeable; None:
+        those of the space.
     head
         "autoregressive", "mixture" or "set", see `learning.heads`; None: "set" where there are
         exchangeable blocks, "autoregressive" elsewhere.
@@ -120,7 +123,8 @@ def learn(
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
         "none", see `learning.augmentation`.
     version
-        of the renderer, for you to compare; other versions have other renders.
+        of the renderer, a text; other versions have other renders.  None: that which the renderer
+        states as its attribute `version`, if it does.
     seed
         of the parameters, the initial weights and the order of learning.
     store_limit
@@ -141,11 +145,12 @@ def learn(
         workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, time, workers, head, augment)
     renderer = as_renderer(render, space)
+    version, kind = version_for(renderer, version), kind_of(renderer, groups, head)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
-        executor, seed, version, *kind_of(renderer, groups, head), time, clock.monotonic(),
+        executor, seed, version, *kind, time, clock.monotonic(),
         on_progress or (lambda progress: None), augment, region,
     )  # fmt: skip
     plan.check()
@@ -239,7 +244,7 @@ class _Plan:
         failed = store.failed(self.renders)
         if len(x) < _FEWEST:
             store.remove([*failed])  # so that a renderer that was mended renders them
-            raise _too_few(len(x), sum(failed.values()), self.renders)
+            raise too_few(len(x), _FEWEST, sum(failed.values()), self.renders)
         if self.region is not None:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
@@ -316,17 +321,6 @@ def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) ->
     return None if after is None else Truncated.read(after, picture, seed)
 
 
-def _too_few(there: int, failed: int, renders: int) -> Exception:
-    """Error that names what is missing: renders that succeed, renders at all, or time for them."""
-    few = f"{there} renders are too few to learn from (at least {_FEWEST})"
-    if failed == 0:
-        return OptionError(f"{few}; allow more time")
-    return RenderError(
-        f"{few}: {failed} of {there + failed} failed; mend the renderer, make the ranges of its "
-        f"parameters smaller, or ask for more than {renders} renders"
-    )
-
-
 def _check(
     renders: object, size: object, passes: object, time: object, workers: object, head: object,
     augment: object,
@@ -342,23 +336,6 @@ def _check(
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:
         raise UnknownNameError.of("augment", augment, AUGMENT)
-
-
-def kind_of(
-    renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
-) -> tuple[str, tuple[tuple[int, ...], ...]]:
-    """Head and exchangeable blocks; raises OptionError."""
-    from fide_plugins.search.moves.exchangeability import check_groups
-
-    if groups is None:
-        groups = [] if renderer.space is None else renderer.space.largest_family
-    else:
-        check_groups(groups, renderer.dim)
-    if head == "set" and not groups:
-        raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
-    blocks = tuple(tuple(int(i) for i in block) for block in groups)
-    head = head or ("set" if blocks else "autoregressive")
-    return head, blocks
 
 
 def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:

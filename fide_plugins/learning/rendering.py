@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field
 
-from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
 from fide_plugins.fitting.workers.choice import workers_for
@@ -17,7 +17,7 @@ from fide_plugins.learning.renderer import Renderer, Small
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.types import Float64
 
-__all__ = ["check_workers", "fill"]
+__all__ = ["check_workers", "fill", "too_few"]
 
 _FEW = 500  # renders before a renderer can be given up
 _LOOK = 5.0  # seconds of waiting, after which it is asked whether there still is a cluster
@@ -79,6 +79,20 @@ def given_up(name: str, failed: int, tried: int, why: str) -> str:
     return (
         f"{name} failed for {failed} of {tried} random parameters, or gave no image: mend it, or "
         f"make the ranges of its parameters smaller; the first one: {why}"
+    )
+
+
+def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
+    """Error that names what is missing: renders that succeed, renders at all, or time for them.
+
+    there: renders, of which `least` are needed.  failed: other ones.  renders: asked for.
+    """
+    few = f"{there} renders are too few to learn from (at least {least})"
+    if failed == 0:
+        return OptionError(f"{few}; allow more time")
+    return RenderError(
+        f"{few}: {failed} of {there + failed} failed; mend the renderer, make the ranges of its "
+        f"parameters smaller, or ask for more than {renders} renders"
     )
 
 

@@ -119,12 +119,13 @@ class Rounds:
 
         A model that is there was finished before an interruption.
         """
+        from fide_plugins.learning.hypotheses import model_for
         from fide_plugins.learning.learn import learn
-        from fide_plugins.learning.model import Model
 
         file = folder / f"{name}.fide"
         if file.exists():
-            return Model.load(file)
+            there: Model = model_for(file, self.render)
+            return there
 
         def report(at: LearnProgress) -> None:
             if on_progress is not None and at.stage == "render":

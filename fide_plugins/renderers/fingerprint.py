@@ -1,4 +1,7 @@
-"""By what a renderer is known again: a model that was learned of another one is of little use."""
+"""By what a renderer is known again: a model that was learned of another one is of little use.
+
+A version, which the user states, or else a fingerprint of the source.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,27 @@ import hashlib
 import inspect
 import tokenize
 
-__all__ = ["changed", "digest", "fingerprint_of"]
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.callables import own_name
+
+__all__ = ["changed", "check_version", "digest", "fingerprint_of", "version_of"]
+
+
+def version_of(render: object) -> str | None:
+    """Version that a renderer states: the attribute `version` of the function or the object.
+
+    None: it states none.  A method of that name states none, either.  Raises OptionError for
+    anything else than a text, so that nobody relies on a version that would not count.
+    """
+    own = getattr(render, "version", None)
+    return None if callable(own) else check_version(own, f"the version of {own_name(render)}")
+
+
+def check_version(version: object, what: str) -> str | None:
+    """Return a version that is a text, or None; raises OptionError, beginning with `what`."""
+    if version is not None and not (isinstance(version, str) and version):
+        raise OptionError(f"{what} is a text such as '2', or None, not {version!r}")
+    return version
 
 
 def fingerprint_of(render: object) -> str | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers.fingerprint import digest
+from fide_plugins.renderers.fingerprint import digest, version_of
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.reference import Kind, attribute, load, shown_traceback, split
 from fide_plugins.space import Space
@@ -72,6 +72,14 @@ class FunctionRenderer:
             return None if file is None else digest("file", Path(file).read_bytes())
         except OSError:
             return None
+
+    @property
+    def version(self) -> str | None:
+        """Attribute `version` of the function, a text; None without one.
+
+        OptionError for anything else.
+        """
+        return version_of(self._function)
 
     @property
     def space(self) -> Space | int | None:

@@ -13,6 +13,7 @@
 `schema`         checks of a state that was read from a file
 `saving`         `save` and `load` of optimizers
 `registry`       factories by name
+`warn`           warnings that name the line of the user
 `callables`      tries a user's function of images
 ===============  ==================================================================
 """

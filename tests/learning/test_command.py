@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import signal
 from collections.abc import Callable
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins.cli import main
+from fide_plugins.cli import learn_command, main
 from fide_plugins.learning import Model, rounds
 
 SCENE = """
@@ -53,6 +54,28 @@ def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01
 
 
+def test_head_and_groups_are_those_of_the_command() -> None:
+    Path("gradient.py").write_text(SCENE)
+    words = ("learn", "gradient.py:render", "--size", 16, "--passes", 1, "--renders", 100)
+    assert fide(*words, "--out", "m.fide", "--head", "mixture") == 0
+    assert (Model.load("m.fide").head, Model.load("m.fide").blocks) == ("mixture", ())
+    assert fide(*words, "--out", "s.fide", "--groups", "[[0],[1]]", "--version", "2") == 0
+    model = Model.load("s.fide")
+    assert (model.head, model.blocks, model.version) == ("set", ((0,), (1,)), "2")
+    voronoi = ("learn", "voronoi", "--task-set", "cells=2", *words[2:])
+    assert fide(*voronoi, "--out", "v.fide", "--groups", "[]") == 0
+    assert Model.load("v.fide").blocks == ()
+
+
+def test_all_heads_can_be_chosen() -> None:
+    from fide_plugins.learning.network import HEADS
+
+    parser = argparse.ArgumentParser()
+    learn_command.add_arguments(parser)
+    (head,) = (action for action in parser._actions if action.dest == "head")
+    assert sorted(head.choices or ()) == sorted(HEADS)
+
+
 def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
     words = ("learn", "voronoi", "--task-set", "cells=2", "--size", 16, "--passes", 1)
     assert fide(*words, "--renders", 100, "--out", "v.fide") == 0
@@ -72,6 +95,12 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--time", "soon"), "time must be a positive number"),
         (("voronoi", "--timeout", "5"), "--timeout is of --command; leave it out"),
         (("gradient.py:render", "--timeout", "5"), "--timeout is of --command; leave it out"),
+        (("voronoi", "--groups", "0,1"), "a list such as [[0,1],[2,3]], or [], not '0,1'"),
+        (("voronoi", "--groups", "[[0,1]"), "a value in brackets is a list such as"),
+        (("voronoi", "--groups", "[0,1]"), "groups must be at least two lists"),
+        (("voronoi", "--groups", "[]", "--head", "set"), "needs exchangeable blocks"),
+        (("voronoi", "--head", "flow"), "invalid choice: 'flow'"),
+        (("voronoi", "--version", ""), "version is a text such as '2', or None, not ''"),
         (("voronoi", "--store-limit", "0.0001"), "the limit is 0.0001 GiB: take fewer renders"),
     ],
 )

@@ -252,13 +252,31 @@ def test_time_is_kept() -> None:
         ({"head": "flow"}, UnknownNameError, "unknown head 'flow'"),
         ({"head": "set"}, OptionError, "needs exchangeable blocks"),
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
+        ({"groups": [], "head": "set"}, OptionError, "needs exchangeable blocks"),
+        ({"groups": 3}, OptionError, "groups must be at least two lists of parameter numbers"),
     ],
 )
 def test_arguments_are_checked_before_anything_is_rendered(
     change: dict[str, Any], error: type[Exception], message: str
 ) -> None:
+    calls: list[object] = []
     with pytest.raises(error, match=message):
-        learn(plain, 2, **change)
+        learn(calls.append, 2, **change)
+    assert not calls
+
+
+def test_groups_of_nobody_mean_that_nothing_is_exchangeable(tmp_path: Path) -> None:
+    import fide_tasks
+
+    arguments: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1}
+    task = fide_tasks.make("voronoi", SIDE, cells=2)  # exchangeable by its space
+    groups = [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+    assert learn(task, groups=[], out=tmp_path / "m", **arguments).blocks == ()
+    model = Model.load(tmp_path / "m")
+    assert (model.head, model.blocks) == ("autoregressive", ())
+    assert learn(task, groups=groups, **arguments).blocks == tuple(map(tuple, groups))
+    with pytest.raises(OptionError, match="the head 'set' needs exchangeable blocks"):
+        learn(task, groups=[], head="set", **arguments)
 
 
 def test_a_renderer_that_fails_at_once_says_why() -> None:

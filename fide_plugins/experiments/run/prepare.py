@@ -114,6 +114,7 @@ def prepare(
         optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
+    learned = model_for(options.get("learned"), task)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     target = target_of(task)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
@@ -122,7 +123,7 @@ def prepare(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
     if "learned" in options:
-        options["learned"] = model_for(options["learned"], task)
+        options["learned"] = learned
     rounds = None
     if optimizer == "fide":
         about = task, TaskInfo.of(task).search_space or task.dim, target, options

@@ -12,7 +12,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
-from fide_plugins.renderers.fingerprint import fingerprint_of
+from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
@@ -63,6 +63,11 @@ class RendererTask:
     def fingerprint(self) -> str | None:
         """That of the renderer."""
         return fingerprint_of(self._render)
+
+    @property
+    def version(self) -> str | None:
+        """That of the renderer."""
+        return version_of(self._render)
 
     @property
     def target(self) -> Float32:

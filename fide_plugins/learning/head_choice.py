@@ -1,0 +1,33 @@
+"""Which head learns a space, and which of its axes are exchangeable blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fide_plugins.errors import OptionError
+from fide_plugins.learning.renderer import Renderer
+
+__all__ = ["kind_of"]
+
+
+def kind_of(
+    renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
+) -> tuple[str, tuple[tuple[int, ...], ...]]:
+    """Head and exchangeable blocks.
+
+    groups: blocks of axes; empty: nothing is exchangeable; None: the largest family of the space.
+    head: name in `network.HEADS`; None: "set" where there are blocks, "autoregressive" elsewhere.
+
+    Raises OptionError for groups that are none, and for the head "set" without blocks.
+    """
+    from fide_plugins.search.moves.exchangeability import check_groups
+
+    if groups is None:
+        groups = [] if renderer.space is None else renderer.space.largest_family
+    elif not (hasattr(groups, "__len__") and len(groups) == 0):
+        check_groups(groups, renderer.dim)
+    if head == "set" and len(groups) == 0:
+        raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
+    blocks = tuple(tuple(int(i) for i in block) for block in groups)
+    head = head or ("set" if blocks else "autoregressive")
+    return head, blocks
