@@ -1,12 +1,30 @@
-"""Whether what renders now is what rendered before: the version that it states."""
+"""Whether what renders now is what rendered before: the version that it states, and its images.
+
+A model that learns images of two renderers learns neither.  So before renders are added to a
+folder, some of those that are there are rendered again.  That also notices what no fingerprint of
+the source knows: what it imports, the files it reads, the version of a program.
+"""
 
 from __future__ import annotations
 
-from fide_plugins.errors import OptionError
-from fide_plugins.learning.renderer import Renderer
-from fide_plugins.renderers.fingerprint import check_version, version_of
+from collections.abc import Sequence
 
-__all__ = ["version_for"]
+import numpy as np
+
+from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.learning.renderer import Pixels, Renderer, resized
+from fide_plugins.learning.store import RenderStore
+from fide_plugins.renderers.fingerprint import changed, check_version, fingerprint_of, version_of
+from fide_plugins.types import Float64
+
+__all__ = ["check_images", "version_for"]
+
+_POINTS = 8  # of which every second one decides where nothing is noisy
+_AGAIN = 4  # renders of each for its noise
+_SEED = 2**80  # between the seeds of noise of those renders
+_ROUNDING = 1  # of 255: other processors round otherwise
+_NOISY = 2.0  # times the noise: 1 of 1,500 renderers whose noise is one number an image has more
+_COARSE = 8  # pixels along a side that are averaged: the noise of single pixels hides little there
 
 
 def version_for(renderer: Renderer, version: str | None) -> str | None:
@@ -22,3 +40,78 @@ def version_for(renderer: Renderer, version: str | None) -> str | None:
             "version, or change that of the renderer"
         )
     return own if given is None else given
+
+
+def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
+    """Raise OptionError if the renderer's images are no longer those of a store.
+
+    more: whether the store's images will be learned together with new ones.  Without, nothing is
+        rendered unless the source of the renderer was changed, and no version vouches for it.
+
+    Four renders where nothing has changed and nothing is noisy; up to 36 otherwise.  RenderError if
+    one fails.
+    """
+    now = fingerprint_of(renderer.source)
+    vouched = store.settings.get("version") is not None  # the store compares versions itself
+    if not more and (vouched or not changed(store.fingerprint, now)):
+        return
+    x, seeds, images = store.examples(_POINTS)
+    if len(x):
+        _compare(store, renderer, x, seeds, images)
+    if now != store.fingerprint:
+        store.accept(now)
+
+
+def _compare(
+    store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[int], images: Pixels
+) -> None:
+    """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
+    few = slice(None, None, 2)
+    if _equal(_images(store, renderer, x[few], seeds[few]), images[few]):
+        return
+    drawn = np.array(
+        [
+            _images(store, renderer, x, [seed + k * _SEED for seed in seeds])
+            for k in range(1, 1 + _AGAIN)
+        ]
+    )
+    fine = _distances(images, drawn)
+    coarse = _distances(_averaged(images), np.array([_averaged(some) for some in drawn]))
+    for difference, noise in (fine, coarse):
+        if difference > _NOISY * noise:
+            raise OptionError(
+                f"the renderer's images are not those in {store.folder}: they differ by "
+                f"{difference:.2g} of 255 on average, and its noise is {noise:.2g}; delete the "
+                "folder, or learn into another file"
+            )
+
+
+def _images(store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[int]) -> Float64:
+    """Images (n, H, W, 3) in units of 1 / 255; raises RenderError if one fails."""
+    images = renderer.small(x, seeds, store.size)
+    for image in images:
+        if isinstance(image, str):
+            raise RenderError(
+                f"{renderer.name} failed for parameters of which {store.folder} has an image; mend "
+                f"the renderer, or delete the folder if it is of another one: {image}"
+            )
+    return np.array(images, np.float64)
+
+
+def _equal(one: Float64, other: Pixels) -> bool:
+    """Whether images differ by rounding alone."""
+    return bool(np.abs(one - other).max() <= _ROUNDING)
+
+
+def _distances(stored: Float64 | Pixels, drawn: Float64) -> tuple[float, float]:
+    """Mean difference of stored images (n, ...) from new ones (k, n, ...), and of the new ones."""
+    pairs = [(i, j) for i in range(len(drawn)) for j in range(i)]
+    noise = np.mean([np.abs(drawn[i] - drawn[j]).mean() for i, j in pairs])
+    return float(np.abs(drawn - stored).mean()), float(noise)
+
+
+def _averaged(images: Float64 | Pixels) -> Float64:
+    """Images (n, h, w, 3) of the means of neighboring pixels of (n, H, W, 3)."""
+    height, width = (-(-side // _COARSE) for side in images.shape[1:3])
+    small = [resized(image.astype(np.float32), (height, width)) for image in images]
+    return np.array(small, np.float64)

@@ -19,7 +19,7 @@ from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.head_choice import kind_of
-from fide_plugins.learning.identity import version_for
+from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
@@ -139,7 +139,8 @@ def learn(
     Raises
     ------
     OptionError, ImageError (ValueErrors): an argument is not what it must be, or the folder of
-    renders holds others.  RenderError: the renderer fails.  OSError: a file cannot be written.
+    renders holds others: their settings differ, or the renderer's images do, see
+    `learning.identity`.  RenderError: the renderer fails.  OSError: a file cannot be written.
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
@@ -231,6 +232,9 @@ class _Plan:
 
     def model(self, store: RenderStore) -> Model:
         """Render, train and judge."""
+        more = bool(store.missing(self.renders))
+        for there in [store] if self.region is None else [self.region.store, store]:
+            check_images(there, self.renderer, more)
         fill(
             store,
             self.renderer,

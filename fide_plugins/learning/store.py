@@ -10,7 +10,6 @@ store is the same whatever the number of workers, and whatever was interrupted.
 from __future__ import annotations
 
 import os
-import warnings
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +19,6 @@ import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.learning.renderer import Pixels, Small
-from fide_plugins.renderers.fingerprint import changed
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, remove_leftovers
 from fide_plugins.types import Float64
@@ -38,10 +36,10 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
-    fingerprint: of the renderer, see `renderers.fingerprint`; None where nothing is known.
+    fingerprint: of the renderer, for a new folder, see `renderers.fingerprint`; None where nothing
+        is known.  That of an earlier folder stays until it is replaced, see `accept`.
     draw: parameters (SHARD, d) of a shard; None: uniform in the unit cube.
 
-    Warns if the renderer was changed since the first renders were made: they stay.
     Raises OptionError if the folder holds other renders, naming the difference; OSError if it
     cannot be written.
     """
@@ -57,21 +55,17 @@ class RenderStore:
         self._draw, self._drawn = draw or self._uniform, dict[int, Float64]()
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
-        file = self.folder / "settings"
-        if not file.exists():
-            checkpoint.write(file, _KIND, {**self.settings, "fingerprint": fingerprint})
+        if not self._file.exists():
+            self.accept(fingerprint)
             return
-        there = checkpoint.read(file, _KIND)
-        known = there.pop("fingerprint", None)
+        there = checkpoint.read(self._file, _KIND)
+        self.fingerprint: str | None = there.pop("fingerprint", None)
         _check_same(self.folder, there, self.settings)
-        if changed(known, fingerprint) and any(self.folder.glob("*.npz")):
-            warnings.warn(
-                f"the renderer {self.settings.get('renderer')} was changed since {self.folder} was "
-                "begun, and renders from before are learned, too; delete that folder if their "
-                "images would be others now",
-                RuntimeWarning,
-                stacklevel=3,
-            )
+
+    def accept(self, fingerprint: str | None) -> None:
+        """Record the fingerprint of the renderer whose images these are."""
+        checkpoint.write(self._file, _KIND, {**self.settings, "fingerprint": fingerprint})
+        self.fingerprint = fingerprint
 
     @classmethod
     def there(cls, folder: str | os.PathLike[str]) -> Self:
@@ -115,6 +109,30 @@ class RenderStore:
         del self._drawn[shard]
         return int((~good).sum())
 
+    def examples(self, most: int) -> tuple[Float64, list[int], Pixels]:
+        """Points (n, d), seeds of the noise (n,) and images (n, H, W, 3) of some renders.
+
+        They come from shards that are far apart; fewer than `most` where shards have lost renders.
+        Raises CheckpointError for a shard that is damaged.
+        """
+        there = self._all()
+        picked = [there[k * len(there) // most] for k in range(most)] if there else []
+        parts = [self._some(shard, picked.count(shard)) for shard in dict.fromkeys(picked)]
+        empty = np.empty((0, *self.size, 3), np.uint8)
+        return (
+            np.concatenate([np.empty((0, self.settings["dim"])), *(x for x, _, _ in parts)]),
+            [seed for _, seeds, _ in parts for seed in seeds],
+            np.concatenate([empty, *(images for _, _, images in parts)]),
+        )
+
+    def _some(self, shard: int, most: int) -> tuple[Float64, list[int], Pixels]:
+        """Points, seeds and images of a shard, evenly from its renders."""
+        x, images = self._read(shard)
+        rows = sorted({k * len(x) // most for k in range(most)}) if len(x) else []
+        drawn, seeds = self._draw(shard), self.noise_seeds(shard)
+        nearest = [int(np.abs(drawn - x[row]).max(axis=1).argmin()) for row in rows]
+        return x[rows], [seeds[i] for i in nearest], images[rows]
+
     def remove(self, shards: Sequence[int]) -> None:
         """Remove shards, so that they are missing."""
         for shard in shards:
@@ -148,8 +166,11 @@ class RenderStore:
 
     def read_all(self) -> tuple[Float64, Pixels]:
         """As `read`, of all shards."""
-        last = max((int(path.stem) for path in self.folder.glob("*.npz")), default=-1)
-        return self.read(SHARD * (last + 1))
+        return self.read(SHARD * (max(self._all(), default=-1) + 1))
+
+    def _all(self) -> list[int]:
+        """Numbers of all shards that are there."""
+        return sorted(int(path.stem) for path in self.folder.glob("*.npz"))
 
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
         arrays = self._load(shard, "x", "images")
@@ -169,6 +190,10 @@ class RenderStore:
             raise CheckpointError(
                 f"{path}: damaged ({error}); delete it to render again"
             ) from error
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / "settings"
 
     def _path(self, shard: int) -> Path:
         return self.folder / f"{shard:06d}.npz"
