@@ -161,10 +161,11 @@ def test_commands_refuse_a_model_of_another_version(
     assert "version is '9', and the renderer scene.py:render states '1'" in capsys.readouterr().err
     other = versioned("2")
     for words in (
-        ("fit", "t.png", "--renderer", other, "--workers", 0, "--out", "r"),
-        ("run", other, "--out", "r"),
+        ("fit", "t.png", "--renderer", other, "--workers", 0, "--learned", "m.fide"),
+        ("run", other, "--learned", "m.fide"),
+        ("compare", other, "--optimizers", "cma,fide:learned=m.fide", "--seeds", 1),
     ):
-        assert fide(*words, "--budget", 20, "--learned", "m.fide") == 2
+        assert fide(*words, "--budget", 20, "--out", "r") == 2
         error = capsys.readouterr().err
         assert "the model has learned version '1' of 'scene.py:render'" in error
         assert error.count("\n") == 1 and not Path("r").exists()

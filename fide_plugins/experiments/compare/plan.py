@@ -13,6 +13,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
 from fide_plugins.experiments.run import Keep
 from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
+from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.types import Float32
 from fide_plugins.validation.points import whole_number
 
@@ -125,6 +126,8 @@ class Plan:
         targets: dict[str, Float32] = {}
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
+            for configuration in self.configurations:  # a model may be of another version
+                model_for(self.options_of(configuration).get("learned"), task)
             target = targets[name] = target_of(task)
             mine = [key for key in self.runs() if key.task == name]
             for loss in {*(key.loss for key in mine), *self.metrics}:
