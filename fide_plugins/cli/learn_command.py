@@ -185,10 +185,10 @@ class _Lines:
     def __call__(self, progress: Any) -> None:
         late = self._now() - self._last >= _EVERY
         if progress.stage == "train":
-            note(
-                f"pass {progress.done}/{progress.total}  held-out renders: "
-                f"{-progress.held_out:.2f} nats better than the prior"
-            )
+            from fide_plugins.learning.report import against_prior
+
+            compared = against_prior(progress.held_out)
+            note(f"pass {progress.done}/{progress.total}  held-out renders: {compared}")
         elif late or progress.done == progress.total:
             self._last = self._now()
             note(f"renders {progress.done}/{progress.total}")

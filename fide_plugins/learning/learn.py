@@ -299,6 +299,7 @@ class _Plan:
             augment=self.augment,
             scale=network.scale,
             fitted=int(fit.sum()),
+            parameters=len(set(self._names)),
         )
         learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
         familiarity = Familiarity.of(

@@ -17,7 +17,7 @@ from fide_plugins.learning.renderer import Pixels
 from fide_plugins.search.boundary import distance
 from fide_plugins.types import Float64
 
-__all__ = ["Distance", "Report", "judge"]
+__all__ = ["Distance", "Report", "against_prior", "judge"]
 
 _HYPOTHESES = 64
 _PICTURES = 300
@@ -45,6 +45,7 @@ class Report:
     curve: of each pass, see `training.Curve`.
     augment: how much its renders were changed, see `augmentation`; None: not known of a model that
         was made before there was a choice.
+    parameters: how many there are; 0: not known of a model that was made before it was counted.
     """
 
     renders: int
@@ -60,15 +61,14 @@ class Report:
     augment: str | None = None
     scale: float = 1.0
     fitted: int = 0
+    parameters: int = 0
 
     def __str__(self) -> str:
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
             + ("" if self.augment is None else f", augment={self.augment!r}"),
-            f"{-self.nll:.2f} nats better than the uniform prior on "
-            f"{self.held_out - self.fitted:,} held-out renders",
-            f"one of {_HYPOTHESES} hypotheses within 0.05 of the box in {self.within[0]:.0%}, "
-            f"within 0.1 in {self.within[1]:.0%} of pictures",
+            f"{against_prior(self.nll)} on {self.held_out - self.fitted:,} held-out renders",
+            *self._found,
             f"90 % regions hold the truth in {self.coverage:.0%}",
         ]
         if self.fitted:
@@ -76,9 +76,26 @@ class Report:
                 f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
                 f"{self.scale:.2f}"
             )
-        if self.unseen:
-            lines.append(f"the images tell nothing of {', '.join(self.unseen)}")
         return "\n".join(lines)
+
+    @property
+    def _found(self) -> list[str]:
+        """Lines on how near hypotheses are; they say nothing of what was not learned."""
+        near = (
+            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in {self.within[0]:.0%}, "
+            f"within 0.1 in {self.within[1]:.0%} of pictures"
+        )
+        if not self.unseen:
+            return [near]
+        of = self.parameters or len(self.ranks)  # axes, which are more only where a choice has them
+        them = "it" if len(self.unseen) == 1 else "them"
+        why = f"the images do not show {them}, or it takes more renders or passes"
+        if len(self.unseen) >= of:
+            return [f"nothing was learned of any of the {of} parameters: {why}"]
+        return [
+            f"{near}, in the {of - len(self.unseen)} of {of} parameters that the images show",
+            f"nothing was learned of {', '.join(self.unseen)}: {why}",
+        ]
 
     def state_dict(self) -> dict[str, Any]:
         """All of it, as lists and numbers."""
@@ -91,6 +108,11 @@ class Report:
         plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
         plain["curve"] = tuple(tuple(row) for row in state["curve"])
         return cls(**plain)
+
+
+def against_prior(nll: float) -> str:
+    """In words, how a mean negative log-likelihood (nats) compares with that of the prior, 0."""
+    return f"{abs(nll):.2f} nats {'worse' if nll > 0 else 'better'} than the uniform prior"
 
 
 class Distance:

@@ -32,6 +32,8 @@ def test_hypotheses_are_near_the_truth_where_the_image_shows_it(model: Model) ->
 
 def test_a_parameter_without_effect_is_named_and_keeps_its_prior(model: Model) -> None:
     assert model.report.unseen == ("hidden",)
+    assert model.report.parameters == 4
+    assert "in the 3 of 4 parameters that the images show" in str(model.report)
     quartiles = np.quantile(model.sample(disk(PARAMS), 1000)[:, 3], [0.25, 0.5, 0.75])
     np.testing.assert_allclose(quartiles, [0.25, 0.5, 0.75], atol=0.1)
 

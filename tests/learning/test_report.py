@@ -1,0 +1,54 @@
+"""What a report says in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from fide_plugins.learning.report import Report
+
+REPORT = Report(
+    renders=980, failed=0, held_out=20, seconds=3.0, nll=-1.25, within=(0.4, 0.75), coverage=0.9,
+    ranks=(0.9,) * 4, unseen=(), curve=((1.0, -1.0, -1.0),), parameters=4,
+)  # fmt: skip
+NEAR = "one of 64 hypotheses is within 0.05 of the box in 40%, within 0.1 in 75% of pictures"
+WHY = "the images do not show them, or it takes more renders or passes"
+
+
+def lines(report: Report) -> list[str]:
+    return str(report).splitlines()
+
+
+def test_all_parameters_are_shown() -> None:
+    assert lines(REPORT)[1:] == [
+        "1.25 nats better than the uniform prior on 20 held-out renders",
+        NEAR,
+        "90 % regions hold the truth in 90%",
+    ]
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_share_says_of_which_parameters_it_is(counted: bool) -> None:
+    """A model of before they were counted has as many as axes."""
+    report = replace(REPORT, unseen=("dust", "fog"), parameters=4 if counted else 0)
+    assert lines(report)[2:4] == [
+        f"{NEAR}, in the 2 of 4 parameters that the images show",
+        f"nothing was learned of dust, fog: {WHY}",
+    ]
+
+
+def test_axes_of_a_choice_are_one_parameter() -> None:
+    report = replace(REPORT, unseen=("floor",), parameters=2)
+    assert "in the 1 of 2 parameters" in str(report)
+    assert "nothing was learned of floor: the images do not show it, or it takes" in str(report)
+
+
+def test_there_is_no_share_where_nothing_was_learned() -> None:
+    report = replace(REPORT, unseen=("x", "y", "z", "gray"), within=(1.0, 1.0))
+    assert "hypotheses" not in str(report) and "100%" not in str(report)
+    assert lines(report)[2] == f"nothing was learned of any of the 4 parameters: {WHY}"
+
+
+def test_a_model_below_the_prior_is_worse() -> None:
+    assert "0.44 nats worse than the uniform prior" in str(replace(REPORT, nll=0.44))
