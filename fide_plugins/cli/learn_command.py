@@ -29,6 +29,7 @@ from fide_plugins.errors import FideError, OptionError, RenderError
 __all__ = ["add_arguments", "execute"]
 
 _EVERY = 5.0  # seconds between lines
+_KEPT = "what was rendered and learned is kept in"
 _TIMEOUT = 60.0  # seconds of a program, where none are given
 
 
@@ -95,18 +96,25 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
         ):
             model = learn(**arguments, **where, on_progress=_Lines())
     except Interrupted as stop:
-        words = command if "--resume" in command else [*command, "--resume"]
-        note(f"{who}: {stop}; what was rendered and learned is kept in {plain(args.out)}.renders")
-        note(f"continue with: {plain(shlex.join(words))}")
+        note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
+        _continue_with(command)
         return 128 + stop.signum
     except (OptionError, ImportError) as error:
         return complain(who, error)
     except (FideError, OSError) as error:
         note(f"{who}: it stopped: {paragraph(error)}")
+        if any(Path(f"{args.out}.renders").glob("*.npz")):
+            note(f"{_KEPT} {plain(args.out)}.renders")
+            _continue_with(command)
         return 1
     print(model.report)
     print(f"use it with: --learned {plain(args.out)}")
     return 0
+
+
+def _continue_with(command: list[str]) -> None:
+    words = command if "--resume" in command else [*command, "--resume"]
+    note(f"continue with: {plain(shlex.join(words))}")
 
 
 def _check_free(args: argparse.Namespace) -> None:
