@@ -23,7 +23,8 @@ _POINTS = 8  # of which every second one decides where nothing is noisy
 _AGAIN = 4  # renders of each for its noise
 _SEED = 2**80  # between the seeds of noise of those renders
 _ROUNDING = 1  # of 255: other processors round otherwise
-_NOISY = 2.0  # times the noise: 1 of 1,500 renderers whose noise is one number an image has more
+_NOISY = 2.0  # times the noise: by chance 2 of 1,000 checks exceed it where noise is one number an
+# image (an exposure), and none of 1,000 where it is of pixels
 _COARSE = 8  # pixels along a side that are averaged: the noise of single pixels hides little there
 
 
