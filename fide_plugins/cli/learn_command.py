@@ -24,7 +24,7 @@ from typing import Any
 from fide_plugins.cli.arguments import add_space_argument, lists, setting, whole
 from fide_plugins.cli.messages import complain, note, paragraph, plain, warnings_as_notes
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
-from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
 
 __all__ = ["add_arguments", "execute"]
 
@@ -61,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
     add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
     add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
+    add("--device", default="auto", help="where the network trains: auto, cpu or cuda (auto)")
     add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
 
@@ -99,7 +100,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
         note(f"{who}: {stop}; {_KEPT} {plain(args.out)}.renders")
         _continue_with(command)
         return 128 + stop.signum
-    except (OptionError, ImportError) as error:
+    except (OptionError, DeviceError, ImportError) as error:
         return complain(who, error)
     except (FideError, OSError) as error:
         note(f"{who}: it stopped: {paragraph(error)}")
@@ -143,6 +144,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
         "groups": args.groups,
         "version": args.version,
         "store_limit": args.store_limit,
+        "device": args.device,
         "out": args.out,
     }
 

@@ -35,11 +35,14 @@ _OCCLUDED = 0.3  # side of what is in front, of the image's, at most
 def augmented(images: Tensor, generator: torch.Generator, augment: str = "photograph") -> Tensor:
     """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes.
 
+    generator: of the images' device.
     augment: one of `AUGMENT`.
     """
     images = images.clone()
     for change, share in _CHANGES[augment]:
-        which = torch.randperm(len(images), generator=generator)[: int(share * len(images))]
+        which = torch.randperm(len(images), generator=generator, device=generator.device)[
+            : int(share * len(images))
+        ]
         if len(which):
             images[which] = change(images[which], generator)
     return images.clamp_(0.0, 1.0)
@@ -47,7 +50,8 @@ def augmented(images: Tensor, generator: torch.Generator, augment: str = "photog
 
 def _uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
     """Numbers (n, values)."""
-    return low + (high - low) * torch.rand(n, values, generator=generator)
+    drawn = torch.rand(n, values, generator=generator, device=generator.device)
+    return low + (high - low) * drawn
 
 
 def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -56,11 +60,15 @@ def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
     center, color = (_uniform(n, k, 0.0, 1.0, generator) for k in (2, 3))
     half = _uniform(n, 2, 0.0, _OCCLUDED / 2, generator)
     inside = [
-        ((torch.arange(side) + 0.5) / side - center[:, i : i + 1]).abs() < half[:, i : i + 1]
+        (_middles(side, images.device) - center[:, i : i + 1]).abs() < half[:, i : i + 1]
         for i, side in enumerate((height, width))
     ]
     hidden = inside[0][:, None, :, None] & inside[1][:, None, None, :]
     return torch.where(hidden, color[:, :, None, None], images)
+
+
+def _middles(pixels: int, device: torch.device) -> Tensor:
+    return (torch.arange(pixels, device=device) + 0.5) / pixels
 
 
 def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -91,7 +99,8 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
 
 def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
     deviation = _uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
-    return images + deviation * torch.randn(images.shape, generator=generator)
+    noise = torch.randn(images.shape, generator=generator, device=generator.device)
+    return images + deviation * noise
 
 
 _CHANGES = {  # in the order of what happens: the scene, the lens, the sensor

@@ -71,7 +71,8 @@ class Components:
         z = (u[..., None] - self.mean) / self.std
         peak = -self.std.log() - 0.5 * math.log(2 * math.pi)
         straight = peak - 0.5 * z.square() - self._mass().log()
-        if not bool(self.periodic.any()):
+        on_cpu = self.periodic.device.type == "cpu"  # a GPU would be waited for
+        if on_cpu and not bool(self.periodic.any()):
             return straight
         around = torch.stack([(z + j / self.std).square() for j in (-1.0, 0.0, 1.0)])
         wrapped = peak + torch.logsumexp(-0.5 * around, dim=0)
@@ -113,8 +114,8 @@ def fourier(u: Tensor, periodic: Tensor) -> Tensor:
 
     periodic: (d,) bool; on these axes 0 and 1 give the same.
     """
-    turns = 2 * math.pi * u[..., None] * torch.tensor(_FREQUENCIES)
-    line = torch.where(periodic, torch.zeros(()), 2 * u - 1)
+    turns = 2 * math.pi * u[..., None] * torch.tensor(_FREQUENCIES, device=u.device)
+    line = torch.where(periodic, u.new_zeros(()), 2 * u - 1)
     return torch.cat([line[..., None], turns.cos(), turns.sin()], dim=-1)
 
 

@@ -6,6 +6,7 @@ places; one more and a linear layer make a vector of it, for the others.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import torch
@@ -82,6 +83,6 @@ class Encoder(nn.Module):
 def _steps(side: int) -> list[int]:
     """Strides of the convolutions that reduce a side to at most `_PLACES`; at least one."""
     steps = [4 if side >= _LARGE else 2]
-    while side > _PLACES * torch.tensor(steps).prod().item():
+    while side > _PLACES * math.prod(steps):
         steps.append(2)
     return steps

@@ -30,6 +30,7 @@ from fide_plugins.learning.training import Progress, Training, held_out
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.runtime.threads import user_threads
@@ -78,6 +79,7 @@ def learn(
     version: str | None = None,
     seed: int = 0,
     store_limit: float = 20.0,
+    device: str | torch.device = "auto",
     after: str | os.PathLike[str] | None = None,
     picture: object = None,
     on_progress: Callable[[LearnProgress], None] | None = None,
@@ -129,6 +131,10 @@ def learn(
         of the parameters, the initial weights and the order of learning.
     store_limit
         GiB that the renders may take.
+    device
+        where the network trains: "auto" takes CUDA if there is some.  The model computes on the
+        CPU, whatever trained it.  A training goes on wherever it is continued, but results of
+        another device differ.
     after, picture
         for a second round: file of a model, with its renders beside it.  New renders are drawn
         where its posterior of the picture is, see `learning.truncation`, and learned with the old
@@ -138,13 +144,15 @@ def learn(
 
     Raises
     ------
-    OptionError, ImageError (ValueErrors): an argument is not what it must be, or the folder of
-    renders holds others: their settings differ, or the renderer's images do, see
-    `learning.identity`.  RenderError: the renderer fails.  OSError: a file cannot be written.
+    OptionError, ImageError, DeviceError (ValueErrors): an argument is not what it must be, this
+    machine has no such device, or the folder of renders holds others: their settings differ, or the
+    renderer's images do, see `learning.identity`.  RenderError: the renderer fails.  OSError: a
+    file cannot be written.
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, time, workers, head, augment)
+    trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
     version, kind = version_for(renderer, version), kind_of(renderer, groups, head)
     region = _region(after, picture, seed)
@@ -152,7 +160,7 @@ def learn(
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
         executor, seed, version, *kind, time, clock.monotonic(),
-        on_progress or (lambda progress: None), augment, region,
+        on_progress or (lambda progress: None), augment, trains_on, region,
     )  # fmt: skip
     plan.check()
     if workers > 1 or executor is not None:
@@ -193,6 +201,7 @@ class _Plan:
     start: float
     on_progress: Callable[[LearnProgress], None]
     augment: str
+    device: torch.device
     region: Truncated | None = None
 
     def check(self) -> None:
@@ -253,8 +262,8 @@ class _Plan:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
-        training = self._train(network, x, images, store.folder / "training")
-        network.eval()
+        training = self._train(network.to(self.device), x, images, store.folder / "training")
+        network.to("cpu").eval()
         return self._judged(network, x, images, sum(failed.values()), training)
 
     def _train(self, network: Network, x: Float64, images: Pixels, file: Path) -> Training:

@@ -67,6 +67,11 @@ class Network(nn.Module):
     def scale(self, scale: float) -> None:
         self.density.scale = scale
 
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self.encoder.mean.device
+
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
         places, vector = self.encoder(images)
@@ -89,6 +94,6 @@ class Network(nn.Module):
         self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
 
 
-def as_input(images: Pixels) -> Tensor:
-    """Images (B, H, W, 3) uint8 as a network takes them, (B, 3, H, W) in [0, 1]."""
-    return torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
+def as_input(images: Pixels, device: torch.device | str = "cpu") -> Tensor:
+    """Images (B, H, W, 3) uint8 as a network takes them, (B, 3, H, W) in [0, 1], on its device."""
+    return torch.from_numpy(images).to(device).permute(0, 3, 1, 2).float() / 255

@@ -67,6 +67,7 @@ class Rounds:
     budget: renders in all, the search included.
     folder: where files are kept; None: nowhere.
     seconds: of rendering and learning at most; None: no limit.
+    device: where networks train.
     """
 
     render: Any
@@ -76,6 +77,7 @@ class Rounds:
     seed: int
     folder: Path | None
     seconds: float | None = None
+    device: str = "auto"
 
     def learn(
         self, workers: int = 1, on_progress: Callable[[int, str], None] | None = None
@@ -143,6 +145,7 @@ class Rounds:
             workers=workers,
             out=file,
             seed=self.seed,
+            device=self.device,
             on_progress=report,
             **more,
         )
@@ -196,7 +199,8 @@ def rounds_of(
         )
     folder = None if out is None else out / "rounds"
     limit = None if seconds is None else _TIME * seconds
-    return Rounds(render, space, picture, budget, seed % 2**32, folder, limit)
+    device = options.get("device") or "auto"
+    return Rounds(render, space, picture, budget, seed % 2**32, folder, limit, device)
 
 
 def search_options(options: Mapping[str, Any]) -> dict[str, Any]:

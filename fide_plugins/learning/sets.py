@@ -157,6 +157,6 @@ def _split(h: Tensor) -> Tensor:
 
 def _matching(gain: Tensor) -> Tensor:
     """Block (B, n) for each query by which the sum of gains (B, queries, blocks) is largest."""
-    values = np.nan_to_num(gain.detach().numpy(), nan=-1e9, posinf=1e9, neginf=-1e9)
+    values = np.nan_to_num(gain.detach().cpu().numpy(), nan=-1e9, posinf=1e9, neginf=-1e9)
     found = [linear_sum_assignment(each, maximize=True)[1] for each in values]
-    return torch.from_numpy(np.array(found, np.int64))
+    return torch.from_numpy(np.array(found, np.int64)).to(gain.device)

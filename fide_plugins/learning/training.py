@@ -62,7 +62,7 @@ def held_out(n: int) -> npt.NDArray[np.bool_]:
 class Training:
     """Training of a network.
 
-    network: changed in place; at the end it has the best weights.
+    network: changed in place, on its device; at the end it has the best weights.
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
@@ -89,7 +89,7 @@ class Training:
             self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True
         )
         first = self._train[:_STANDARD]
-        self.network.encoder.standardize(as_input(self.images[first]))
+        self.network.encoder.standardize(self._batch(first)[0])
         self._best, self._best_weights = math.inf, _copy(self.network)
 
     def run(
@@ -143,7 +143,7 @@ class Training:
         They are fewer than all if the time is up: the rate is zero from then on.
         """
         rng = np.random.default_rng((self.seed, 2, self.passed))
-        generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
+        generator = torch.Generator(self.network.device).manual_seed(int(rng.integers(2**62)))
         order = rng.permutation(self._train)
         total, seen = 0.0, 0
         for first in range(0, len(order), self.batch):
@@ -151,12 +151,17 @@ class Training:
                 break
             some = np.sort(order[first : first + self.batch])
             self._set_rate(first, start)
-            images = augmented(as_input(self.images[some]), generator, self.augment)
-            u = torch.from_numpy(self.x[some].astype(np.float32))
+            images, u = self._batch(some)
+            images = augmented(images, generator, self.augment)
             loss = -self.network.log_prob(images, u).mean()
             self._step(loss)
             total, seen = total + float(loss.detach()) * len(some), seen + len(some)
         return total / max(1, seen), seen
+
+    def _batch(self, some: npt.NDArray[np.intp]) -> tuple[Tensor, Tensor]:
+        """Images (B, 3, H, W) and parameters (B, d) of some renders, where the network is."""
+        device, u = self.network.device, torch.from_numpy(self.x[some].astype(np.float32))
+        return as_input(self.images[some], device), u.to(device)
 
     def _step(self, loss: Tensor) -> None:
         self._optimizer.zero_grad(set_to_none=True)
@@ -181,8 +186,7 @@ class Training:
         total = 0.0
         for first in range(0, len(self._test), _BATCH_OF_TEST):
             some = self._test[first : first + _BATCH_OF_TEST]
-            u = torch.from_numpy(self.x[some].astype(np.float32))
-            total -= float(self.network.log_prob(as_input(self.images[some]), u).sum())
+            total -= float(self.network.log_prob(*self._batch(some)).sum())
         return total / max(1, len(self._test))
 
     # -- checkpoints -------------------------------------------------------------------------------
@@ -215,7 +219,9 @@ class Training:
 
 
 def _copy(network: Network) -> dict[str, Tensor]:
-    return {name: value.detach().clone() for name, value in network.state_dict().items()}
+    return {
+        name: value.detach().to("cpu", copy=True) for name, value in network.state_dict().items()
+    }
 
 
 def _like(weight: Tensor, value: Any) -> Tensor:

@@ -1,0 +1,116 @@
+"""Where a network trains: CUDA where there is some; the model computes on the CPU.
+
+Without a GPU there is still PyTorch's device "meta", whose tensors have no numbers: it refuses to
+mix them with others. So a loss that can be computed there computes on any one device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_plugins.errors import DeviceError
+from fide_plugins.learning import learn, sets
+from fide_plugins.learning.augmentation import AUGMENT, augmented
+from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.training import Training
+
+from .conftest import SIDE, SPACE, disk
+
+on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+BLOCKS = [[0, 1], [2, 3]]
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize(
+    ("head", "blocks"), [("autoregressive", []), ("mixture", []), ("set", BLOCKS)]
+)
+def test_the_loss_of_each_head_is_computed_where_the_network_is(
+    head: str, blocks: Sequence[Sequence[int]], periodic: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def matching(gain: Tensor) -> Tensor:  # theirs needs the numbers
+        return torch.arange(2, device=gain.device).expand(len(gain), -1)
+
+    monkeypatch.setattr(sets, "_matching", matching)
+    network = Network((32, 32), [periodic] * 5, head, blocks).to("meta")
+    images, u = torch.zeros(8, 3, 32, 32, device="meta"), torch.zeros(8, 5, device="meta")
+    loss: Any = -network.log_prob(images, u).mean()
+    loss.backward()
+    assert {w.grad.device.type for w in network.parameters() if w.grad is not None} == {"meta"}
+    with pytest.raises(RuntimeError, match="device"):  # or this test could not fail
+        network.log_prob(images, torch.zeros(8, 5))
+
+
+def test_blocks_are_matched_on_the_cpu_and_taken_back() -> None:
+    gain = torch.tensor([[[0.0, 1.0], [1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]], requires_grad=True)
+    assert sets._matching(gain).tolist() == [[1, 0], [0, 1]]
+
+
+@pytest.mark.parametrize("device", ["cuda", "rubbish", 3.5])
+def test_a_device_that_is_not_there_is_refused_before_anything_is_rendered(device: str) -> None:
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("it is there")
+
+    def never(params: object) -> None:
+        raise AssertionError("it rendered")
+
+    with pytest.raises(DeviceError, match="'auto' or 'cpu' works"):
+        learn(never, SPACE, renders=200, device=device)
+
+
+# -- on a real GPU ---------------------------------------------------------------------------------
+
+
+def trainings(head: str, blocks: Sequence[Sequence[int]], augment: str) -> list[Training]:
+    """The same on a GPU and on the CPU."""
+    rng = np.random.default_rng(0)
+    x, images = rng.random((640, 5)), rng.integers(0, 256, (640, 32, 32, 3), dtype=np.uint8)
+    networks = [
+        Network((32, 32), [False] * 4 + [True], head, blocks).to(d) for d in ("cuda", "cpu")
+    ]
+    return [Training(network, x, images, 1, augment=augment) for network in networks]
+
+
+@on_gpu
+@pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
+def test_a_pass_of_training_as_on_the_processor(head: str) -> None:
+    there, here = trainings(head, BLOCKS if head == "set" else [], "none")
+    assert there.test() == pytest.approx(here.test(), abs=1e-3)
+    for training in (there, here):
+        training.run()
+    assert there.curve[0][1:] == pytest.approx(here.curve[0][1:], abs=0.05)
+    assert there.network.device.type == "cuda"
+
+
+@on_gpu
+def test_a_training_goes_on_there_and_on_the_processor() -> None:
+    there, here = trainings("autoregressive", [], "photograph")
+    there.run()
+    state = there.state_dict()
+    for training in (there, here):
+        training.load_state_dict(state)
+        training.passes = 2
+        training.run()
+        assert len(training.curve) == 2
+
+
+@on_gpu
+@pytest.mark.parametrize("augment", AUGMENT)
+def test_images_are_changed_there(augment: str) -> None:
+    images = as_input(np.zeros((8, 16, 16, 3), np.uint8), "cuda")
+    changed = [augmented(images, torch.Generator("cuda").manual_seed(1), augment) for _ in range(2)]
+    assert changed[0].device.type == "cuda"
+    torch.testing.assert_close(*changed)
+
+
+@on_gpu
+def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
+    model = learn(disk, SPACE, renders=1200, size=SIDE, passes=6, device="cuda")
+    assert model.network.device.type == "cpu"
+    assert model.report.nll < -1.0
+    assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
