@@ -100,7 +100,7 @@ def learn(
     passes
         over the renders, at most; training ends earlier where held-out renders say so.  With more
         of them the same call goes on from where it ended, at the rate that the longer schedule has
-        there.
+        there, to the last one.
     time
         seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
         result depends on the machine.
@@ -362,6 +362,7 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
         return
     try:
         training.load_state_dict(saved["state"])
+        training.extended |= passes != plan["passes"]
     except IMPOSSIBLE as error:
         raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
 

@@ -67,6 +67,8 @@ class Training:
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
+    extended: whether a longer schedule took the place of one that was over.  It is not ended early:
+        its rate is high again, and held-out renders are better only when it has fallen.
     """
 
     network: Network
@@ -81,6 +83,7 @@ class Training:
     curve: Curve = field(default_factory=list)
     passed: int = 0
     spent: float = 0.0
+    extended: bool = False
 
     def __post_init__(self) -> None:
         aside = held_out(len(self.x))
@@ -124,7 +127,7 @@ class Training:
         """Whether training is complete."""
         if self.passed >= self.passes or self._late():
             return True
-        return self.passed - self._best_pass > _PATIENCE
+        return not self.extended and self.passed - self._best_pass > _PATIENCE
 
     @property
     def _best_pass(self) -> int:
@@ -197,6 +200,7 @@ class Training:
         return {
             "passed": self.passed,
             "spent": self.spent,
+            "extended": self.extended,
             "curve": self.curve,
             "best": self._best,
             "weights": _copy(self.network),
@@ -209,6 +213,7 @@ class Training:
         self.network.load(state["weights"])
         self._best_weights = {k: torch.as_tensor(v) for k, v in state["best_weights"].items()}
         self.passed, self.spent = state["passed"], state["spent"]
+        self.extended = state.get("extended", False)  # which earlier versions do not have
         self.curve, self._best = [list(row) for row in state["curve"]], state["best"]
         whole, weights = self._optimizer.state_dict(), list(self.network.parameters())
         whole["state"] = {

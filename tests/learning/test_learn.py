@@ -17,6 +17,7 @@ from fide_plugins.learning import LearnProgress, Model, learn, rendering
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.store import RenderStore
+from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
@@ -313,6 +314,17 @@ def test_more_passes_go_on_and_fewer_begin_again(tmp_path: Path) -> None:
     fresh = learn(plain, 2, passes=3, **arguments).report.curve
     assert learn(plain, 2, passes=3, out=file, **arguments).report.curve == fresh
     assert fresh[0] != short[0]  # each schedule has rates of its own
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_only_a_longer_schedule_is_extended(passes: int, tmp_path: Path) -> None:
+    """And it stays that after an interruption, which begins with the state of its first pass."""
+    seen: list[bool] = []
+    for each in (passes, 2, 2):
+        learn(plain, 2, renders=200, size=SIDE, passes=each, out=tmp_path / "m")
+        state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
+        seen.append(state["extended"])
+    assert seen == [False, passes < 2, passes < 2]
 
 
 def test_an_unknown_way_to_change_images_is_refused() -> None:

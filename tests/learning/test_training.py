@@ -45,6 +45,20 @@ def training(now: list[float], seconds: float | None, passes: int = 4) -> Steppi
     return made
 
 
+@pytest.mark.parametrize("extended", [False, True])
+def test_a_longer_schedule_is_not_ended_by_the_best_of_the_shorter_one(
+    now: list[float], extended: bool
+) -> None:
+    """After the second of two passes the rate is zero, after the second of twelve it is high."""
+    longer = training(now, None, passes=12)
+    held_out = [-40.0, -66.0, -65.0, -45.0, -45.0, -55.0, -63.0]
+    longer.curve = [[1274.0 * k, 0.0, nats] for k, nats in enumerate(held_out, 1)]
+    longer.passed, longer.extended = 7, extended
+    assert longer.over == (not extended)
+    longer.passed = 12
+    assert longer.over
+
+
 def test_training_stops_when_the_time_is_up_and_goes_on_with_more(now: list[float]) -> None:
     saved: list[dict[str, Any]] = []
     short = training(now, 14.5 * PERIOD)
