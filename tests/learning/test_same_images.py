@@ -11,7 +11,7 @@ import pytest
 
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.learning import Model, learn
+from fide_plugins.learning import Model, identity, learn
 from fide_plugins.learning.identity import check_images
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
@@ -69,6 +69,16 @@ def test_renders_are_added_to_those_of_the_same_images(model: Path, shift: float
     again = Scene(shift, source="with a comment")
     assert learned(again, model, 200).report.renders == 196
     assert again.renders == 1 + 4 + 100  # the first shows the shape
+
+
+@pytest.mark.parametrize(("pixels", "equal"), [(0, True), (16, True), (17, False)])
+def test_an_edge_may_fall_into_the_next_pixel(pixels: int, equal: bool) -> None:
+    """As another processor may put it: 16 of 16,384 pixels are one in a thousand."""
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 100, (4, 64, 64, 3), dtype=np.uint8)
+    moved = images.reshape(-1, 3).astype(np.float64)
+    moved[rng.choice(len(moved), pixels, replace=False)] += 100
+    assert identity._equal(moved.reshape(images.shape), images) is equal
 
 
 @pytest.mark.parametrize("source", ["1", "2"])
