@@ -209,7 +209,7 @@ def near_walls(function: int, dim: int, instance: int, how: str) -> int | None:
     """Evaluations to the last precision, None if it was not reached; see `walls`."""
     loss, rng = Watch(function, dim, instance), np.random.default_rng(instance)
     limit = how != "reflected, no limit"
-    search = CMAES(np.full(dim, 0.5), STD, default_popsize(dim), limit_std=limit)
+    search = CMAES(np.full(dim, 0.5), STD, default_popsize(dim), widest=1.0 if limit else np.inf)
     while loss.evaluations < EVALUATIONS * dim and not loss.done:
         z = search.sample(search.popsize, rng)
         for _ in range(30 if how == "drawn again" else 0):

@@ -1,7 +1,9 @@
 """How much a picture is like those that were learned.
 
 The Mahalanobis distance of its features from those of training renders (Lee et al. 2018,
-arXiv:1807.03888), compared with the distances of held-out renders.
+arXiv:1807.03888), compared with the distances of held-out renders.  Of a few of these the largest
+is hardly a bound, so the prediction interval of a further one counts as well, with normal
+logarithms.
 """
 
 from __future__ import annotations
@@ -11,12 +13,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
+from scipy.stats import t
 
 from fide_plugins.types import Float64
 
 __all__ = ["Familiarity"]
 
-_QUANTILE = 0.995  # of held-out distances
+_QUANTILE = 0.995  # of distances of renders: these are familiar
 _MARGIN = 1.25  # a picture is not a render
 _RIDGE = 1e-3  # of the mean variance
 
@@ -37,8 +40,7 @@ class Familiarity:
         ridge = _RIDGE * max(float(np.trace(covariance)) / len(mean), 1e-12)
         precision = _inverse(covariance + ridge * np.eye(len(mean)))
         draft = cls(mean, precision, 0.0)
-        usual = float(np.quantile(draft.distances(held_out), _QUANTILE))
-        return cls(mean, precision, _MARGIN * usual)
+        return cls(mean, precision, _MARGIN * _usual(draft.distances(held_out)))
 
     def distances(self, features: Float64) -> Float64:
         """Mahalanobis distances (n,) of features (n, F)."""
@@ -58,6 +60,16 @@ class Familiarity:
     def from_state(cls, state: Mapping[str, Any]) -> Self:
         """What `state_dict` gave."""
         return cls(state["mean"], state["precision"], state["threshold"])
+
+
+def _usual(distances: Float64) -> float:
+    """Distance that hardly any further render exceeds, by those of some (m,)."""
+    seen = float(np.quantile(distances, _QUANTILE))
+    if len(distances) < 2 or seen == 0:
+        return seen
+    logs = np.log(np.maximum(distances, 1e-3 * seen))
+    error = float(logs.std(ddof=1)) * np.sqrt(1 + 1 / len(logs))
+    return max(seen, float(np.exp(logs.mean() + t.ppf(_QUANTILE, len(logs) - 1) * error)))
 
 
 def _inverse(matrix: Float64) -> Float64:

@@ -52,8 +52,8 @@ def hypotheses_of(
     if far > 1:
         warn_user(
             f"the model of {learned.renderer!r} has learned nothing like this picture (its "
-            f"features are {far:.1f} times as far from those of renders as is usual): the search "
-            "goes on without the model"
+            f"features are {far:.2f} times as far from those of renders as the furthest that count "
+            "as familiar): the search goes on without the model"
         )
         return None
     x = learned.sample(target, _DRAWN, seed % 2**32)

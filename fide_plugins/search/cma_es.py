@@ -80,11 +80,11 @@ class CMAES:
     mean: (d,), where the search begins.
     std: its standard deviation there; one number, or one for each parameter (d,).
     popsize: k >= 2, candidates an update.
-    limit_std: hold the mean standard deviation at or below that of the beginning.
+    widest: hold the mean standard deviation at or below so many times that of the beginning.
     """
 
     def __init__(
-        self, mean: Float64, std: float | Float64, popsize: int, *, limit_std: bool = True
+        self, mean: Float64, std: float | Float64, popsize: int, *, widest: float = 1.0
     ) -> None:
         d, k = len(mean), popsize
         scales = np.broadcast_to(np.asarray(std, np.float64), (d,))
@@ -95,7 +95,7 @@ class CMAES:
         self._B, self._D = np.eye(d), np.ones(d)
         self.generation = 0
         self.popsize = k
-        self.largest_std = float(scales.mean()) if limit_std else np.inf
+        self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
         self._set_weights(d, k)
         self._decompose()

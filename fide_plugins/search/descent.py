@@ -64,7 +64,8 @@ class Descent:
         self._mixed = Mixed(setting.cells)
         self._start = start
         std = self._mixed.widened(start.std) if _is_first(start, setting) else start.std
-        self.distribution = CMAES(start.mean, std, self.popsize, limit_std=self._guard)
+        widest = start.widest if self._guard else np.inf
+        self.distribution = CMAES(start.mean, std, self.popsize, widest=widest)
         dim, options = len(start.mean), setting.options
         patience = options.patience or default_patience(dim, self.popsize)
         self.termination = Termination(

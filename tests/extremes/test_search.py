@@ -120,7 +120,7 @@ def test_a_distribution_after_every_generation(
 ) -> None:  # fmt: skip
     rng = np.random.default_rng(seed)
     std = 10.0**width * 10.0 ** rng.uniform(-spread, 0, d)
-    search = CMAES(np.full(d, 0.5), std, k, limit_std=limit)
+    search = CMAES(np.full(d, 0.5), std, k, widest=1.0 if limit else np.inf)
     check(search)
     for _ in range(8):
         z, flags = replace(injected, search.sample(k, rng), search, rng)

@@ -94,7 +94,7 @@ def test_the_step_size_follows_in_both_directions() -> None:
     """Far too wide at an optimum it falls by half, far too narrow on a slope it doubles."""
     rng = np.random.default_rng(0)
     wide = CMAES(np.full(D, 0.31), 0.5, K)
-    narrow = CMAES(np.full(D, 0.5), 1e-4, K, limit_std=False)
+    narrow = CMAES(np.full(D, 0.5), 1e-4, K, widest=np.inf)
     for _ in range(60):
         for search in (wide, narrow):
             moved(search, rng)

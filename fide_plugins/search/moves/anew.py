@@ -54,9 +54,11 @@ class BeginAnew:
     def alone(self, known: Known, number: int, rng: np.random.Generator) -> Start:
         """Begin a search by losses alone, the `number`-th, from 1.
 
-        Odd ones double the population; even ones have the first population, and a narrow beginning.
+        Odd ones double the population; even ones have the first population and a narrow beginning,
+        and may become as wide as the first search, since the answer may be far away.
         """
         mean = self.draw(known, 1, rng)[0]
         if number % 2:
             return Start(mean, known.sigma0, 2 ** min((number + 1) // 2, _MOST_DOUBLINGS))
-        return Start(mean, known.sigma0 * 10.0 ** (-2.0 * rng.random()))
+        widest = 10.0 ** (2.0 * rng.random())
+        return Start(mean, known.sigma0 / widest, widest=widest)

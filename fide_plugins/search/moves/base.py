@@ -51,6 +51,7 @@ class Start:
     population: its population size in units of the run's.
     patience: generations without progress that end it, in units of the run's.
     brisk_above: loss above which it has to be quick, see `termination`; None: it may be slow.
+    widest: mean standard deviation that it may come to, in units of that of its beginning.
     held: (d,), axes that keep their coordinates in the mean during the search; None: none.
     """
 
@@ -59,6 +60,7 @@ class Start:
     population: int = 1
     patience: int = 1
     brisk_above: float | None = None
+    widest: float = 1.0
     held: npt.NDArray[np.bool_] | None = None
 
 

@@ -365,8 +365,8 @@ class MovePolicy:
 
 
 def _completed(state: Mapping[str, Any]) -> dict[str, Any]:
-    """State of a version in which no start had to be brisk, as this one has it."""
-    return {**state, "start": {"brisk_above": None, **state["start"]}}
+    """State of a version in which no start had to be brisk or could widen, as this one has it."""
+    return {**state, "start": {"brisk_above": None, "widest": 1.0, **state["start"]}}
 
 
 def _gain(before: float, after: float) -> float:

@@ -34,6 +34,7 @@ _SCHEMA: dict[str, Schema] = {
         "population": whole(1, 2**10),
         "patience": whole(1, 100),
         "brisk_above": maybe(real()),
+        "widest": real(1.0),
         "held": maybe(array("d", kind="b")),
     },
     "alone": whole(),

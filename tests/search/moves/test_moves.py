@@ -256,6 +256,8 @@ def test_new_descents_begin_in_different_places(rng: np.random.Generator) -> Non
     assert [start.population for start in starts[::2]] == [2, 4, 8, 16, 32, 64, 64, 64, 64, 64]
     assert all(start.population == 1 for start in starts[1::2])
     assert all((start.std <= SIGMA0).all() for start in starts)
+    for start in starts:  # which may all become as wide as the first search
+        np.testing.assert_allclose(start.widest * start.std, SIGMA0)
 
 
 def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None:

@@ -1,0 +1,41 @@
+"""Which pictures are like the renders that were learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.types import Float64
+
+
+def features(rng: np.random.Generator, n: int, spread: float = 0.2) -> Float64:
+    """Of n renders (n, 30), some of them further away than normal ones would be."""
+    z = rng.standard_normal((n, 30)) * np.linspace(1, 0.05, 30)
+    return np.asarray(z * np.exp(spread * rng.standard_normal((n, 1))), np.float64)
+
+
+@pytest.mark.parametrize("held_out", [5, 10, 20, 100])
+def test_further_renders_are_familiar_however_few_were_held_out(held_out: int) -> None:
+    unknown = []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        familiarity = Familiarity.of(features(rng, 9 * held_out), features(rng, held_out))
+        unknown.append((familiarity.distances(features(rng, 100)) > familiarity.threshold).mean())
+    assert np.mean(unknown) < 0.005  # by the largest of ten alone, 0.017
+
+
+def test_other_pictures_are_not() -> None:
+    rng = np.random.default_rng(0)
+    familiarity = Familiarity.of(features(rng, 900), features(rng, 100))
+    assert not any(familiarity.knows(x) for x in features(rng, 100) + 1.0)
+
+
+@pytest.mark.parametrize("held_out", [1, 2, 3])
+def test_the_bound_is_finite_for_the_least_held_out_renders(held_out: int) -> None:
+    rng = np.random.default_rng(0)
+    same = np.full((4, 3), 0.5)
+    for renders in (features(rng, held_out), np.zeros((held_out, 30))):
+        assert np.isfinite(Familiarity.of(features(rng, 40), renders).threshold)
+    familiarity = Familiarity.of(same, same[:held_out])
+    assert familiarity.knows(same[0]) and not familiarity.knows(same[0] + 0.1)
