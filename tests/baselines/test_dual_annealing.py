@@ -44,15 +44,16 @@ def test_it_is_scipy_to_the_last_bit(dim: int) -> None:
         np.testing.assert_array_equal(x, point)
         ours.tell(x[None], losses=rastrigin(x[None]))
     assert ours.evaluations == result.nfev  # the finite differences are among them
-    assert ours.best is not None and ours.best.loss == result.fun
-    np.testing.assert_array_equal(ours.best.x, result.x)
+    losses = rastrigin(points)
+    assert result.fun in losses  # and one of a finite difference may be below it
+    assert ours.best is not None and ours.best.loss == losses.min()
 
 
 def test_the_step_of_the_finite_differences_can_be_chosen() -> None:
     def points(**options: Any) -> Float64:
         opt = DualAnnealing(3, seed=2, **options)
         points = []
-        for _ in range(300):
+        for _ in range(1000):
             X = opt.ask()
             opt.tell(X, losses=rastrigin(X))
             points.append(X[0])
@@ -171,8 +172,9 @@ def test_noise_and_training_follow_the_points_of_both_kinds() -> None:
         opt.tell(X, images, losses)
     np.testing.assert_array_equal(np.concatenate(trained), np.array(visited)[:60])
     proposals = np.array(opt._visits.proposals)
-    among = [(p == x).all() for p in proposals[:20] for x in np.array(visited)[20:60]]
-    assert sum(among) == 20  # half of those after the first training
+    asked = np.array(visited)[20:60]
+    among = [(p == asked).all(axis=1).any() for p in proposals[:20]]
+    assert all(among)  # half of those after the first training
 
 
 def test_names() -> None:

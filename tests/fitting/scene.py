@@ -17,7 +17,7 @@ ANSWER = {"x": 0.7, "y": 0.35, "radius": 0.3, "gray": 0.9}
 def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, float]], Any]:
     """Function of the parameters that draws a soft disk of 16 x 16 pixels.
 
-    misfortune: what happens where x > 0.8, or in the fifth render where there is a log.
+    misfortune: what happens where x > 0.9, or in the fifth render where there is a log.
     log: file that gets one character for each render.
     """
     path = None if log is None else str(log)
@@ -29,7 +29,7 @@ def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, f
 
         import numpy as np
 
-        now = params["x"] > 0.8
+        now = params["x"] > 0.9
         if path is not None:
             with open(path, "a") as file:
                 file.write(".")

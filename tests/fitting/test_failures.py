@@ -53,7 +53,7 @@ def test_a_failed_render_is_withdrawn_and_the_first_one_shown(
         result = fit(disk(misfortune), target(), SPACE, budget=80, workers=0, **WIDE)
     assert len(caught) == 1 and "render({'x': 0." in str(caught[0].message)
     assert result.failures > 1 and result.evaluations == 80
-    assert result.first_failure is not None and result.first_failure.params["x"] > 0.8
+    assert result.first_failure is not None and result.first_failure.params["x"] > 0.9
     if misfortune == "raises":
         assert "raise ValueError" in result.first_failure.details
         assert "rendering.py" not in result.first_failure.details
@@ -77,7 +77,7 @@ def test_a_killed_worker_and_a_hanging_render_cost_one_candidate(
 
 def test_a_render_that_ends_the_program_is_a_failed_one() -> None:
     def render(params: dict[str, float]) -> Any:
-        return sys.exit(0) if params["x"] > 0.8 else disk()(params)
+        return sys.exit(0) if params["x"] > 0.9 else disk()(params)
 
     with pytest.warns(RenderFailedWarning, match="SystemExit: 0"):
         result = fit(render, target(), SPACE, budget=80, workers=0, **WIDE)

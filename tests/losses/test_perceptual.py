@@ -89,7 +89,7 @@ def test_noise_is_subtracted_and_the_picture_is_not(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(perceptual, "GRAIN_FROM", np.inf)
     without = PerceptualLoss(target)
     np.testing.assert_allclose(clean, without(image[None])[0], rtol=0.01)
-    assert abs(mean - clean) < 0.5 * abs(without(renders).mean() - clean)
+    assert abs(mean - clean) < 0.7 * abs(without(renders).mean() - clean)
 
 
 def gaussians(pixels: int, samples: int, scale: float) -> NDArray[np.float64]:

@@ -180,7 +180,7 @@ def test_the_damping_balances_what_is_gained_and_what_the_model_misses(bend: flo
 
     chosen = objective(balanced(jacobian, slope))
     best = min(objective(damping) for damping in np.logspace(-8, 4, 400) * jacobian.values.mean())
-    assert best - 1e-3 * abs(best) <= chosen <= 0.95 * best < 0  # on a grid
+    assert best - 1e-3 * abs(best) <= chosen <= 0.9 * best < 0  # on a grid
 
 
 @pytest.mark.usefixtures("nothing_kept")

@@ -102,7 +102,7 @@ def test_a_solution_keeps_the_standard_deviations_of_its_time() -> None:
     kept: list[list[Float64 | None]] = []
     for opt in (first, second):
         solutions: list[Solution | None] = []
-        while opt.evaluations < 240:
+        while opt.evaluations < 360:
             step(opt)
             solutions.append(opt.best)
             if opt is first and opt.best is not None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cloudpickle
 import nevergrad as ng
 import numpy as np
+import pytest
 
 from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
 from fide_plugins.types import Float32, Float64
@@ -15,6 +16,15 @@ from fide_plugins.types import Float32, Float64
 SIZE = 16
 ANSWER = np.array([0.7, 0.35, 0.6, 0.9, 0.4, 0.2])
 GRID = (np.arange(SIZE) + 0.5) / SIZE
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> Iterator[None]:
+    """Parametrizations draw their seeds from NumPy's global state."""
+    state = np.random.get_state()
+    np.random.seed(12)
+    yield
+    np.random.set_state(state)
 
 
 def render(x: Float64) -> Float32:

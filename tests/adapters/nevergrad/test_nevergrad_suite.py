@@ -39,15 +39,6 @@ def theirs() -> Any:
     return Theirs
 
 
-@pytest.fixture(autouse=True)
-def seeded() -> Iterator[None]:
-    """Parametrizations draw their seeds from NumPy's global state."""
-    state = np.random.get_state()
-    np.random.seed(12)
-    yield
-    np.random.set_state(state)
-
-
 @pytest.fixture
 def alias(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     made = ParametrizedFIDE().set_name(ALIAS, register=True)

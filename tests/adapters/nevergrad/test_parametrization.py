@@ -287,11 +287,12 @@ def test_point_24_images_reach_fide_in_a_chain() -> None:
     """What the first optimizer found teaches FIDE before it is asked."""
     chain = ng.optimizers.Chaining(
         [ng.optimizers.RandomSearch, ParametrizedFIDE(target=TARGET, seed=0)], [20]
-    )(box(), budget=60)
-    run(chain, 60)
+    )(box(), budget=120)
+    run(chain, 120)
     inner = chain.optimizers[1]
-    assert inner.num_ask == 40 and inner.num_tell == 60 and inner.num_images == 60
-    assert chain.recommend().loss < 0.01
+    assert inner.num_ask == 100 and inner.num_tell == 120 and inner.num_images == 120
+    # of 40 seeds, random search reached 0.005 at best, and this one 9e-5 at worst
+    assert chain.recommend().loss < 0.001
 
 
 def test_point_24_the_registered_one_in_a_portfolio_gets_its_target() -> None:
