@@ -46,7 +46,7 @@ def pictures(model: Model, scene: str, options: Row, n: int) -> tuple[NDArray[An
     """Fresh parameters (n, d), and their images (n, H, W, 3) of the size that the model sees."""
     renderer = as_renderer(fide_tasks.make(scene, max(model.size), 0, **options), None)
     x = np.random.default_rng(_SEED).random((n, renderer.dim))
-    parts = [
+    parts: list[Any] = [
         renderer.small(x[i : i + _TOGETHER], range(i, min(n, i + _TOGETHER)), model.size)
         for i in range(0, n, _TOGETHER)
     ]

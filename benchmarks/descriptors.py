@@ -117,13 +117,13 @@ def sift(at: Samples) -> list[Tensor]:
     points = [
         cv2.KeyPoint(4 * j + 1.5, 4 * i + 1.5, 8.0, 0.0) for i in range(14) for j in range(14)
     ]
-    descriptor = cv2.SIFT_create()
+    descriptor: Any = cv2.SIFT_create()  # type: ignore[attr-defined]
     found = [
         descriptor.compute(image, points)[1]
         for image in (255 * luminance(samples)).round().to(torch.uint8).numpy()
     ]
     grids = torch.tensor(np.array(found) / 512, dtype=torch.float32).transpose(1, 2)
-    return [*colors(at), grids.unflatten(2, (14, 14))]
+    return [*colors(at), torch.unflatten(grids, 2, (14, 14))]
 
 
 def roots(at: Samples) -> list[Tensor]:

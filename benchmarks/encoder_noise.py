@@ -49,7 +49,8 @@ def renders(size: int) -> tuple[Float32, Float32, Float32]:
     path = RENDERS / f"beads-noise-{size}.npz"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, **rendered(size))
+        images: dict[str, Any] = dict(rendered(size))
+        np.savez(path, **images)
     with np.load(path) as file:
         return file["one"], file["two"], file["reference"]
 

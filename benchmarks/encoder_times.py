@@ -23,7 +23,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from encoders import CONTROL, ENCODERS, LOSSES, make_control, usable
+from encoder_tables import LOSSES
+from encoders import CONTROL, ENCODERS, make_control, usable
 from numpy.typing import NDArray
 
 import fide_tasks
@@ -127,7 +128,7 @@ def in_batches(network: Any, side: int) -> list[float]:
     for _ in range(GOES):
         for size in BATCHES:
             start = time.process_time()
-            for batch in images.split(size):
+            for batch in torch.split(images, size):
                 network(batch)
             least[size] = min(least[size], time.process_time() - start)
     return [1e3 * seconds / len(images) for seconds in least.values()]
@@ -142,10 +143,10 @@ class Clocks:
     def __init__(self, opt: FIDE) -> None:
         self.seconds = {"encoder": 0.0, "proposer": 0.0, "all": 0.0}
         self.ask, self.tell = self.clocked("all", opt.ask), self.clocked("all", opt.tell)
-        opt._encoder.compute = self.clocked("encoder", opt._encoder.compute)  # type: ignore[union-attr,method-assign]
+        setattr(opt.encoder, "compute", self.clocked("encoder", opt.encoder.compute))  # noqa: B010
         for name in ("update", "propose"):
-            step = self.clocked("proposer", getattr(opt._proposer, name))
-            setattr(opt._proposer, name, step)
+            step = self.clocked("proposer", getattr(opt.state.proposer, name))
+            setattr(opt.state.proposer, name, step)
 
     def clocked(self, part: str, step: Any) -> Any:
         def go(*arguments: Any) -> Any:
@@ -207,16 +208,18 @@ def proposing(name: str, side: int, encoder: str, select: bool) -> tuple[float, 
     """Milliseconds a candidate, mean share of tokens in use, most megabytes of features."""
     task = fide_tasks.make(name, side, 0)
     opt = FIDE(task.dim, task.target, seed=0, encoder=encoder, select_tokens=select)
-    proposer, clocks = opt._proposer, Clocks(opt)
+    proposer, clocks = opt.state.proposer, Clocks(opt)
     if not isinstance(proposer, LinearProposer):
-        raise TypeError(f"the views of a LinearProposer are counted, got {type(proposer).__name__}")
+        raise TypeError(
+            f"the buffers of a LinearProposer are counted, got {type(proposer).__name__}"
+        )
     shares, megabytes = [], 0.0
     while opt.evaluations < RENDERS:
         X = opt.ask()
         opt.tell(X, task.render(X))
-        views = proposer._views
-        shares.append(float(views[-1].used.mean()) if views[-1].used.size else 1.0)
-        megabytes = max(megabytes, sum(view.features.nbytes for view in views) / 1e6)
+        buffers = proposer._buffers
+        shares.append(float(buffers[-1].used.mean()) if buffers[-1].used.size else 1.0)
+        megabytes = max(megabytes, sum(buffer.features.nbytes for buffer in buffers) / 1e6)
     return clocks.milliseconds(opt.evaluations)["proposer"], float(np.mean(shares)), megabytes
 
 

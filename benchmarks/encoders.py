@@ -35,13 +35,14 @@ import numpy as np
 import torch
 from encoder_tables import LOSSES, STEP, TRACED, paired_table, tables
 from numpy.typing import NDArray
-from quality import Row, machine, read, run_missing
+from quality import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import encoders, losses
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
 from fide_plugins.experiments import run as harness
+from fide_plugins.experiments.run.machine import machine
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"
 RUNS = Path("runs/encoders")

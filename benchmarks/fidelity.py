@@ -27,10 +27,11 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, machine
+from quality import append
 
 import fide_tasks
 from fide_plugins import FIDE, losses
+from fide_plugins.experiments.run.machine import machine
 from fide_plugins.experiments.run.pixel_samples import PixelSamples
 
 RESULTS = Path(__file__).parent / "results" / "fidelity.jsonl"

@@ -41,7 +41,7 @@ def _blobs(p: Floats, u: Floats, v: Floats) -> Floats:
         squared = (u - x) ** 2 + (v - y) ** 2
         weight = np.exp(-squared / (2 * (0.06 + 0.2 * size) ** 2))[..., None]
         image = image * (1 - weight) + weight * np.array(color)
-    return image
+    return np.asarray(image, np.float64)
 
 
 def _lamps(p: Floats, u: Floats, v: Floats) -> Floats:
@@ -53,15 +53,15 @@ def _lamps(p: Floats, u: Floats, v: Floats) -> Floats:
         cosine = to_lamp[2] - slope_u * to_lamp[0] - slope_v * to_lamp[1]
         light = np.logaddexp(0, 8 * cosine) / 8 / np.square(to_lamp).sum(axis=0)
         image = image + 0.12 * light[..., None] * np.array(color)
-    return 1 - np.exp(-image)
+    return np.asarray(1 - np.exp(-image), np.float64)
 
 
 def _waves(p: Floats, u: Floats, v: Floats) -> Floats:
     phase = 2 * np.pi * (p[0] * u + p[1] * v + 0.5 * p[2])
     gradient = np.stack([p[5 + c] * u + (1 - p[5 + c]) * p[8 + c] * v for c in range(3)], axis=-1)
-    return 0.5 * gradient + 0.5 * (p[3] + p[4] * np.sin(phase))[..., None] * np.array(
-        [0.5, 0.4, 0.3]
-    )
+    colors = np.array([0.5, 0.4, 0.3])
+    waves = (p[3] + p[4] * np.sin(phase))[..., None] * colors
+    return np.asarray(0.5 * gradient + 0.5 * waves, np.float64)
 
 
 def _sheets(p: Floats, u: Floats, v: Floats) -> Floats:

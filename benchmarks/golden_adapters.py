@@ -78,7 +78,8 @@ def suggest(trial: Any, mixed: bool) -> Float64:
     blue = {"low": 0.1, "middle": 0.5, "high": 0.9}[
         trial.suggest_categorical("blue", ["low", "middle", "high"])
     ]
-    return np.clip([x, y, red, green, blue, trial.suggest_int("n", 1, 64, log=True) / 64], 0, 1)
+    n = trial.suggest_int("n", 1, 64, log=True) / 64
+    return np.asarray(np.clip([x, y, red, green, blue, n], 0, 1), np.float64)
 
 
 def disks(X: Float64) -> Float32:

@@ -45,7 +45,7 @@ Row = dict[str, Any]
 
 def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
     """One run: how far each bead of the best candidate is from the truth, at each mark."""
-    task = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
+    task: Any = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
     start = time.process_time()
     opt = FIDE(task.space, task.target, loss=loss, learned=model, seed=row["seed"], **options)
     best, bead = np.inf, np.ones(task.dim // _AXES)
@@ -78,7 +78,7 @@ def apart(x: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.floa
     found, true = x.reshape(-1, _AXES), truth.reshape(-1, _AXES)
     distance = np.abs(found[:, None] - true[None]).max(axis=-1)
     mine, its = linear_sum_assignment(distance)
-    return distance[mine[np.argsort(its)], np.sort(its)]
+    return np.asarray(distance[mine[np.argsort(its)], np.sort(its)], np.float64)
 
 
 def table(rows: list[Row]) -> str:

@@ -49,7 +49,7 @@ def judge(directory: Path) -> Row:
     record = json.loads((directory / "run.json").read_text())
     settings, totals = record["settings"], record["totals"]
     size, options = settings["size"][0], settings["task_options"]
-    task = fide_tasks.make(settings["task"], size, settings["task_seed"], **options)
+    task: Any = fide_tasks.make(settings["task"], size, settings["task_seed"], **options)
     camera = [i for i, one in enumerate(task.parameters) if one.group == "camera"]
     periodic = np.array([one.periodic for one in task.parameters])
     apart = difference(np.array(totals["x_best"]), task.x_star, periodic)
@@ -65,7 +65,7 @@ def judge(directory: Path) -> Row:
 
 def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
     """One run: how far the best camera is from the truth, and since which render it is near."""
-    task = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
+    task: Any = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
     camera = [i for i, one in enumerate(task.parameters) if one.group == "camera"]
     periodic = np.array([one.periodic for one in task.parameters])
     opt = FIDE(task.space, task.target, loss=loss, learned=model, seed=row["seed"], **options)

@@ -125,7 +125,8 @@ def run(name: str, configuration: str, seed: int) -> dict[str, Any]:
     seconds = time.process_time() - start
     return {
         "problem": name, "configuration": configuration, "seed": seed, "goal": problem.goal,
-        "reached": reached, "best": best, "searches": opt._searches, "cpu_s": round(seconds, 2),
+        "reached": reached, "best": best, "searches": opt.state.searches,
+        "cpu_s": round(seconds, 2),
     }  # fmt: skip
 
 

@@ -200,11 +200,12 @@ def sheets(size: int, seed: int) -> tuple[int, NDArray[np.float32], Render]:
 
 def _sheet(things: NDArray[np.float64], size: int) -> NDArray[np.float32]:
     frame = np.full((size, size, 3), 0.9, np.float32)
-    for x, y, a, b, angle, *color, opacity in things.tolist():
+    numbers: list[list[float]] = things.tolist()
+    for x, y, a, b, angle, *color, opacity in numbers:
         mask = np.zeros((size, size), np.uint8)
         center = (round(x * size * 16), round(y * size * 16))
         axes = (round((0.15 + 0.35 * a) * size * 16), round((0.15 + 0.35 * b) * size * 16))
-        points = cv2.ellipse2Poly((0, 0), axes, 0, 0, 360, 6).astype(np.float64)
+        points = np.asarray(cv2.ellipse2Poly((0, 0), axes, 0, 0, 360, 6), np.float64)
         turn = np.pi * angle
         rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         outline = np.rint(points @ rotation + center).astype(np.int32)

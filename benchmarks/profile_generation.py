@@ -26,11 +26,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from quality import append, machine
+from quality import append
 from torch.utils.flop_counter import FlopCounterMode
 
 import fide_tasks
-from fide_plugins import FIDE, fide as fide_module
+from fide_plugins import FIDE
+from fide_plugins.experiments.run.machine import machine
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.search.cma_es import CMAES
 
@@ -100,15 +101,15 @@ def watched(optimizer: FIDE, watch: Stopwatch) -> list[Callable[[], None]]:
     undo = [
         watch.wrap(CMAES, "sample", "search"),
         watch.wrap(CMAES, "tell", "search"),
-        watch.wrap(fide_module, "as_batch", "copy"),
-        watch.wrap(optimizer, "_note", "copy"),
-        watch.wrap(optimizer._encoder, "compute", "encode"),
-        watch.wrap(optimizer._loss, "compute", "loss"),
+        watch.wrap(optimizer.evaluator, "as_batch", "copy"),
+        watch.wrap(optimizer.state, "record", "copy"),
+        watch.wrap(optimizer.encoder, "compute", "encode"),
+        watch.wrap(optimizer.evaluator.loss, "compute", "loss"),
     ]
-    if optimizer._proposer is not None:
+    if optimizer.state.proposer is not None:
         undo += [
-            watch.wrap(optimizer._proposer, "update", "train"),
-            watch.wrap(optimizer._proposer, "propose", "sample"),
+            watch.wrap(optimizer.state.proposer, "update", "train"),
+            watch.wrap(optimizer.state.proposer, "propose", "sample"),
         ]
     return undo
 

@@ -21,10 +21,11 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, machine
+from quality import append
 
 import fide_tasks
 from fide_plugins import FIDE
+from fide_plugins.experiments.run.machine import machine
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "retarget.jsonl"

@@ -19,6 +19,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 import torch
-from quality import Row, append, machine, rows_of
+from quality import Row, append, rows_of
 from torch import Tensor
 from torch.nn import functional as F
 
 import fide_tasks
+from fide_plugins.experiments.run.machine import machine
 from fide_plugins.learning import training
 from fide_plugins.learning.augmentation import augmented
 from fide_plugins.learning.network import Network, as_input
@@ -140,7 +142,7 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
         if (name, renders, passes, seed, learned) in done:
             continue
         network = Network((SIZE, SIZE), [False] * task.dim, seed=seed)
-        training.augmented = lambda images, generator, _, change=change: change(images, generator)
+        setattr(training, "augmented", partial(_changed, change))  # noqa: B010
         start = time.process_time()
         Training(network, x, images, passes, seed=seed).run()
         seconds = time.process_time() - start
@@ -163,11 +165,19 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
             print(row["learned"], row["pictures"], row["nats"], row["near"], flush=True)
 
 
+def _changed(change: Callable[..., Any], images: Any, generator: Any, augment: str) -> Any:
+    """As `training.augmented`, with one change of ours."""
+    return change(images, generator)
+
+
 @torch.no_grad()
 def judged(network: Network, truth: Any, images: Any, seen: list[int]) -> dict[str, float]:
     """Nats of the truth (n, d) given images (n, H, W, 3), and how often a hypothesis is near."""
     shown, u = as_input(images), torch.from_numpy(truth.astype(np.float32))
-    nats = [network.log_prob(*some) for some in zip(shown.split(100), u.split(100), strict=True)]
+    nats = [
+        network.log_prob(*some)
+        for some in zip(torch.split(shown, 100), torch.split(u, 100), strict=True)
+    ]
     generator = torch.Generator().manual_seed(0)
     near = [
         (network.sample(image[None], 64, generator) - x)[:, seen].abs().amax(1).min() <= 0.1

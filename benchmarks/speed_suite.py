@@ -25,8 +25,8 @@ from profile_overlap import CONFIGURATIONS, Late
 
 import fide_tasks
 from fide_plugins import FIDE, encoders, losses
-from fide_plugins.denoiser.precision import has_bfloat16
 from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.runtime.devices import has_bfloat16
 
 pytestmark = pytest.mark.benchmark(warmup=True, warmup_iterations=2, timer=time.process_time)
 
