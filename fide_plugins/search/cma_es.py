@@ -58,6 +58,7 @@ _SCHEMA: Schema = {
     "D": array("d", low=1e-30, high=1e6),
     "two_point": maybe({"shift": array("d", low=-1e60, high=1e60), "trend": real(-1.0, 1.0)}),
 }
+_WIDE_ENOUGH = 1 / 3  # of the box, in which such samples are nearly uniform
 _OUTLIER = 10.0  # times the longest step that a sample may have; none ever is as long
 
 
@@ -163,11 +164,12 @@ class CMAES:
 
         z: (k, d), candidates as drawn (not repaired).
         losses: (k,); the lower the better, +inf allowed.  Only their order matters: where none is
-            finite there is no order, and nothing changes.
+            finite there is no order, and the next generation is wider.
         injected: (k,), which of them this distribution did not draw.
         pair: where among them the first two of the sample are; None if one of them was lost.
         """
         if not np.isfinite(losses).any():
+            self._widen()
             return
         order = np.argsort(losses, kind="stable")
         y, lengths = self._steps(z[order], injected[order])
@@ -187,6 +189,11 @@ class CMAES:
             self._scale_sigma(self.largest_std / std.mean())
         elif std.max() < _SMALLEST_STD:
             self._scale_sigma(_SMALLEST_STD / std.max())
+
+    def _widen(self) -> None:
+        """Double the distribution where nothing around the mean has a loss; `tell` narrows it."""
+        mean = float(self.std.mean())
+        self._scale_sigma(max(1.0, min(2.0, _WIDE_ENOUGH / mean)))
 
     def preview(self, z: Float64, losses: Float64, injected: npt.NDArray[np.bool_]) -> CMAES:
         """Return a copy that was told z (n, d), only part of a generation; see `tell`.

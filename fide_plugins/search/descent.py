@@ -75,6 +75,7 @@ class Descent:
             goal,
             patience_alone(dim, self.popsize),
             np.inf if start.brisk_above is None else start.brisk_above,
+            start.to_the_end,
         )
 
     @property

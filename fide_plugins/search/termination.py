@@ -22,6 +22,7 @@ from fide_plugins.types import Float64
 __all__ = ["Termination", "default_patience", "has_stalled", "is_hopeless", "patience_alone"]
 
 _COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
+_TO_THE_END = 1e-7  # of sigma0: pixels are single precision, and say nothing of smaller steps
 _CONVERGED = 1e-11  # of sigma0; `cma`: tolx
 _RATE_OVER = 3  # generations
 _HORIZON = 8  # generations in which the loss to beat must be within reach
@@ -74,6 +75,7 @@ class Termination:
     goal: loss that the search has to beat; +inf for none.
     patience_alone: generations without any improvement that end it where no image guides it.
     brisk_above: loss above which it has to be brisk; +inf for none.
+    to_the_end: whether it goes on where it has collapsed, until images say nothing more.
     """
 
     def __init__(
@@ -84,10 +86,12 @@ class Termination:
         goal: float = np.inf,
         patience_alone: int = 100,
         brisk_above: float = np.inf,
+        to_the_end: bool = False,
     ) -> None:
         self.sigma0, self.patience, self.improvement = sigma0, patience, improvement
         self.goal, self.patience_alone = goal, patience_alone
         self.brisk_above = brisk_above
+        self._narrowest = _TO_THE_END if to_the_end else _COLLAPSED
         self.history: list[float] = []
         """Best loss after each of the last generations, as many as anybody asks for."""
 
@@ -110,7 +114,7 @@ class Termination:
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
             return converged or has_stalled(self.history, self.patience_alone, 0.0)
-        collapsed = bool((std < _COLLAPSED * self.sigma0).all())
+        collapsed = bool((std < self._narrowest * self.sigma0).all())
         if self.history and self.history[-1] > self.brisk_above:
             stalled = has_stalled(self.history, self._brisk_patience, _BRISK_IMPROVEMENT)
         else:

@@ -81,6 +81,18 @@ def test_restarts_without_any_image(target: Float32) -> None:
         assert opt.best is not None and opt.best.loss < 1e-5
 
 
+@pytest.mark.parametrize("restarts", ["moves", "none"])
+def test_a_search_leaves_a_region_in_which_all_renders_fail(target: Float32, restarts: str) -> None:
+    """It begins narrowly in its middle, five standard deviations from where it ends."""
+    for seed in range(10):
+        opt = FIDE(4, target, seed=seed, sigma0=0.05, restarts=restarts)
+        for _ in range(20):
+            X = opt.ask()
+            inside = np.abs(X - 0.5).max(axis=1) < 0.25
+            opt.tell(X, None, np.where(inside, np.inf, sphere(X)))
+        assert opt.best is not None
+
+
 def test_an_image_that_never_changes(target: Float32) -> None:
     opt = FIDE(4, target, seed=0)
     for _ in range(60):

@@ -176,14 +176,22 @@ def test_symmetric_positive_definite_whatever_is_told(what: str, injected: bool)
         check_sane(search)
 
 
-def test_a_generation_without_a_finite_loss_changes_nothing() -> None:
-    """There is no order to learn from; the mean would walk at random, and sigma grow."""
-    search, rng = CMAES(np.full(4, 0.5), 0.1, 8), np.random.default_rng(0)
+def test_a_generation_without_a_finite_loss_only_widens() -> None:
+    """There is no order to learn from, but nothing to be found here either."""
+    search, rng = CMAES(np.full(4, 0.5), 0.05, 8), np.random.default_rng(0)
     search.tell(z := search.sample(8, rng), z[:, 0], own(8))
     before = copy.deepcopy(search.state_dict())
-    search.tell(search.sample(8, rng), np.full(8, np.inf), own(8))
-    for name, value in search.state_dict().items():
-        np.testing.assert_array_equal(value, before[name], err_msg=name)
+    for factor in (2.0, 4.0):
+        search.tell(search.sample(8, rng), np.full(8, np.inf), own(8))
+        state = search.state_dict()
+        assert state.pop("sigma") == pytest.approx(factor * before["sigma"])
+        for name, value in state.items():
+            np.testing.assert_array_equal(value, before[name], err_msg=name)
+    for _ in range(5):
+        search.tell(search.sample(8, rng), np.full(8, np.inf), own(8))
+    assert search.std.mean() == pytest.approx(1 / 3)
+    search.tell(z := search.sample(8, rng), z[:, 0], own(8))
+    assert search.std.mean() <= 0.05 * (1 + 1e-12)  # no wider than it began, once there is a loss
 
 
 @pytest.mark.parametrize("std", [[1.0, 1e-8], [1.0, 1e-12], [1e-150, 1e150]])

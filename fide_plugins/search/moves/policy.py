@@ -17,7 +17,7 @@ or a new descent (`optima`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,8 @@ class MovePolicy:
             if found is not None:
                 self._settle(found, evaluations)
             if guided and self._refines():
-                self.start = self._moves[Refine.name].begin_at(self.known, self.known.here.x)
+                start = self._moves[Refine.name].begin_at(self.known, self.known.here.x)
+                self.start = replace(start, to_the_end=False)  # other hypotheses wait
                 self.move = Refine.name
                 return self._go(Stage.SEARCH)
             if guided and self._resamples(before):
@@ -365,8 +366,9 @@ class MovePolicy:
 
 
 def _completed(state: Mapping[str, Any]) -> dict[str, Any]:
-    """State of a version in which no start had to be brisk or could widen, as this one has it."""
-    return {**state, "start": {"brisk_above": None, "widest": 1.0, **state["start"]}}
+    """State of a version whose starts had fewer settings, as this one has it."""
+    older = {"brisk_above": None, "widest": 1.0, "to_the_end": False}
+    return {**state, "start": {**older, **state["start"]}}
 
 
 def _gain(before: float, after: float) -> float:

@@ -2,7 +2,8 @@
 
 A search is over soon, so that the next move can begin, and what it found is mostly not as good as
 it could be. This move goes on with more patience and a narrow distribution, once an optimum has
-been left in vain.
+been left in vain. It ends where the loss no longer falls, which is soon in the wrong place, and in
+the right one where numbers end.
 """
 
 from __future__ import annotations
@@ -42,4 +43,5 @@ class Refine:
         optimum = known.optima.of(known.here)
         if optimum is not None:
             optimum.refined = True
-        return Start(known.here.x, _WIDTH * known.sigma0, patience=_PATIENCE)
+        width = _WIDTH * known.sigma0
+        return Start(known.here.x, width, patience=_PATIENCE, to_the_end=True)
