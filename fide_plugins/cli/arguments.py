@@ -51,7 +51,7 @@ def setting(text: str) -> tuple[str, Any]:
 def lists(text: str) -> list[Any]:
     """Parse a list of lists, as JSON has it, such as [[0,1],[2,3]]; what is in them is not checked.
 
-    A list without lists, as [] is, will do.
+    The empty list is allowed.
     """
     if not text.startswith("["):
         raise argparse.ArgumentTypeError(f"a list such as [[0,1],[2,3]], or [], not {text!r}")

@@ -106,16 +106,16 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
         note(f"{who}: it stopped: {paragraph(error)}")
         if any(Path(f"{args.out}.renders").glob("*.npz")):
             note(f"{_KEPT} {plain(args.out)}.renders")
-            _continue_with(command)
+            _continue_with(command, "when that is mended, ")
         return 1
     print(model.report)
     print(f"use it with: --learned {plain(args.out)}")
     return 0
 
 
-def _continue_with(command: list[str]) -> None:
+def _continue_with(command: list[str], when: str = "") -> None:
     words = command if "--resume" in command else [*command, "--resume"]
-    note(f"continue with: {plain(shlex.join(words))}")
+    note(f"{when}continue with: {plain(shlex.join(words))}")
 
 
 def _check_free(args: argparse.Namespace) -> None:

@@ -18,14 +18,14 @@ def kind_of(
     groups: blocks of axes; empty: nothing is exchangeable; None: the largest family of the space.
     head: name in `network.HEADS`; None: "set" where there are blocks, "autoregressive" elsewhere.
 
-    Raises OptionError for groups that are none, and for the head "set" without blocks.
+    Raises OptionError for groups that are not blocks, and for the head "set" without blocks.
     """
     from fide_plugins.search.moves.exchangeability import check_groups
 
     if groups is None:
         groups = [] if renderer.space is None else renderer.space.largest_family
     elif not (hasattr(groups, "__len__") and len(groups) == 0):
-        check_groups(groups, renderer.dim)
+        groups = check_groups(groups, renderer.dim).tolist()
     if head == "set" and len(groups) == 0:
         raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
     blocks = tuple(tuple(int(i) for i in block) for block in groups)

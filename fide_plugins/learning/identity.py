@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.learning.renderer import Pixels, Renderer, resized
@@ -18,6 +19,8 @@ from fide_plugins.renderers.fingerprint import changed, check_version, fingerpri
 from fide_plugins.types import Float64
 
 __all__ = ["check_images", "version_for"]
+
+Mask = npt.NDArray[np.bool_]
 
 _POINTS = 8  # of which every second one decides where nothing is noisy
 _AGAIN = 4  # renders of each for its noise
@@ -51,17 +54,18 @@ def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
         rendered unless the source of the renderer was changed, and no version vouches for it.
 
     Four renders where nothing has changed and nothing is noisy; up to 36 otherwise.  RenderError if
-    one fails.
+    most of them fail, OSError if the folder cannot be written.  Not noticed is what changes less
+    than a thousandth of all values, such as a small object, or less than the noise.
     """
     now = fingerprint_of(renderer.source)
-    vouched = store.settings.get("version") is not None  # the store compares versions itself
-    if not more and (vouched or not changed(store.fingerprint, now)):
-        return
-    x, seeds, images = store.examples(_POINTS)
-    if len(x):
-        _compare(store, renderer, x, seeds, images)
-    if now != store.fingerprint:
-        store.accept(now)
+    vouched = store.version is not None  # the store compares versions itself
+    if more or (not vouched and changed(store.fingerprint, now)):
+        x, seeds, images = store.examples(_POINTS)
+        if len(x):
+            _compare(store, renderer, x, seeds, images)
+    stated = store.settings.get("version") != store.version
+    if stated or (now is not None and now != store.fingerprint):
+        store.accept(now or store.fingerprint)
 
 
 def _compare(
@@ -69,16 +73,13 @@ def _compare(
 ) -> None:
     """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
     few = slice(None, None, 2)
-    if _equal(_images(store, renderer, x[few], seeds[few]), images[few]):
+    drawn, kept = _images(store, renderer, x[few], [seeds[few]])
+    if _equal(drawn[0], images[few][kept]):
         return
-    drawn = np.array(
-        [
-            _images(store, renderer, x, [seed + k * _SEED for seed in seeds])
-            for k in range(1, 1 + _AGAIN)
-        ]
-    )
-    fine = _distances(images, drawn)
-    coarse = _distances(_averaged(images), np.array([_averaged(some) for some in drawn]))
+    again = [[seed + k * _SEED for seed in seeds] for k in range(1, 1 + _AGAIN)]
+    drawn, kept = _images(store, renderer, x, again)
+    fine = _distances(images[kept], drawn)
+    coarse = _distances(_averaged(images[kept]), np.array([_averaged(some) for some in drawn]))
     for difference, noise in (fine, coarse):
         if difference > _NOISY * noise:
             raise OptionError(
@@ -88,16 +89,28 @@ def _compare(
             )
 
 
-def _images(store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[int]) -> Float64:
-    """Images (n, H, W, 3) in units of 1 / 255; raises RenderError if one fails."""
-    images = renderer.small(x, seeds, store.size)
-    for image in images:
-        if isinstance(image, str):
-            raise RenderError(
-                f"{renderer.name} failed for parameters of which {store.folder} has an image; mend "
-                f"the renderer, or delete the folder if it is of another one: {image}"
-            )
-    return np.array(images, np.float64)
+def _images(
+    store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[Sequence[int]]
+) -> tuple[Float64, Mask]:
+    """Images (k, m, H, W, 3) in units of 1 / 255 of points (n, d), and which (n,) are among them.
+
+    seeds: of the noise, (k, n).  Points of which a render failed are left out; RenderError if they
+        are more than half.
+    """
+    drawn = [renderer.small(x, some, store.size) for some in seeds]
+    failures = [
+        next((one for one in of if isinstance(one, str)), None) for of in zip(*drawn, strict=True)
+    ]
+    kept = np.array([failure is None for failure in failures])
+    if kept.sum() < len(x) / 2:
+        first = next(failure for failure in failures if failure is not None)
+        raise RenderError(
+            f"{renderer.name} failed for most parameters that were rendered again, of which "
+            f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
+            f"another one: {first}"
+        )
+    images = [[image for image, good in zip(some, kept, strict=True) if good] for some in drawn]
+    return np.array(images, np.float64), kept
 
 
 def _equal(one: Float64, other: Pixels) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import CheckpointError, OptionError, UnknownNameError
+from fide_plugins.errors import CheckpointError, DeviceError, OptionError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.familiarity import Familiarity
@@ -250,7 +250,7 @@ class _Plan:
             self.renders,
             workers=self.workers,
             executor=self.executor,
-            seconds=None if self.seconds is None else _RENDERING * self.seconds,
+            seconds=self._left(_RENDERING),
             on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
         )
         x, images = store.read(self.renders)
@@ -266,11 +266,17 @@ class _Plan:
         network.to("cpu").eval()
         return self._judged(network, x, images, sum(failed.values()), training)
 
+    def _left(self, share: float = 1.0) -> float | None:
+        """Seconds until a share of the time has passed since the beginning; None: no limit."""
+        if self.seconds is None:
+            return None
+        left = share * self.seconds - (clock.monotonic() - self.start)
+        return max(left, min(1e-3, share * self.seconds))
+
     def _train(self, network: Network, x: Float64, images: Pixels, file: Path) -> Training:
-        left = None
-        if self.seconds is not None:
-            left = max(1e-3, self.seconds - (clock.monotonic() - self.start))
-        training = Training(network, x, images, self.passes, self.seed, left, augment=self.augment)
+        training = Training(
+            network, x, images, self.passes, self.seed, self._left(), augment=self.augment
+        )
         plan = {"renders": len(x), "passes": self.passes, "head": self.head, "seed": self.seed}
         plan["augment"] = self.augment
         plan["blocks"] = [list(block) for block in self.blocks]
@@ -283,7 +289,13 @@ class _Plan:
         def report(at: Progress) -> None:
             self.on_progress(LearnProgress("train", at.passed, at.passes, at.held_out))
 
-        training.run(report, save)
+        try:
+            training.run(report, save)
+        except torch.OutOfMemoryError as error:
+            raise DeviceError(
+                f"{network.device} has too little memory for training ({error}); take "
+                "device='cpu', a smaller size, or free it; what was rendered is kept"
+            ) from error
         return training
 
     def _judged(
@@ -357,12 +369,13 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
     saved = checkpoint.read(file, _KIND)
     there = {"augment": "photograph", **saved.get("plan", {})}  # older plans do not name it
     passes = there.get("passes")
-    fewer = isinstance(passes, int) and passes <= plan["passes"]
-    if not fewer or {**there, "passes": plan["passes"]} != plan:
+    if not isinstance(passes, int) or passes > plan["passes"]:
+        return
+    if {**there, "passes": plan["passes"]} != plan:
         return
     try:
         training.load_state_dict(saved["state"])
-        training.extended |= passes != plan["passes"]
+        training.extended |= passes != plan["passes"] and training.ended_at(passes)
     except IMPOSSIBLE as error:
         raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
 

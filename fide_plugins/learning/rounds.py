@@ -126,7 +126,13 @@ class Rounds:
 
         file = folder / f"{name}.fide"
         if file.exists():
-            there: Model = model_for(file, self.render)
+            try:
+                there: Model = model_for(file, self.render)
+            except OptionError as error:
+                raise OptionError(
+                    f"{folder} holds models of rounds with another version of the renderer "
+                    f"({error}); name another run directory, or delete this one"
+                ) from error
             return there
 
         def report(at: LearnProgress) -> None:

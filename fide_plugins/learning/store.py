@@ -60,12 +60,15 @@ class RenderStore:
             return
         there = checkpoint.read(self._file, _KIND)
         self.fingerprint: str | None = there.pop("fingerprint", None)
+        self.version: str | None = there.get("version")
+        if self.version is None:  # one that is stated now may be that of the images, see `identity`
+            there["version"] = self.settings.get("version")
         _check_same(self.folder, there, self.settings)
 
     def accept(self, fingerprint: str | None) -> None:
-        """Record the fingerprint of the renderer whose images these are."""
+        """Record fingerprint and version of the renderer whose images these are; or OSError."""
         checkpoint.write(self._file, _KIND, {**self.settings, "fingerprint": fingerprint})
-        self.fingerprint = fingerprint
+        self.fingerprint, self.version = fingerprint, self.settings.get("version")
 
     @classmethod
     def there(cls, folder: str | os.PathLike[str]) -> Self:

@@ -125,9 +125,12 @@ class Training:
     @property
     def over(self) -> bool:
         """Whether training is complete."""
-        if self.passed >= self.passes or self._late():
-            return True
-        return not self.extended and self.passed - self._best_pass > _PATIENCE
+        return self._late() or self.ended_at(self.passes)
+
+    def ended_at(self, passes: int) -> bool:
+        """Whether a schedule of so many passes is over, or was ended early."""
+        stalled = not self.extended and self.passed - self._best_pass > _PATIENCE
+        return self.passed >= passes or stalled
 
     @property
     def _best_pass(self) -> int:

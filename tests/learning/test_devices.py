@@ -7,6 +7,7 @@ mix them with others. So a loss that can be computed there computes on any one d
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,3 +115,20 @@ def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     assert model.network.device.type == "cpu"
     assert model.report.nll < -1.0
     assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
+
+
+def test_a_full_gpu_is_an_error_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What was rendered is kept: another device goes on with it."""
+
+    def full(*_: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    options: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1, "out": tmp_path / "m"}
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "run", full)
+        with pytest.raises(DeviceError, match="too little memory .*device='cpu', a smaller size"):
+            learn(disk, SPACE, **options)
+    assert (tmp_path / "m.renders" / "000000.npz").exists()
+    assert learn(disk, SPACE, **options, device="cpu").report.renders == 98

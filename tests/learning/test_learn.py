@@ -71,8 +71,6 @@ def test_what_was_rendered_is_not_rendered_again(tmp_path: Path) -> None:
 
 
 def test_other_renders_are_refused_with_the_difference(learned: Path) -> None:
-    with pytest.raises(OptionError, match="its version is None, not '2'"):
-        learn(disk, SPACE, size=SIDE, out=learned, version="2")
     with pytest.raises(OptionError, match=r"its size is \[16, 16\], not \[20, 20\]"):
         learn(disk, SPACE, size=20, out=learned)
 
@@ -325,6 +323,21 @@ def test_only_a_longer_schedule_is_extended(passes: int, tmp_path: Path) -> None
         state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
         seen.append(state["extended"])
     assert seen == [False, passes < 2, passes < 2]
+
+
+def test_a_longer_schedule_that_was_only_interrupted_is_not_extended(tmp_path: Path) -> None:
+    """It ends early where nothing improves, as if it had been asked for at once."""
+
+    def stop(at: LearnProgress) -> None:
+        if at.stage == "train" and at.done == 2:
+            raise KeyboardInterrupt
+
+    options: dict[str, Any] = {"renders": 200, "size": SIDE, "out": tmp_path / "m"}
+    with pytest.raises(KeyboardInterrupt):
+        learn(plain, 2, passes=4, on_progress=stop, **options)
+    learn(plain, 2, passes=5, **options)
+    state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
+    assert state["passed"] == 5 and not state["extended"]
 
 
 def test_an_unknown_way_to_change_images_is_refused() -> None:
