@@ -131,3 +131,17 @@ def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: 
         verdicts.append(search.is_over(WIDE))
     assert any(verdicts) == over
     assert not any(verdicts[:5])
+
+
+@pytest.mark.parametrize("to_the_end", [False, True])
+def test_a_narrow_search_goes_on_to_the_end_while_the_loss_falls(to_the_end: bool) -> None:
+    """Images tell steps of a hundred-millionth of the box from none, and smaller ones do not."""
+    search = Termination(1 / 6, 5, 0.1, to_the_end=to_the_end)
+    for generation in range(8):
+        search.note(np.array([0.5**generation]))
+    assert search.is_over(np.full(4, 0.9e-3)) != to_the_end
+    assert search.is_over(np.full(4, 2e-8)) != to_the_end
+    assert search.is_over(np.full(4, 1e-8))
+    for _ in range(6):
+        search.note(np.array([1.0]))
+    assert search.is_over(np.full(4, 0.9e-3)) and search.is_over(WIDE)  # it no longer falls
