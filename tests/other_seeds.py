@@ -41,4 +41,6 @@ def _flat(seed: Any) -> list[int] | None:
     return None if None in parts else [number for part in parts if part for number in part]
 
 
-np.random.default_rng = _other_rng
+def pytest_configure() -> None:
+    """Only as a plugin: doctests import every file."""
+    np.random.default_rng = _other_rng
