@@ -47,6 +47,7 @@ def test_it_is_scipy_to_the_last_bit(dim: int) -> None:
     losses = rastrigin(points)
     assert result.fun in losses  # and one of a finite difference may be below it
     assert ours.best is not None and ours.best.loss == losses.min()
+    np.testing.assert_array_equal(ours.best.x, points[losses.argmin()])
 
 
 def test_the_step_of_the_finite_differences_can_be_chosen() -> None:

@@ -119,13 +119,25 @@ def test_a_round_that_is_done_is_not_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("few")
+def test_a_run_that_goes_on_with_another_version_is_told_which_folder(tmp_path: Path) -> None:
+    """The user gave no model, so that leaving it out would be no remedy."""
+    render: Any = Disk(stop=280)
+    render.version = "1"
+    with pytest.raises(Stop):
+        fitted(render, out=tmp_path)
+    render.version = "2"
+    with pytest.raises(OptionError, match="rounds holds models .*name another run directory"):
+        fitted(render, out=tmp_path, resume=True)
+
+
+@pytest.mark.usefixtures("few")
 def test_an_unknown_picture_has_no_second_round() -> None:
     noise = np.random.default_rng(0).random((SIDE, SIDE, 3))
     with pytest.warns(RuntimeWarning, match="learned nothing like this picture"):
-        result = fitted(picture=noise, budget=1500)  # of a few renders it could not tell
-    assert result.evaluations == 1500
-    assert np.isinf(result.curve[:600, 1]).all()
-    assert np.isfinite(result.curve[600:, 1]).all()
+        result = fitted(picture=noise, budget=5000)  # of a few renders it could not tell
+    assert result.evaluations == 5000
+    assert np.isinf(result.curve[:2000, 1]).all()
+    assert np.isfinite(result.curve[2000:, 1]).all()
 
 
 @pytest.mark.usefixtures("few")
