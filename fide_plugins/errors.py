@@ -92,6 +92,10 @@ class DeviceError(FideError, ValueError):
     """A compute device is unknown or absent from this machine."""
 
 
+class DeviceMemoryError(FideError, RuntimeError):
+    """A compute device has too little memory for what is asked."""
+
+
 class DependencyError(FideError, ImportError):
     """An optional package is needed and not installed."""
 

@@ -1,9 +1,10 @@
-"""Plugin of pytest: every seed of FIDE and of its tests is another one, see README.md here.
+"""Plugin of pytest: seeds of FIDE and of its tests are others, see README.md here.
 
     FIDE_SEEDS=4 python -m pytest -p tests.other_seeds tests/fide
 
 A test that fails then depends on the luck of its seed: on another processor, which rounds
-differently, it may fail without any plugin.
+differently, it may fail without any plugin.  Seeds of `np.random.default_rng` are meant; networks,
+and what takes a `SeedSequence` or `RandomState` of its own, keep theirs.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 
 _SEED = int(os.environ.get("FIDE_SEEDS", "1"))
+if _SEED < 0:
+    raise ValueError(f"FIDE_SEEDS must be a whole number >= 0, not {_SEED}")
 _OURS = ("fide_plugins", "tests")  # the scenes keep what they are made of
 _numpys = np.random.default_rng
 
@@ -35,7 +38,7 @@ def _flat(seed: Any) -> list[int] | None:
     """Whole numbers of a seed; None for a generator, and for what is refused."""
     if isinstance(seed, int | np.integer):
         return [int(seed)]
-    if not isinstance(seed, Sequence | np.ndarray):
+    if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str | bytes):
         return None
     parts = [_flat(part) for part in seed]
     return None if None in parts else [number for part in parts if part for number in part]

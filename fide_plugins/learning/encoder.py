@@ -61,9 +61,10 @@ class Encoder(nn.Module):
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
 
     def standardize(self, images: Tensor) -> None:
-        """Take mean image and contrast from images (B, 3, H, W)."""
-        self.mean.copy_(images.mean(dim=0))
-        self.std.copy_((images - self.mean).square().mean().sqrt().clamp_min(1e-3))
+        """Take mean image and contrast from images (B, 3, H, W), on any device."""
+        mean = images.mean(dim=0)
+        self.mean.copy_(mean)
+        self.std.copy_((images - mean).square().mean().sqrt().clamp_min(1e-3))
 
     def _map(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, channels, h, w)."""

@@ -3,7 +3,8 @@
 The Mahalanobis distance of its features from those of training renders (Lee et al. 2018,
 arXiv:1807.03888), compared with the distances of held-out renders.  Of a few of these the largest
 is hardly a bound, so the prediction interval of a further one counts as well, with normal
-logarithms.
+logarithms.  How much distances vary is known from training renders, too: from those of each fifth
+to the other four.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ __all__ = ["Familiarity"]
 _QUANTILE = 0.995  # of distances of renders: these are familiar
 _MARGIN = 1.25  # a picture is not a render
 _RIDGE = 1e-3  # of the mean variance
+_FOLDS = 5
+_FEW = 20  # held-out renders, below which training renders say how distances vary
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,10 @@ class Familiarity:
     @classmethod
     def of(cls, training: Float64, held_out: Float64) -> Self:
         """Familiarity of features (n, F) of training renders, judged on others (m, F)."""
-        mean = training.mean(axis=0)
-        covariance = np.atleast_2d(np.cov(training, rowvar=False))
-        ridge = _RIDGE * max(float(np.trace(covariance)) / len(mean), 1e-12)
-        precision = _inverse(covariance + ridge * np.eye(len(mean)))
-        draft = cls(mean, precision, 0.0)
-        return cls(mean, precision, _MARGIN * _usual(draft.distances(held_out)))
+        mean, precision = _moments(training)
+        distances = cls(mean, precision, 0.0).distances(held_out)
+        others = _across(cls, training) if len(held_out) < _FEW else np.empty(0)
+        return cls(mean, precision, _MARGIN * _usual(distances, others))
 
     def distances(self, features: Float64) -> Float64:
         """Mahalanobis distances (n,) of features (n, F)."""
@@ -62,15 +63,39 @@ class Familiarity:
         return cls(state["mean"], state["precision"], state["threshold"])
 
 
-def _usual(distances: Float64) -> float:
-    """Distance that hardly any further render exceeds, by those of some (m,)."""
+def _across(kind: type[Familiarity], training: Float64) -> Float64:
+    """Distance (n,) of each of n renders from those of the other folds."""
+    fold = np.arange(len(training)) % _FOLDS
+    found = np.empty(len(training))
+    for k in range(_FOLDS):
+        found[fold == k] = kind(*_moments(training[fold != k]), 0.0).distances(training[fold == k])
+    return found
+
+
+def _moments(features: Float64) -> tuple[Float64, Float64]:
+    """Mean (F,) and precision (F, F) of features (n, F)."""
+    covariance = np.atleast_2d(np.cov(features, rowvar=False))
+    ridge = _RIDGE * max(float(np.trace(covariance)) / features.shape[1], 1e-12)
+    inverse = np.linalg.inv(covariance + ridge * np.eye(features.shape[1]))
+    return features.mean(axis=0), np.asarray(inverse, np.float64)
+
+
+def _usual(distances: Float64, others: Float64) -> float:
+    """Distance that hardly any further render exceeds, by those of some (m,).
+
+    others: (n,), distances that vary as these do, of another size perhaps.
+    """
     seen = float(np.quantile(distances, _QUANTILE))
-    if len(distances) < 2 or seen == 0:
+    samples = [_logs(some) for some in (distances, others) if len(some) > 1]
+    freedom = sum(len(logs) - 1 for logs in samples)
+    if freedom == 0 or seen == 0:
         return seen
-    logs = np.log(np.maximum(distances, 1e-3 * seen))
-    error = float(logs.std(ddof=1)) * np.sqrt(1 + 1 / len(logs))
-    return max(seen, float(np.exp(logs.mean() + t.ppf(_QUANTILE, len(logs) - 1) * error)))
+    variance = sum(float(np.square(logs - logs.mean()).sum()) for logs in samples) / freedom
+    error = np.sqrt(variance * (1 + 1 / len(distances)))
+    return max(seen, float(np.exp(_logs(distances).mean() + t.ppf(_QUANTILE, freedom) * error)))
 
 
-def _inverse(matrix: Float64) -> Float64:
-    return np.asarray(np.linalg.inv(matrix), np.float64)
+def _logs(distances: Float64) -> Float64:
+    """Logarithms (m,), bounded for distances that are 0."""
+    largest = max(float(distances.max()), 1e-300)
+    return np.asarray(np.log(np.maximum(distances, 1e-3 * largest)), np.float64)

@@ -51,19 +51,20 @@ def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
     """Raise OptionError if the renderer's images are no longer those of a store.
 
     more: whether the store's images will be learned together with new ones.  Without, nothing is
-        rendered unless the source of the renderer was changed, and no version vouches for it.
+        rendered unless a version is stated for the first time, or the source of the renderer was
+        changed and no version vouches for it.
 
     Four renders where nothing has changed and nothing is noisy; up to 36 otherwise.  RenderError if
-    most of them fail, OSError if the folder cannot be written.  Not noticed is what changes less
-    than a thousandth of all values, such as a small object, or less than the noise.
+    three in four of these fail, OSError if the folder cannot be written.  Not noticed is what
+    changes less than a thousandth of all values, such as a small object, or less than the noise.
     """
     now = fingerprint_of(renderer.source)
+    stated = store.settings.get("version") != store.version
     vouched = store.version is not None  # the store compares versions itself
-    if more or (not vouched and changed(store.fingerprint, now)):
+    if more or stated or (not vouched and changed(store.fingerprint, now)):
         x, seeds, images = store.examples(_POINTS)
         if len(x):
             _compare(store, renderer, x, seeds, images)
-    stated = store.settings.get("version") != store.version
     if stated or (now is not None and now != store.fingerprint):
         store.accept(now or store.fingerprint)
 
@@ -73,13 +74,19 @@ def _compare(
 ) -> None:
     """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
     few = slice(None, None, 2)
-    drawn, kept = _images(store, renderer, x[few], [seeds[few]])
-    if _equal(drawn[0], images[few][kept]):
+    drawn, _ = _images(store, renderer, x[few], [seeds[few]])
+    if _equal(drawn[0], images[few]):
         return
     again = [[seed + k * _SEED for seed in seeds] for k in range(1, 1 + _AGAIN)]
-    drawn, kept = _images(store, renderer, x, again)
-    fine = _distances(images[kept], drawn)
-    coarse = _distances(_averaged(images[kept]), np.array([_averaged(some) for some in drawn]))
+    drawn, failure = _images(store, renderer, x, again)
+    if _there(drawn).sum() <= len(x):  # with more there is a point with two, which tell the noise
+        raise RenderError(
+            f"{renderer.name} failed for most parameters that were rendered again, of which "
+            f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
+            f"another one: {failure}"
+        )
+    fine = _distances(images, drawn)
+    coarse = _distances(_averaged(images), np.array([_averaged(some) for some in drawn]))
     for difference, noise in (fine, coarse):
         if difference > _NOISY * noise:
             raise OptionError(
@@ -91,38 +98,38 @@ def _compare(
 
 def _images(
     store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[Sequence[int]]
-) -> tuple[Float64, Mask]:
-    """Images (k, m, H, W, 3) in units of 1 / 255 of points (n, d), and which (n,) are among them.
+) -> tuple[Float64, str | None]:
+    """Images (k, n, H, W, 3) in units of 1 / 255 of points (n, d), and why a render failed, if any.
 
-    seeds: of the noise, (k, n).  Points of which a render failed are left out; RenderError if they
-        are more than half.
+    seeds: of the noise, (k, n).  An image whose render failed is NaN.
     """
-    drawn = [renderer.small(x, some, store.size) for some in seeds]
-    failures = [
-        next((one for one in of if isinstance(one, str)), None) for of in zip(*drawn, strict=True)
-    ]
-    kept = np.array([failure is None for failure in failures])
-    if kept.sum() < len(x) / 2:
-        first = next(failure for failure in failures if failure is not None)
-        raise RenderError(
-            f"{renderer.name} failed for most parameters that were rendered again, of which "
-            f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
-            f"another one: {first}"
-        )
-    images = [[image for image, good in zip(some, kept, strict=True) if good] for some in drawn]
-    return np.array(images, np.float64), kept
+    images, failure = np.full((len(seeds), len(x), *store.size, 3), np.nan), None
+    for some, of_seed in zip(images, seeds, strict=True):
+        for place, image in zip(some, renderer.small(x, of_seed, store.size), strict=True):
+            if isinstance(image, str):
+                failure = image
+            else:
+                place[:] = image
+    return images, failure
+
+
+def _there(images: Float64) -> Mask:
+    """Which images (..., H, W, 3) are there, (...)."""
+    return ~np.isnan(images[..., 0, 0, 0])
 
 
 def _equal(one: Float64, other: Pixels) -> bool:
-    """Whether images differ by rounding alone."""
-    return float((np.abs(one - other) > _ROUNDING).mean()) <= _FLIPPED
+    """Whether images (n, H, W, 3) differ by rounding alone, at least half of which are there."""
+    there = _there(one)
+    if there.sum() < len(there) / 2:
+        return False
+    return float((np.abs(one[there] - other[there]) > _ROUNDING).mean()) <= _FLIPPED
 
 
 def _distances(stored: Float64 | Pixels, drawn: Float64) -> tuple[float, float]:
     """Mean difference of stored images (n, ...) from new ones (k, n, ...), and of the new ones."""
-    pairs = [(i, j) for i in range(len(drawn)) for j in range(i)]
-    noise = np.mean([np.abs(drawn[i] - drawn[j]).mean() for i, j in pairs])
-    return float(np.abs(drawn - stored).mean()), float(noise)
+    pairs = [drawn[i] - drawn[j] for i in range(len(drawn)) for j in range(i)]
+    return float(np.nanmean(np.abs(drawn - stored))), float(np.nanmean(np.abs(pairs)))
 
 
 def _averaged(images: Float64 | Pixels) -> Float64:

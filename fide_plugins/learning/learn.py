@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import tempfile
 import time as clock
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import CheckpointError, DeviceError, OptionError, UnknownNameError
+from fide_plugins.errors import (
+    CheckpointError,
+    DeviceMemoryError,
+    OptionError,
+    UnknownNameError,
+)
 from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.familiarity import Familiarity
@@ -30,6 +35,7 @@ from fide_plugins.learning.training import Progress, Training, held_out
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.batch_size import is_out_of_memory
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -146,8 +152,9 @@ def learn(
     ------
     OptionError, ImageError, DeviceError (ValueErrors): an argument is not what it must be, this
     machine has no such device, or the folder of renders holds others: their settings differ, or the
-    renderer's images do, see `learning.identity`.  RenderError: the renderer fails.  OSError: a
-    file cannot be written.
+    renderer's images do, see `learning.identity`.  RenderError: the renderer fails.
+    DeviceMemoryError (a RuntimeError): the device is full; the renders beside `out` are kept.
+    OSError: a file cannot be written.
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
@@ -211,7 +218,8 @@ class _Plan:
         self.region.model.check_space(self.renderer.space or self.renderer.dim)
         there = self.region.store.settings
         for name in ("renderer", "size", "version"):
-            if there[name] != self.settings[name]:
+            first = name == "version" and there[name] is None  # stated now: images are compared
+            if there[name] != self.settings[name] and not first:
                 raise OptionError(
                     f"the {name} of the model is {there[name]!r}, and here {self.settings[name]!r}"
                     ": both rounds must have the same"
@@ -262,7 +270,8 @@ class _Plan:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
-        training = self._train(network.to(self.device), x, images, store.folder / "training")
+        with _enough_memory(self.device):
+            training = self._train(network.to(self.device), x, images, store.folder / "training")
         network.to("cpu").eval()
         return self._judged(network, x, images, sum(failed.values()), training)
 
@@ -289,13 +298,7 @@ class _Plan:
         def report(at: Progress) -> None:
             self.on_progress(LearnProgress("train", at.passed, at.passes, at.held_out))
 
-        try:
-            training.run(report, save)
-        except torch.OutOfMemoryError as error:
-            raise DeviceError(
-                f"{network.device} has too little memory for training ({error}); take "
-                "device='cpu', a smaller size, or free it; what was rendered is kept"
-            ) from error
+        training.run(report, save)
         return training
 
     def _judged(
@@ -340,6 +343,20 @@ class _Plan:
         return [name for name, axes in space.axes.items() for _ in axes]
 
 
+@contextmanager
+def _enough_memory(device: torch.device) -> Iterator[None]:
+    """Raise DeviceMemoryError where what is done inside needs more memory than a GPU has."""
+    try:
+        yield
+    except RuntimeError as error:
+        if device.type == "cpu" or not is_out_of_memory(error):
+            raise
+        raise DeviceMemoryError(
+            f"{device} has too little memory for training ({error}); take device='cpu', or end "
+            "what else needs that memory"
+        ) from error
+
+
 def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) -> Truncated | None:
     """Where a second round renders; None for a first one."""
     if (after is None) != (picture is None):
@@ -375,7 +392,9 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
         return
     try:
         training.load_state_dict(saved["state"])
-        training.extended |= passes != plan["passes"] and training.ended_at(passes)
+        ended = training.ended_at(passes)  # in files of earlier versions, which lack "over"
+        was_over = saved["state"].get("over", ended)
+        training.extended |= was_over and not training.over
     except IMPOSSIBLE as error:
         raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
 

@@ -123,9 +123,11 @@ class Rounds:
         """
         from fide_plugins.learning.hypotheses import model_for
         from fide_plugins.learning.learn import learn
+        from fide_plugins.renderers.fingerprint import version_of
 
         file = folder / f"{name}.fide"
         if file.exists():
+            version_of(self.render)  # raises for one that is no text
             try:
                 there: Model = model_for(file, self.render)
             except OptionError as error:

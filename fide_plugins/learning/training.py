@@ -67,8 +67,9 @@ class Training:
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
     curve: see `Curve`.  passed: passes done.  spent: seconds that they took.
-    extended: whether a longer schedule took the place of one that was over.  It is not ended early:
-        its rate is high again, and held-out renders are better only when it has fallen.
+    extended: whether a longer schedule, or more time, took the place of one that was over.  It is
+        not ended early: its rate is high again, and held-out renders are better only when it has
+        fallen.
     """
 
     network: Network
@@ -92,7 +93,7 @@ class Training:
             self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True
         )
         first = self._train[:_STANDARD]
-        self.network.encoder.standardize(self._batch(first)[0])
+        self.network.encoder.standardize(as_input(self.images[first]))  # too many for a GPU
         self._best, self._best_weights = math.inf, _copy(self.network)
 
     def run(
@@ -204,6 +205,7 @@ class Training:
             "passed": self.passed,
             "spent": self.spent,
             "extended": self.extended,
+            "over": self.over,
             "curve": self.curve,
             "best": self._best,
             "weights": _copy(self.network),

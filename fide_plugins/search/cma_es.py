@@ -18,11 +18,12 @@ B, D       (d, d), (d,)   C = B diag(D^2) B^T
 Why not a library: `cmaes` and `cma` assume, or silently repair, candidates that are not theirs.
 Here a third of a generation may be injected, and two rules make that safe: an injected step is cut
 to the length a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES",
-arXiv:1110.4181, eq. 3), and the mean standard deviation never exceeds the one the search began
-with, because good injected candidates make the step-size path long for a reason that is no reason
-to widen the search.  With nothing injected and no cap the numbers are those of `cmaes` (tested), up
-to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), or when it
-was told of a candidate that no sample can be, and the step size follows `step_size.TwoPoint`.
+arXiv:1110.4181, eq. 3), and the mean standard deviation does not exceed the one the search began
+with (or a stated multiple), because good injected candidates make the step-size path long for a
+reason that is no reason to widen the search.  With nothing injected and no cap the numbers are
+those of `cmaes` (tested), up to dimensions of 4 k.  Beyond, C is decomposed only as often as it
+changes (section B.2), or when it was told of a candidate that no sample can be, and the step size
+follows `step_size.TwoPoint`.  Until a first candidate has a loss the search widens (`_widen`).
 """
 
 from __future__ import annotations
@@ -164,12 +165,14 @@ class CMAES:
 
         z: (k, d), candidates as drawn (not repaired).
         losses: (k,); the lower the better, +inf allowed.  Only their order matters: where none is
-            finite there is no order, and the next generation is wider.
+            finite there is no order, and nothing changes; but as long as there never was one, the
+            next generation is wider.
         injected: (k,), which of them this distribution did not draw.
         pair: where among them the first two of the sample are; None if one of them was lost.
         """
         if not np.isfinite(losses).any():
-            self._widen()
+            if self.generation == 0:
+                self._widen()
             return
         order = np.argsort(losses, kind="stable")
         y, lengths = self._steps(z[order], injected[order])
@@ -191,7 +194,7 @@ class CMAES:
             self._scale_sigma(_SMALLEST_STD / std.max())
 
     def _widen(self) -> None:
-        """Double the distribution where nothing around the mean has a loss; `tell` narrows it."""
+        """Double the distribution, up to where its samples are nearly uniform in the box."""
         mean = float(self.std.mean())
         self._scale_sigma(max(1.0, min(2.0, _WIDE_ENOUGH / mean)))
 

@@ -1,8 +1,10 @@
 """When a search is over.
 
 A search has *stalled* when its best loss has improved by less than a stated fraction over a stated
-number of generations.  It has *collapsed* when all its samples are one point, for any renderer.  It
-is *hopeless* when it has a loss to beat and, at the rate of its last generations, will not.
+number of generations.  It has *collapsed* when it is a thousandth of the box wide, which is exact
+enough for another search to begin; one that goes *to the end* collapses only where its samples are
+one point, for any renderer.  It is *hopeless* when it has a loss to beat and, at the rate of its
+last generations, will not.
 
 A search from hypotheses of a learned model has to be *brisk* as long as its loss is still high: in
 the right place it loses a third in every few generations.
@@ -75,7 +77,7 @@ class Termination:
     goal: loss that the search has to beat; +inf for none.
     patience_alone: generations without any improvement that end it where no image guides it.
     brisk_above: loss above which it has to be brisk; +inf for none.
-    to_the_end: whether it goes on where it has collapsed, until images say nothing more.
+    to_the_end: whether it goes on until its samples are one point, for any renderer.
     """
 
     def __init__(

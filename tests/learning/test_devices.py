@@ -6,16 +6,18 @@ mix them with others. So a loss that can be computed there computes on any one d
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.errors import DeviceError
+from fide_plugins.cli import main
+from fide_plugins.errors import DeviceError, DeviceMemoryError
 from fide_plugins.learning import learn, sets
 from fide_plugins.learning.augmentation import AUGMENT, augmented
 from fide_plugins.learning.network import Network, as_input
@@ -117,18 +119,60 @@ def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
 
 
+FULL = [torch.OutOfMemoryError("CUDA out of memory"), RuntimeError("CUBLAS_STATUS_ALLOC_FAILED")]
+
+
+@pytest.fixture(params=["to", "_batch", "run"])
+def full_gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> RuntimeError:
+    """A GPU on which the network, the first images, or a later batch have no room."""
+    error: RuntimeError = FULL[request.param == "run"]
+
+    def full(*_: object) -> NoReturn:
+        raise error
+
+    def to(self: Network, device: object = None, **_: object) -> Network:
+        return full() if device is not None and request.param == "to" else self
+
+    module = importlib.import_module("fide_plugins.learning.learn")  # the package has the function
+    monkeypatch.setattr(module, "resolve_device", torch.device)
+    monkeypatch.setattr(Network, "to", to)
+    if request.param != "to":
+        monkeypatch.setattr(Training, request.param, full)
+    return error
+
+
 def test_a_full_gpu_is_an_error_with_a_remedy(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    full_gpu: RuntimeError, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """What was rendered is kept: another device goes on with it."""
-
-    def full(*_: object) -> None:
-        raise torch.OutOfMemoryError("CUDA out of memory")
-
     options: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1, "out": tmp_path / "m"}
-    with monkeypatch.context() as patch:
-        patch.setattr(Training, "run", full)
-        with pytest.raises(DeviceError, match="too little memory .*device='cpu', a smaller size"):
-            learn(disk, SPACE, **options)
+    said = f"cuda has too little memory for training .{full_gpu}.; take device='cpu'"
+    with pytest.raises(DeviceMemoryError, match=said) as raised:
+        learn(disk, SPACE, **options, device="cuda")
+    assert raised.value.__cause__ is full_gpu
     assert (tmp_path / "m.renders" / "000000.npz").exists()
+    monkeypatch.undo()
     assert learn(disk, SPACE, **options, device="cpu").report.renders == 98
+
+
+def test_the_command_says_how_to_go_on_after_a_full_gpu(
+    full_gpu: RuntimeError, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (empty_folder / "scene.py").write_text(SCENE)
+    words = "learn scene.py:render --renders 100 --size 16 --passes 1 --device cuda --out m.fide"
+    assert main(words.split()) == 1
+    said = capsys.readouterr().err
+    assert f"it stopped: cuda has too little memory for training ({full_gpu})" in said
+    assert "m.fide.renders" in said and "continue with: fide learn scene.py:render" in said
+
+
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+
+space = Space(left=Float(0, 1), right=Float(0, 1))
+
+
+def render(params):
+    return np.repeat(np.linspace(params["left"], params["right"], 16)[None], 16, axis=0)
+"""

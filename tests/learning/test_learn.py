@@ -340,6 +340,20 @@ def test_a_longer_schedule_that_was_only_interrupted_is_not_extended(tmp_path: P
     assert state["passed"] == 5 and not state["extended"]
 
 
+def test_more_time_extends_a_schedule_that_the_time_ended(tmp_path: Path) -> None:
+    """Its rate was zero at the end, and is high again."""
+    options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 4, "out": tmp_path / "m"}
+    learn(plain, 2, **options)
+    file = tmp_path / "m.renders" / "training"
+    saved = checkpoint.read(file, "training")
+    assert saved["state"]["over"]
+    for over in (False, True):  # interrupted after the third pass; or the time was up
+        saved["state"] |= {"passed": 3, "curve": saved["state"]["curve"][:3], "over": over}
+        checkpoint.write(file, "training", saved)
+        learn(plain, 2, **options)
+        assert checkpoint.read(file, "training")["state"]["extended"] == over
+
+
 def test_an_unknown_way_to_change_images_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="unknown augment 'photo': known are none, photo"):
         learn(plain, 2, augment="photo")

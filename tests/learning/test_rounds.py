@@ -128,6 +128,10 @@ def test_a_run_that_goes_on_with_another_version_is_told_which_folder(tmp_path: 
     render.version = "2"
     with pytest.raises(OptionError, match="rounds holds models .*name another run directory"):
         fitted(render, out=tmp_path, resume=True)
+    render.version = 2
+    with pytest.raises(OptionError, match="a text such as '2'") as raised:
+        fitted(render, out=tmp_path, resume=True)
+    assert "name another run directory" not in str(raised.value)
 
 
 @pytest.mark.usefixtures("few")

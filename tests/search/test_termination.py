@@ -135,7 +135,7 @@ def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: 
 
 @pytest.mark.parametrize("to_the_end", [False, True])
 def test_a_narrow_search_goes_on_to_the_end_while_the_loss_falls(to_the_end: bool) -> None:
-    """Images tell steps of a hundred-millionth of the box from none, and smaller ones do not."""
+    """Until it is 1e-7 of sigma0 wide: less than a pixel in single precision can tell."""
     search = Termination(1 / 6, 5, 0.1, to_the_end=to_the_end)
     for generation in range(8):
         search.note(np.array([0.5**generation]))

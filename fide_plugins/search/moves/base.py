@@ -52,7 +52,7 @@ class Start:
     patience: generations without progress that end it, in units of the run's.
     brisk_above: loss above which it has to be quick, see `termination`; None: it may be slow.
     widest: mean standard deviation that it may come to, in units of that of its beginning.
-    to_the_end: whether it goes on, however narrow it is, as long as the loss falls.
+    to_the_end: whether it goes on where other searches have collapsed, see `termination`.
     held: (d,), axes that keep their coordinates in the mean during the search; None: none.
     """
 

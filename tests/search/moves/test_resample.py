@@ -144,5 +144,6 @@ def test_what_is_in_the_right_place_is_refined_before_anything_else_is_tried() -
         loss *= 1 - 0.5 * (gain == 0.5)
         moves.after_search(sample(np.full(16, 0.1), HERE, loss), 100, guided=True)
         seen.append((moves.stage, moves.move))
+        assert not moves.start.to_the_end, "other hypotheses wait"
     refined, next_one = (Stage.SEARCH, "refine"), (Stage.SEARCH, "learned")
     assert seen == [refined, refined, next_one]
