@@ -14,6 +14,7 @@ __all__ = [
     "CheckpointError",
     "DependencyError",
     "DeviceError",
+    "DeviceMemoryError",
     "FeaturesError",
     "FideError",
     "ImageError",

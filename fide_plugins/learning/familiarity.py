@@ -3,8 +3,8 @@
 The Mahalanobis distance of its features from those of training renders (Lee et al. 2018,
 arXiv:1807.03888), compared with the distances of held-out renders.  Of a few of these the largest
 is hardly a bound, so the prediction interval of a further one counts as well, with normal
-logarithms.  How much distances vary is known from training renders, too: from those of each fifth
-to the other four.
+logarithms.  Of fewer than 20 even their spread is a guess: then training renders say how much
+distances vary, too, by those of each fifth from the other four.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _QUANTILE = 0.995  # of distances of renders: these are familiar
 _MARGIN = 1.25  # a picture is not a render
 _RIDGE = 1e-3  # of the mean variance
 _FOLDS = 5
-_FEW = 20  # held-out renders, below which training renders say how distances vary
+_FEW = 20  # held-out renders: with so many, a standard deviation is known to a sixth (1 / sqrt(2n))
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Familiarity:
         """Familiarity of features (n, F) of training renders, judged on others (m, F)."""
         mean, precision = _moments(training)
         distances = cls(mean, precision, 0.0).distances(held_out)
-        others = _across(cls, training) if len(held_out) < _FEW else np.empty(0)
+        others = _across(training) if len(held_out) < _FEW else np.empty(0)
         return cls(mean, precision, _MARGIN * _usual(distances, others))
 
     def distances(self, features: Float64) -> Float64:
@@ -63,12 +63,13 @@ class Familiarity:
         return cls(state["mean"], state["precision"], state["threshold"])
 
 
-def _across(kind: type[Familiarity], training: Float64) -> Float64:
+def _across(training: Float64) -> Float64:
     """Distance (n,) of each of n renders from those of the other folds."""
     fold = np.arange(len(training)) % _FOLDS
     found = np.empty(len(training))
     for k in range(_FOLDS):
-        found[fold == k] = kind(*_moments(training[fold != k]), 0.0).distances(training[fold == k])
+        others = Familiarity(*_moments(training[fold != k]), 0.0)
+        found[fold == k] = others.distances(training[fold == k])
     return found
 
 

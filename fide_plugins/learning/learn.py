@@ -35,7 +35,7 @@ from fide_plugins.learning.training import Progress, Training, held_out
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.batch_size import is_out_of_memory
+from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -349,7 +349,7 @@ def _enough_memory(device: torch.device) -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        if device.type == "cpu" or not is_out_of_memory(error):
+        if device.type == "cpu" or not is_out_of_gpu_memory(error):
             raise
         raise DeviceMemoryError(
             f"{device} has too little memory for training ({error}); take device='cpu', or end "
@@ -393,9 +393,11 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
     try:
         training.load_state_dict(saved["state"])
         ended = training.ended_at(passes)  # in files of earlier versions, which lack "over"
-        was_over = saved["state"].get("over", ended)
-        training.extended |= was_over and not training.over
+        was_over, longer = saved["state"].get("over", ended), plan["passes"] > passes
+        training.extended |= was_over and (longer or not training.over)
     except IMPOSSIBLE as error:
+        if is_out_of_gpu_memory(error):
+            raise
         raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
 
 

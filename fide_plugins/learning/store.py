@@ -3,7 +3,8 @@
 Shard i holds the renders of the parameters that a generator with the seed (seed, i) draws, so the
 store is the same whatever the number of workers, and whatever was interrupted.
 
-    settings          what the renders are of, a checked file (`runtime.checkpoint`)
+    settings          what the renders are of, a checked file (`runtime.checkpoint`), written
+                      before the first shard
     000000.npz, ...   x (n, d) float64 and images (n, H, W, 3) uint8; failed renders are left out
 """
 
@@ -55,12 +56,11 @@ class RenderStore:
         self._draw, self._drawn = draw or self._uniform, dict[int, Float64]()
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
-        if not self._file.exists():
-            self.accept(fingerprint)
+        self.fingerprint, self.version = fingerprint, self.settings.get("version")
+        if not self._file.exists():  # it comes with the first shard: without any it binds nobody
             return
         there = checkpoint.read(self._file, _KIND)
-        self.fingerprint: str | None = there.pop("fingerprint", None)
-        self.version: str | None = there.get("version")
+        self.fingerprint, self.version = there.pop("fingerprint", None), there.get("version")
         if self.version is None:  # one that is stated now may be that of the images, see `identity`
             there["version"] = self.settings.get("version")
         _check_same(self.folder, there, self.settings)
@@ -107,6 +107,8 @@ class RenderStore:
         kept = [image for image in images if not isinstance(image, str)]
         good = np.array([not isinstance(image, str) for image in images], bool)
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
+        if not self._file.exists():
+            self.accept(self.fingerprint)
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=pixels)
         del self._drawn[shard]

@@ -8,18 +8,30 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-__all__ = ["BatchSize", "is_out_of_memory", "stack"]
+__all__ = ["BatchSize", "is_out_of_gpu_memory", "is_out_of_memory", "stack"]
 
-# Messages of PyTorch about the memory of the CPU, and of libraries that it calls on a GPU; they
-# come in a plain RuntimeError.
-_MESSAGES = ("can't allocate memory", "not enough memory", "out of memory", "ALLOC_FAILED")
+# Messages of PyTorch about the memory of the CPU, and of it and libraries that it calls about a
+# GPU; they come in a plain RuntimeError.
+_OF_CPU = ("can't allocate memory", "not enough memory")
+_OF_GPU = ("out of memory", "ALLOC_FAILED")
 
 
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether an error means that a device or the CPU has too little memory."""
     if isinstance(error, torch.OutOfMemoryError | MemoryError):
         return True
-    return isinstance(error, RuntimeError) and any(text in str(error) for text in _MESSAGES)
+    return isinstance(error, RuntimeError) and _says(error, *_OF_CPU, *_OF_GPU)
+
+
+def is_out_of_gpu_memory(error: BaseException) -> bool:
+    """Whether an error means that a GPU has too little memory."""
+    if isinstance(error, torch.OutOfMemoryError):
+        return True
+    return isinstance(error, RuntimeError) and _says(error, *_OF_GPU) and not _says(error, *_OF_CPU)
+
+
+def _says(error: BaseException, *texts: str) -> bool:
+    return any(text in str(error) for text in texts)
 
 
 def stack(tensors: Sequence[Tensor]) -> Tensor:

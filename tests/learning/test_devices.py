@@ -20,6 +20,7 @@ from fide_plugins.cli import main
 from fide_plugins.errors import DeviceError, DeviceMemoryError
 from fide_plugins.learning import learn, sets
 from fide_plugins.learning.augmentation import AUGMENT, augmented
+from fide_plugins.learning.encoder import Encoder
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.training import Training
 
@@ -119,13 +120,20 @@ def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
 
 
-FULL = [torch.OutOfMemoryError("CUDA out of memory"), RuntimeError("CUBLAS_STATUS_ALLOC_FAILED")]
+PLACES = {
+    "to": Network,  # the network itself
+    "standardize": Encoder,  # what its first images are measured by
+    "_batch": Training,  # images
+    "_step": Training,  # gradients, in a library that PyTorch calls
+}
 
 
-@pytest.fixture(params=["to", "_batch", "run"])
+@pytest.fixture(params=PLACES)
 def full_gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> RuntimeError:
-    """A GPU on which the network, the first images, or a later batch have no room."""
-    error: RuntimeError = FULL[request.param == "run"]
+    """A GPU that has no room for something."""
+    error: RuntimeError = torch.OutOfMemoryError("CUDA out of memory")
+    if request.param == "_step":
+        error = RuntimeError("CUBLAS_STATUS_ALLOC_FAILED")
 
     def full(*_: object) -> NoReturn:
         raise error
@@ -137,7 +145,7 @@ def full_gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(module, "resolve_device", torch.device)
     monkeypatch.setattr(Network, "to", to)
     if request.param != "to":
-        monkeypatch.setattr(Training, request.param, full)
+        monkeypatch.setattr(PLACES[request.param], request.param, full)
     return error
 
 
@@ -153,6 +161,38 @@ def test_a_full_gpu_is_an_error_with_a_remedy(
     assert (tmp_path / "m.renders" / "000000.npz").exists()
     monkeypatch.undo()
     assert learn(disk, SPACE, **options, device="cpu").report.renders == 98
+
+
+def test_a_gpu_that_is_full_for_an_earlier_training_damages_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    options: dict[str, Any] = {"renders": 100, "size": SIDE, "out": tmp_path / "m"}
+    learn(disk, SPACE, **options, passes=1, device="cpu")
+
+    def full(*_: object) -> NoReturn:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    module = importlib.import_module("fide_plugins.learning.learn")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "resolve_device", torch.device)
+        patch.setattr(Network, "to", lambda network, *_, **__: network)
+        patch.setattr(Training, "load_state_dict", full)
+        with pytest.raises(DeviceMemoryError, match="take device='cpu'"):
+            learn(disk, SPACE, **options, passes=2, device="cuda")
+    assert learn(disk, SPACE, **options, passes=2, device="cpu").report.renders == 98
+
+
+def test_main_memory_is_not_the_gpu_s(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(*_: object) -> NoReturn:
+        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate")
+
+    module = importlib.import_module("fide_plugins.learning.learn")
+    monkeypatch.setattr(module, "resolve_device", torch.device)
+    monkeypatch.setattr(Network, "to", lambda network, *_, **__: network)
+    monkeypatch.setattr(Training, "_batch", full)
+    with pytest.raises(RuntimeError, match="DefaultCPUAllocator") as raised:
+        learn(disk, SPACE, renders=100, size=SIDE, passes=1, device="cuda")
+    assert not isinstance(raised.value, DeviceMemoryError)
 
 
 def test_the_command_says_how_to_go_on_after_a_full_gpu(

@@ -340,18 +340,32 @@ def test_a_longer_schedule_that_was_only_interrupted_is_not_extended(tmp_path: P
     assert state["passed"] == 5 and not state["extended"]
 
 
+def test_a_longer_schedule_goes_on_where_nothing_improved(tmp_path: Path) -> None:
+    """To its last pass, as was asked; the same schedule again stays over."""
+
+    def blind(x: Float64) -> Float64:
+        return np.full((SIDE, SIDE), 0.5)
+
+    passed = []
+    for passes in (12, 12, 15):
+        learn(blind, 2, renders=100, size=SIDE, passes=passes, out=tmp_path / "m")
+        state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
+        passed.append(state["passed"])
+    assert passed[0] == passed[1] < 12 and passed[2] == 15
+
+
 def test_more_time_extends_a_schedule_that_the_time_ended(tmp_path: Path) -> None:
-    """Its rate was zero at the end, and is high again."""
+    """Its rate was zero at the end, and is high again.  The pass that it cut short begins again."""
     options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 4, "out": tmp_path / "m"}
-    learn(plain, 2, **options)
     file = tmp_path / "m.renders" / "training"
-    saved = checkpoint.read(file, "training")
-    assert saved["state"]["over"]
-    for over in (False, True):  # interrupted after the third pass; or the time was up
-        saved["state"] |= {"passed": 3, "curve": saved["state"]["curve"][:3], "over": over}
-        checkpoint.write(file, "training", saved)
-        learn(plain, 2, **options)
-        assert checkpoint.read(file, "training")["state"]["extended"] == over
+    learn(plain, 2, **options)
+    file.unlink()  # the renders stay, and take no time
+    learn(plain, 2, **options, time=1e-3)
+    cut = checkpoint.read(file, "training")["state"]
+    assert cut["over"] and cut["passed"] < 4 and not cut["extended"]
+    learn(plain, 2, **options)
+    state = checkpoint.read(file, "training")["state"]
+    assert state["passed"] == len(state["curve"]) == 4 and state["extended"]
 
 
 def test_an_unknown_way_to_change_images_is_refused() -> None:

@@ -6,7 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.batch_size import BatchSize, is_out_of_memory, stack
+from fide_plugins.runtime.batch_size import (
+    BatchSize,
+    is_out_of_gpu_memory,
+    is_out_of_memory,
+    stack,
+)
 
 CPU = RuntimeError(
     "[enforce fail at alloc_cpu.cpp:124] err == 0. DefaultCPUAllocator: can't allocate memory: you "
@@ -35,7 +40,14 @@ def test_torch_reports_the_cpu_s_memory_so() -> None:
     """In words that may change with its version."""
     with pytest.raises(RuntimeError) as caught:
         torch.empty(2**58, dtype=torch.uint8)
-    assert is_out_of_memory(caught.value)
+    assert is_out_of_memory(caught.value) and not is_out_of_gpu_memory(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "of_gpu"), [(CPU, False), (DEVICE, True), (LIBRARY, True), (MemoryError(), False)]
+)
+def test_whose_memory_it_is(error: Exception, of_gpu: bool) -> None:
+    assert is_out_of_gpu_memory(error) is of_gpu
 
 
 def test_other_errors_are_none_of_it() -> None:

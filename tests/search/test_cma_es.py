@@ -198,7 +198,7 @@ def test_generations_without_a_finite_loss_only_widen_until_there_is_one() -> No
 
 
 def test_failures_here_and_there_do_not_widen_a_search() -> None:
-    """Of generations in which seven of ten candidates fail, one in twenty has no loss at all."""
+    """Of generations in which seven of ten candidates fail, one in 25 has no loss at all."""
     ends = []
     for seed in range(40):
         search, rng = CMAES(np.full(6, 0.5), 0.1, 9), np.random.default_rng(seed)
