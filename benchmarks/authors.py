@@ -1,0 +1,228 @@
+"""`turbo` and `dibo` against the programs of their authors: same functions, settings, evaluations.
+
+    git clone https://github.com/uber-research/TuRBO && git -C TuRBO checkout de0db39
+    git clone https://github.com/umkiyoung/DiBO && git -C DiBO checkout 31ff265
+    pip install torchdiffeq==0.2.5
+    python benchmarks/authors.py turbo --program TuRBO
+    python benchmarks/authors.py dibo --program DiBO
+    python benchmarks/authors.py table
+
+Functions of `baselines.py`, five seeds.  `turbo`: 5, 10 and 20 parameters, 12 d evaluations in
+batches of 4, after 2 d of a Latin hypercube.  `dibo`: 10, 20 and 40 parameters, 400 evaluations in
+batches of 50, of which both have the first 100 in common; the small networks of `baselines.py`, in
+double precision.  Of DiBO the whole script is run, unchanged, on these functions in place of its
+own.
+
+Every pair is a line of the output file: the lowest value of each, and the processor's seconds.  A
+second call does the missing pairs.  TuRBO's license is for non-commercial use; nothing of either
+program is here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import importlib
+import io
+import json
+import os
+import runpy
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from baselines import SMALL_DIBO, in_the_unit_cube
+from quality import append, rows_of
+from scipy.stats import binomtest
+
+from fide_plugins import optimizers
+from fide_plugins.experiments.run.machine import machine
+from fide_plugins.types import Float64
+
+RESULTS = Path(__file__).parent / "results" / "authors.jsonl"
+FUNCTIONS = {"turbo": ("ackley", "rosenbrock", "levy"), "dibo": ("ackley", "rosenbrock")}
+DIMS = {"turbo": (5, 10, 20), "dibo": (10, 20, 40)}
+SEEDS = 5
+BATCH = {"turbo": 4, "dibo": 50}
+DESIGN = 100  # evaluations of `dibo` before the first round
+SEARCH_EPOCHS = 10  # of the script; steps of Adam on each candidate
+DIBO = {
+    **SMALL_DIBO,
+    "precision": "double",
+    "initial": DESIGN,
+    "search_epochs": SEARCH_EPOCHS,
+}
+
+Function = Callable[[Float64], Float64]
+
+
+def evaluations(baseline: str, dim: int) -> int:
+    """Of one run."""
+    return 12 * dim if baseline == "turbo" else 400
+
+
+def pairs(baseline: str) -> Iterator[dict[str, Any]]:
+    """All of a baseline, seeds outermost."""
+    for seed in range(SEEDS):
+        for dim in DIMS[baseline]:
+            for f in FUNCTIONS[baseline]:
+                yield {"baseline": baseline, "f": f, "dim": dim, "seed": seed}
+
+
+def ours(baseline: str, function: Function, dim: int, seed: int) -> tuple[Float64, Float64]:
+    """Points and losses in the order of their evaluation."""
+    options = DIBO if baseline == "dibo" else {}
+    opt = optimizers.make(baseline, dim, seed=seed, popsize=BATCH[baseline], **options)
+    points: list[Float64] = []
+    losses: list[float] = []
+    while len(losses) < evaluations(baseline, dim):
+        X = opt.ask()
+        values = function(X)
+        opt.tell(X, losses=values)
+        points.extend(X)
+        losses.extend(values.tolist())
+    return np.array(points), np.array(losses)
+
+
+def turbo(root: Path, function: Function, dim: int, seed: int, _: Float64) -> Float64:
+    """Losses of TuRBO's program."""
+    sys.path.insert(0, str(root))
+    program: Any = importlib.import_module("turbo").Turbo1(
+        f=lambda x: float(function(x[None])[0]),
+        lb=np.zeros(dim),
+        ub=np.ones(dim),
+        n_init=2 * dim,
+        max_evals=evaluations("turbo", dim),
+        batch_size=BATCH["turbo"],
+        verbose=False,
+    )
+    program.optimize()
+    losses: Float64 = program.fX.ravel()
+    return losses
+
+
+def dibo(root: Path, function: Function, dim: int, seed: int, design: Float64) -> Float64:
+    """Losses of DiBO's program, which begins at a design (DESIGN, dim)."""
+
+    class TestFunction(torch.utils.data.Dataset[Any]):
+        """In place of the program's own; it maximizes."""
+
+        def __init__(self, **_: Any) -> None:
+            self.X = torch.tensor(design)
+            self.Y = -torch.tensor(function(design))[:, None]
+
+        def eval_objective(self, x: torch.Tensor) -> float:
+            return -float(function(x.numpy()[None])[0])
+
+        def __len__(self) -> int:
+            return len(self.X)
+
+        def __getitem__(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
+            return self.X[i], self.Y[i]
+
+    for name in [name for name in sys.modules if name.split(".")[0] == "baselines"]:
+        del sys.modules[name]  # of FIDE's benchmarks, or of the last run
+    sys.path.insert(0, str(root))
+    module = ModuleType("baselines.functions.test_function")
+    log: Any = ModuleType("wandb")  # reports to a server
+    log.init = log.log = log.Histogram = lambda *_, **__: None
+    sys.modules.update({module.__name__: module, "wandb": log})
+    module.TestFunction = TestFunction  # type: ignore[attr-defined]
+    models: Any = importlib.import_module("baselines.models.diffusion")
+    of_prior = models.DiffusionModel
+    of_prior.__init__ = functools.partialmethod(of_prior.__init__, hidden_dim=SMALL_DIBO["width"])
+    settings = {
+        "dim": dim,
+        "seed": seed,
+        "n_init": DESIGN,
+        "max_evals": evaluations("dibo", dim),
+        "batch_size": BATCH["dibo"],
+        "train_batch_size": SMALL_DIBO["batch"],
+        "proxy_hidden_dim": SMALL_DIBO["proxy_width"],
+        "num_proposals": SMALL_DIBO["proposals"],
+        "buffer_size": 300,
+        "local_search_epochs": SEARCH_EPOCHS,
+    }
+    words = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
+    script = root.resolve() / "baselines" / "algorithms" / "dibo.py"
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        before, sys.argv = sys.argv, ["dibo.py", *words]
+        try:
+            with contextlib.redirect_stdout(io.StringIO()):
+                found = runpy.run_path(str(script), run_name="__main__")
+        finally:
+            sys.argv = before
+    losses: Float64 = -found["Y_total"].ravel()
+    return losses
+
+
+def measure(cell: dict[str, Any], root: Path) -> dict[str, Any]:
+    """One pair."""
+    baseline, dim, seed = cell["baseline"], cell["dim"], cell["seed"]
+    function = in_the_unit_cube(cell["f"], dim, seed)
+    start = time.process_time()
+    points, mine = ours(baseline, function, dim, seed)
+    middle = time.process_time()
+    np.random.seed(seed)
+    torch.manual_seed(seed)
+    theirs = {"turbo": turbo, "dibo": dibo}[baseline](root, function, dim, seed, points[:DESIGN])
+    cpu = [round(middle - start, 1), round(time.process_time() - middle, 1)]
+    n = evaluations(baseline, dim)
+    lowest = {"ours": float(mine[:n].min()), "theirs": float(theirs[:n].min())}
+    return {**cell, "evaluations": n, **lowest, "cpu": cpu, "machine": machine()}
+
+
+def table(out: Path) -> str:
+    """Of all pairs, in Markdown: lower in, medians of the ratio, exact sign test."""
+    lines = [
+        "| baseline | function | parameters | lower than authors' | median of ours / theirs | p |",
+        "|---|---|---:|---:|---:|---:|",
+    ]
+    rows = rows_of(out)
+    for baseline, functions in FUNCTIONS.items():
+        for f in functions:
+            dims: list[tuple[str, tuple[int, ...]]] = [(str(d), (d,)) for d in DIMS[baseline]]
+            for name, some in [*dims, ("all", DIMS[baseline])]:
+                mine = [r for r in rows if (r["baseline"], r["f"]) == (baseline, f)]
+                ratios = [r["ours"] / r["theirs"] for r in mine if r["dim"] in some]
+                if ratios:
+                    n, lower = len(ratios), sum(ratio < 1 for ratio in ratios)
+                    p = f"{binomtest(lower, n).pvalue:.2g}" if name == "all" else ""
+                    median = f"{np.median(ratios):.2f}"
+                    cells = (f"`{baseline}`", f, name, f"{lower} of {n}", median, p)
+                    lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, or print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("what", choices=("turbo", "dibo", "table"))
+    parser.add_argument("--program", type=Path, help="folder of the authors' program")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    arguments = parser.parse_args()
+    if arguments.what == "table":
+        print(table(arguments.out))
+        return
+    if arguments.program is None:
+        parser.error("--program is needed: the folder of the authors' program")
+    keys = ("baseline", "f", "dim", "seed")
+    done = {tuple(row[k] for k in keys) for row in rows_of(arguments.out)}
+    for cell in pairs(arguments.what):
+        if tuple(cell.values()) not in done:
+            row = measure(cell, arguments.program)
+            append(arguments.out, row)
+            print(json.dumps(row), flush=True)
+
+
+if __name__ == "__main__":
+    main()
