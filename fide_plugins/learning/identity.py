@@ -54,9 +54,10 @@ def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
         rendered unless a version is stated for the first time, or the source of the renderer was
         changed and no version vouches for it.
 
-    Four renders where nothing has changed and nothing is noisy; otherwise 32 more, and RenderError
-    if three in four of these fail.  OSError if the folder cannot be written.  Not noticed is what
-    changes less than a thousandth of all values, such as a small object, or less than the noise.
+    Four renders where nothing has changed, nothing is noisy and at most half of them fail;
+    otherwise 32 more, and RenderError if three in four of these fail.  OSError if the folder cannot
+    be written.  Not noticed is what changes less than a thousandth of all values, such as a small
+    object, or less than the noise.
     """
     now = fingerprint_of(renderer.source)
     stated = store.settings.get("version") != store.version
@@ -75,7 +76,8 @@ def _compare(
     """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
     few = slice(None, None, 2)
     drawn, _ = _images(store, renderer, x[few], [seeds[few]])
-    if _there(drawn).mean() >= 0.5 and _equal(drawn[0], images[few]):
+    enough = _there(drawn).mean() >= 0.5
+    if enough and _equal(drawn[0], images[few]):
         return
     again = [[seed + k * _SEED for seed in seeds] for k in range(1, 1 + _AGAIN)]
     drawn, failure = _images(store, renderer, x, again)
@@ -85,7 +87,7 @@ def _compare(
             f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
             f"another one: {failure}"
         )
-    if _equal(drawn, images):  # of those renders too many had failed
+    if not enough and _equal(drawn, images):
         return
     fine = _distances(images, drawn)
     coarse = _distances(_averaged(images), np.array([_averaged(some) for some in drawn]))

@@ -35,7 +35,7 @@ from fide_plugins.learning.training import Progress, Training, held_out
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
+from fide_plugins.runtime.batch_size import is_out_of_gpu_memory, is_out_of_memory
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -396,7 +396,7 @@ def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
         was_over, longer = saved["state"].get("over", ended), plan["passes"] > passes
         training.extended |= was_over and (longer or not training.over)
     except IMPOSSIBLE as error:
-        if is_out_of_gpu_memory(error):
+        if is_out_of_memory(error):
             raise
         raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
 

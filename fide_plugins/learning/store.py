@@ -57,18 +57,27 @@ class RenderStore:
         self.folder.mkdir(parents=True, exist_ok=True)
         remove_leftovers(self.folder)
         self.fingerprint, self.version = fingerprint, self.settings.get("version")
-        if not self._file.exists():  # it comes with the first shard: without any it binds nobody
+        self._agreed = False  # whether the folder's settings are known to be these
+        if self._all():  # without any, settings bind nobody: all renders failed, or none was made
+            self._agree()
+
+    def _agree(self) -> None:
+        """Take over what the folder says; or OptionError, if it holds other renders."""
+        if not self._file.exists():  # it was lost
+            self.accept(self.fingerprint)
             return
         there = checkpoint.read(self._file, _KIND)
         self.fingerprint, self.version = there.pop("fingerprint", None), there.get("version")
         if self.version is None:  # one that is stated now may be that of the images, see `identity`
             there["version"] = self.settings.get("version")
         _check_same(self.folder, there, self.settings)
+        self._agreed = True
 
     def accept(self, fingerprint: str | None) -> None:
         """Record fingerprint and version of the renderer whose images these are; or OSError."""
         checkpoint.write(self._file, _KIND, {**self.settings, "fingerprint": fingerprint})
         self.fingerprint, self.version = fingerprint, self.settings.get("version")
+        self._agreed = True
 
     @classmethod
     def there(cls, folder: str | os.PathLike[str]) -> Self:
@@ -103,12 +112,18 @@ class RenderStore:
         return [first + i for i in range(SHARD)]
 
     def write(self, shard: int, images: Sequence[Small]) -> int:
-        """Write a shard, where a text stands for a render that failed; returns how many did."""
+        """Write a shard, where a text stands for a render that failed; returns how many did.
+
+        Raises OptionError if another call has put other renders into the folder meanwhile.
+        """
         kept = [image for image in images if not isinstance(image, str)]
         good = np.array([not isinstance(image, str) for image in images], bool)
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
-        if not self._file.exists():
-            self.accept(self.fingerprint)
+        if not self._agreed:
+            if self._all():
+                self._agree()
+            else:
+                self.accept(self.fingerprint)
         with atomic_writer(self._path(shard)) as file:
             np.savez(file, x=self.parameters(shard)[good], images=pixels)
         del self._drawn[shard]

@@ -163,22 +163,34 @@ def test_a_full_gpu_is_an_error_with_a_remedy(
     assert learn(disk, SPACE, **options, device="cpu").report.renders == 98
 
 
-def test_a_gpu_that_is_full_for_an_earlier_training_damages_no_file(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [
+        (torch.OutOfMemoryError("CUDA out of memory"), DeviceMemoryError),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), RuntimeError),
+        (MemoryError(), MemoryError),
+    ],
+)
+def test_an_earlier_training_for_which_there_is_no_memory_is_no_damaged_file(
+    error: Exception,
+    raised: type[Exception],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     options: dict[str, Any] = {"renders": 100, "size": SIDE, "out": tmp_path / "m"}
     learn(disk, SPACE, **options, passes=1, device="cpu")
 
     def full(*_: object) -> NoReturn:
-        raise torch.OutOfMemoryError("CUDA out of memory")
+        raise error
 
     module = importlib.import_module("fide_plugins.learning.learn")
     with monkeypatch.context() as patch:
         patch.setattr(module, "resolve_device", torch.device)
         patch.setattr(Network, "to", lambda network, *_, **__: network)
         patch.setattr(Training, "load_state_dict", full)
-        with pytest.raises(DeviceMemoryError, match="take device='cpu'"):
+        with pytest.raises(raised) as caught:
             learn(disk, SPACE, **options, passes=2, device="cuda")
+    assert caught.type is raised
     assert learn(disk, SPACE, **options, passes=2, device="cpu").report.renders == 98
 
 

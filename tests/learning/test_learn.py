@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import threading
@@ -17,6 +18,7 @@ from fide_plugins.learning import LearnProgress, Model, learn, rendering
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.store import RenderStore
+from fide_plugins.learning.training import Training
 from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
@@ -325,7 +327,8 @@ def test_only_a_longer_schedule_is_extended(passes: int, tmp_path: Path) -> None
     assert seen == [False, passes < 2, passes < 2]
 
 
-def test_a_longer_schedule_that_was_only_interrupted_is_not_extended(tmp_path: Path) -> None:
+@pytest.mark.parametrize("passes", [4, 5])
+def test_a_schedule_that_was_only_interrupted_is_not_extended(passes: int, tmp_path: Path) -> None:
     """It ends early where nothing improves, as if it had been asked for at once."""
 
     def stop(at: LearnProgress) -> None:
@@ -335,20 +338,20 @@ def test_a_longer_schedule_that_was_only_interrupted_is_not_extended(tmp_path: P
     options: dict[str, Any] = {"renders": 200, "size": SIDE, "out": tmp_path / "m"}
     with pytest.raises(KeyboardInterrupt):
         learn(plain, 2, passes=4, on_progress=stop, **options)
-    learn(plain, 2, passes=5, **options)
+    learn(plain, 2, passes=passes, **options)
     state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
-    assert state["passed"] == 5 and not state["extended"]
+    assert state["passed"] == passes and not state["extended"]
 
 
-def test_a_longer_schedule_goes_on_where_nothing_improved(tmp_path: Path) -> None:
+def test_a_longer_schedule_goes_on_where_nothing_improved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """To its last pass, as was asked; the same schedule again stays over."""
-
-    def blind(x: Float64) -> Float64:
-        return np.full((SIDE, SIDE), 0.5)
-
+    worse = itertools.count()
+    monkeypatch.setattr(Training, "test", lambda training: float(next(worse)))
     passed = []
     for passes in (12, 12, 15):
-        learn(blind, 2, renders=100, size=SIDE, passes=passes, out=tmp_path / "m")
+        learn(plain, 2, renders=100, size=SIDE, passes=passes, out=tmp_path / "m")
         state = checkpoint.read(tmp_path / "m.renders" / "training", "training")["state"]
         passed.append(state["passed"])
     assert passed[0] == passed[1] < 12 and passed[2] == 15

@@ -15,7 +15,7 @@ from fide_plugins.learning import Model, identity, learn
 from fide_plugins.learning.identity import check_images
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
-from fide_plugins.learning.store import RenderStore
+from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.renderers import CommandRenderer
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
@@ -252,6 +252,37 @@ def test_a_renderer_that_fails_now_says_so(model: Path) -> None:
     with pytest.raises(RenderError, match="failed for most parameters .*: ValueError: no light"):
         learned(broken, model, 200)
     assert contents(model) == there
+
+
+def test_a_renderer_that_always_failed_binds_nobody(model: Path) -> None:
+    class Broken(Scene):
+        def __call__(self, x: Float64) -> Float64:
+            if x[0] != 0.5:
+                raise ValueError("no light")
+            return super().__call__(x)
+
+    with pytest.raises(RenderError):
+        learned(Broken(version="1"), model)
+    assert learned(Scene(version="2"), model, seed=3).version == "2"
+
+
+def test_two_calls_at_once_do_not_mix_their_renders(tmp_path: Path) -> None:
+    settings = {"dim": 2, "size": [SIDE, SIDE], "seed": 0}
+    one, other = (RenderStore(tmp_path, {**settings, "seed": seed}) for seed in (0, 1))
+    same, images = RenderStore(tmp_path, settings), [np.zeros((SIDE, SIDE, 3), np.uint8)] * SHARD
+    one.write(0, images)
+    same.write(1, images)
+    with pytest.raises(OptionError, match="holds other renders: its seed is 0, not 1"):
+        other.write(2, images)
+    assert {path.name for path in tmp_path.iterdir()} == {"000000.npz", "000001.npz", "settings"}
+
+
+def test_settings_that_were_lost_are_those_of_the_next_call(model: Path) -> None:
+    learned(Scene(), model)
+    (Path(f"{model}.renders") / "settings").unlink()
+    learned(Scene(), model)
+    with pytest.raises(OptionError, match="holds other renders: its seed is 0, not 1"):
+        learned(Scene(), model, seed=1)
 
 
 def test_renders_that_failed_are_not_tried_again(model: Path) -> None:
