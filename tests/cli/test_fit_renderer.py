@@ -277,7 +277,8 @@ def test_a_renderer_that_cannot_render_is_found_by_the_first_render(
     body: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("bad.py").write_text(f"from scene import space\ndef render(p):\n    {body}\n")
-    words = ["--renderer", "bad.py:render", "--workers", 1, "--timeout", 2, "--budget", 4]
+    timeout = 2 if "sleep" in body else 60
+    words = ["--renderer", "bad.py:render", "--workers", 1, "--timeout", timeout, "--budget", 4]
     assert fide("fit", "target.png", *words) in (1, 2)
     assert re.search(message, " ".join(capsys.readouterr().err.split()))
     assert not Path("runs").exists()
