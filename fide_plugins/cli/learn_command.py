@@ -43,6 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--renders", type=whole(100), default=100_000, metavar="N",
         help="of random parameters (100000)")  # fmt: skip
     add("--size", type=whole(16), default=64, metavar="PX", help="longer side of images (64)")
+    add("--render-size", type=whole(16), metavar="PX",
+        help="longer side at which a built-in task renders (that of --size)")  # fmt: skip
     add("--passes", type=whole(1), default=10, metavar="N", help="over the renders, at most (10)")
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     where = parser.add_mutually_exclusive_group()
@@ -57,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--head", choices=("autoregressive", "mixture", "set"),
         help="density that is learned (set where parameters are exchangeable, autoregressive "
         "elsewhere)")  # fmt: skip
+    add("--emulator", action=argparse.BooleanOptionalAction,
+        help="a learned renderer, too (where parameters are exchangeable)")  # fmt: skip
     add("--groups", type=lists, metavar="'[[0,1],[2,3]]'",
         help="exchangeable blocks of parameters, [] for none (those of the space)")  # fmt: skip
     add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
@@ -141,6 +145,7 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
         "seed": args.seed,
         "augment": args.augment,
         "head": args.head,
+        "emulator": args.emulator,
         "groups": args.groups,
         "version": args.version,
         "store_limit": args.store_limit,
@@ -168,6 +173,8 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
+    if args.render_size is not None and (args.source is None or is_reference(args.source)):
+        raise OptionError("--render-size is of built-in tasks; leave it out")
     space = space_of(args.space)
     if args.template is not None:
         return program_of(args.template, space, seconds_of("timeout", args.timeout or _TIMEOUT))
@@ -183,7 +190,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
 def _task(args: argparse.Namespace) -> Any:
     from fide_plugins.experiments.run.prepare import make_task
 
-    return make_task(args.source, args.size, 0, dict(args.task_set))
+    return make_task(args.source, args.render_size or args.size, 0, dict(args.task_set))
 
 
 class _Lines:
@@ -194,7 +201,10 @@ class _Lines:
 
     def __call__(self, progress: Any) -> None:
         late = self._now() - self._last >= _EVERY
-        if progress.stage == "train":
+        if progress.stage == "emulate":
+            explained = f"{1 - progress.held_out:.1%} of the variance explained"
+            note(f"emulator, pass {progress.done}/{progress.total}  held-out renders: {explained}")
+        elif progress.stage == "train":
             from fide_plugins.learning.report import against_prior
 
             compared = against_prior(progress.held_out)

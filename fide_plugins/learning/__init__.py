@@ -16,11 +16,13 @@ file               idea
 `network`          encoder and head
 `encoder`          a small convolutional network
 `heads`            densities of the parameters: autoregressive, mixture
-`head_choice`      which head, and which blocks are exchangeable
+`head_choice`      which head, which blocks are exchangeable, whether there is an emulator
 `sets`             exchangeable blocks as a set
+`emulator`         a learned renderer of exchangeable blocks
+`inversion`        parameters of a picture, by descents through the emulator
 `axes`             densities on one axis: truncated and wrapped Gaussians
 `augmentation`     what separates a picture from a render
-`training`         maximum likelihood, judged on held-out renders
+`training`         of network and emulator, judged on held-out renders
 `report`           how good a model is: likelihood, hypotheses, calibration
 `familiarity`      how much a picture is like those that were learned
 `hypotheses`       what the search is given

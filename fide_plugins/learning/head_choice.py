@@ -1,4 +1,4 @@
-"""Which head learns a space, and which of its axes are exchangeable blocks."""
+"""Which head learns a space, which of its axes are exchangeable blocks, and what they allow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.renderer import Renderer
 
-__all__ = ["kind_of"]
+__all__ = ["has_emulator", "kind_of"]
 
 
 def kind_of(
@@ -31,3 +31,17 @@ def kind_of(
     blocks = tuple(tuple(int(i) for i in block) for block in groups)
     head = head or ("set" if blocks else "autoregressive")
     return head, blocks
+
+
+def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]]) -> bool:
+    """Whether a learned renderer is trained; None: where there are exchangeable blocks.
+
+    Raises OptionError for what is no bool or None, and for an emulator without blocks.
+    """
+    if not (emulator is None or isinstance(emulator, bool)):
+        raise OptionError(f"emulator is True, False or None, not {emulator!r}")
+    if emulator and not blocks:
+        raise OptionError(
+            "an emulator needs exchangeable blocks: give groups, or leave out emulator"
+        )
+    return bool(blocks) if emulator is None else emulator

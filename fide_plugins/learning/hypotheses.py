@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["hypotheses_of", "model_for"]
 
 _DRAWN = 512
+_DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
 
 
 def hypotheses_of(
@@ -30,7 +31,8 @@ def hypotheses_of(
 ) -> Float64 | None:
     """Draw hypotheses (n, d) for a target; None for a picture unlike all renders.
 
-    Of sets of exchangeable blocks the first one is the middle of all.
+    Of sets of exchangeable blocks the first one is the middle of all.  With a good emulator they
+    are few: what it refined, the best first, and that middle.
 
     learned: model, or its file; None, without one: no hypotheses.
     target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
@@ -59,7 +61,14 @@ def hypotheses_of(
     x = learned.sample(target, _DRAWN, seed % 2**32)
     if learned.head == "set":
         x[0] = _middle(x, np.array(learned.periodic))
-    return x
+    return _refined(learned, target, x, seed % 2**32) if learned.emulates else x
+
+
+def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
+    """What descents find from hypotheses x (n, d) and from anywhere, and the first hypothesis."""
+    anywhere = np.random.default_rng((seed, 3)).random((_DESCENTS, model.dim))
+    found = model.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
+    return np.concatenate([found, x[:1]])
 
 
 def _middle(x: Float64, periodic: npt.NDArray[np.bool_]) -> Float64:

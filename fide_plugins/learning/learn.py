@@ -22,8 +22,9 @@ from fide_plugins.errors import (
 )
 from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.calibration import fitted_scale, shares
+from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
-from fide_plugins.learning.head_choice import kind_of
+from fide_plugins.learning.head_choice import has_emulator, kind_of
 from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network, as_input
@@ -47,6 +48,8 @@ from fide_plugins.validation.points import whole_number
 __all__ = ["LearnProgress", "learn"]
 
 _RENDERING = 0.5  # of a time limit, at most
+_DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
+_EMULATOR_RATE = 2e-3
 _MOST_FEATURES = 4000  # renders by which the features of all are described
 _FEWEST = 100  # renders
 _AT_A_TIME = 8  # shards that an executor gets
@@ -57,8 +60,9 @@ _KIND = "training"
 class LearnProgress:
     """What `learn` says of its progress.
 
-    stage: "render" or "train".  done, total: renders, or passes.
-    held_out: negative log-likelihood after the last pass, in nats; None before.
+    stage: "render", "train" or "emulate".  done, total: renders, or passes.
+    held_out: loss after the last pass: negative log-likelihood in nats, or the share of the images'
+        variance that the emulator does not explain; None before.
     """
 
     stage: str
@@ -82,6 +86,7 @@ def learn(
     groups: Sequence[Sequence[int]] | None = None,
     head: str | None = None,
     augment: str = "photograph",
+    emulator: bool | None = None,
     version: str | None = None,
     seed: int = 0,
     store_limit: float = 20.0,
@@ -130,6 +135,9 @@ def learn(
         how much renders are changed while they are learned: "photograph", for pictures of any
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
         "none", see `learning.augmentation`.
+    emulator
+        whether a learned renderer is trained, too, by which hypotheses are refined without renders,
+        see `learning.emulator`; it needs exchangeable blocks.  None: where there are some.
     version
         of the renderer, a text; other versions have other renders.  None: that which the renderer
         states as its attribute `version`, if it does.
@@ -162,12 +170,13 @@ def learn(
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
     version, kind = version_for(renderer, version), kind_of(renderer, groups, head)
+    emulates = has_emulator(emulator, kind[1])
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
         renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
         executor, seed, version, *kind, time, clock.monotonic(),
-        on_progress or (lambda progress: None), augment, trains_on, region,
+        on_progress or (lambda progress: None), augment, trains_on, emulates, region,
     )  # fmt: skip
     plan.check()
     if workers > 1 or executor is not None:
@@ -209,6 +218,7 @@ class _Plan:
     on_progress: Callable[[LearnProgress], None]
     augment: str
     device: torch.device
+    emulates: bool
     region: Truncated | None = None
 
     def check(self) -> None:
@@ -269,11 +279,36 @@ class _Plan:
         if self.region is not None:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
-        network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
         with _enough_memory(self.device):
-            training = self._train(network.to(self.device), x, images, store.folder / "training")
+            network, density = self._density(x, images, store.folder / "training")
+            emulator, emulated = self._emulator(x, images, store.folder / "emulator")
+        report = self._report(network, x, images, sum(failed.values()), density, emulated)
+        return self._made(network, x, images, report, emulator)
+
+    def _density(self, x: Float64, images: Pixels, file: Path) -> tuple[Network, Training]:
+        """Trained network, and its training."""
+        network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
+        left = self._left(_DENSITY if self.emulates else 1.0)
+        training = Training(
+            network.to(self.device), x, images, self.passes, self.seed, left, augment=self.augment
+        )
+        self._train(training, "train", file, self.head)
         network.to("cpu").eval()
-        return self._judged(network, x, images, sum(failed.values()), training)
+        return network, training
+
+    def _emulator(
+        self, x: Float64, images: Pixels, file: Path
+    ) -> tuple[Emulator | None, float | None]:
+        """Learned renderer, and the share of variance that it explains; None, if there is none."""
+        if not self.emulates:
+            return None, None
+        emulator = Emulator(self.size, self.periodic, self.blocks, self.seed)
+        training = Training(
+            emulator.to(self.device), x, images, self.passes, self.seed, self._left(),
+            augment="none", learning_rate=_EMULATOR_RATE,
+        )  # fmt: skip
+        self._train(training, "emulate", file, "emulator")
+        return emulator.to("cpu").eval(), 1 - training.best
 
     def _left(self, share: float = 1.0) -> float | None:
         """Seconds until a share of the time has passed since the beginning; None: no limit."""
@@ -282,13 +317,15 @@ class _Plan:
         left = share * self.seconds - (clock.monotonic() - self.start)
         return max(left, min(1e-3, share * self.seconds))
 
-    def _train(self, network: Network, x: Float64, images: Pixels, file: Path) -> Training:
-        training = Training(
-            network, x, images, self.passes, self.seed, self._left(), augment=self.augment
-        )
-        plan = {"renders": len(x), "passes": self.passes, "head": self.head, "seed": self.seed}
-        plan["augment"] = self.augment
-        plan["blocks"] = [list(block) for block in self.blocks]
+    def _train(self, training: Training, stage: str, file: Path, kind: str) -> None:
+        """Train from the checkpoint `file`, if it is of this plan, and keep it up to date.
+
+        stage: of the progress.  kind: of what is trained.
+        """
+        plan = {
+            "renders": len(training.x), "passes": self.passes, "head": kind, "seed": self.seed,
+            "augment": training.augment, "blocks": [list(block) for block in self.blocks],
+        }  # fmt: skip
         if file.exists():
             _restore(training, file, plan)
 
@@ -296,20 +333,21 @@ class _Plan:
             checkpoint.write(file, _KIND, {"plan": plan, "state": state})
 
         def report(at: Progress) -> None:
-            self.on_progress(LearnProgress("train", at.passed, at.passes, at.held_out))
+            self.on_progress(LearnProgress(stage, at.passed, at.passes, at.held_out))
 
         training.run(report, save)
-        return training
 
-    def _judged(
-        self, network: Network, x: Float64, images: Pixels, failed: int, training: Training
-    ) -> Model:
+    def _report(
+        self, network: Network, x: Float64, images: Pixels, failed: int, training: Training,
+        emulated: float | None,
+    ) -> Report:  # fmt: skip
+        """Calibrate the network, and judge it."""
         aside = held_out(len(x))
         distance = Distance(np.array(self.periodic), self.blocks)
         fit, judges = shares(aside)
         network.scale = fitted_scale(network, x[fit], images[fit], self.seed)
         judgment = judge(network, x[judges], images[judges], self._names, distance, self.seed)
-        report = Report(
+        return Report(
             renders=int((~aside).sum()),
             failed=failed,
             held_out=int(aside.sum()),
@@ -324,7 +362,15 @@ class _Plan:
             scale=network.scale,
             fitted=int(fit.sum()),
             parameters=len(set(self._names)),
+            emulated=emulated,
         )
+
+    def _made(
+        self, network: Network, x: Float64, images: Pixels, report: Report,
+        emulator: Emulator | None,
+    ) -> Model:  # fmt: skip
+        """Put the model together."""
+        aside = held_out(len(x))
         learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
         familiarity = Familiarity.of(
             _features(network, images[learned]), _features(network, images[aside])
@@ -332,6 +378,7 @@ class _Plan:
         return Model(
             network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
             self.periodic, self.blocks, familiarity, report, fingerprint_of(self.renderer.source),
+            emulator,
         )  # fmt: skip
 
     @property

@@ -13,7 +13,9 @@ from torch import Tensor
 
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.learning.calibration import LARGEST
+from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.inversion import inverted
 from fide_plugins.learning.network import HEADS, Network, as_input
 from fide_plugins.learning.renderer import resized
 from fide_plugins.learning.report import Distance, Report
@@ -34,6 +36,7 @@ from fide_plugins.runtime.schema import (
     text,
     whole,
 )
+from fide_plugins.runtime.threads import one_thread
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
@@ -42,6 +45,7 @@ from fide_plugins.validation.points import as_points, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
+_EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 _ASPECT = 0.02  # relative difference of height / width that is rounding
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
@@ -55,6 +59,7 @@ _SCHEMA: Schema = {
     "periodic": each(flag),
     "blocks": each(each(whole())),
     "weights": table(numbers),
+    "emulator": maybe(table(numbers)),
     "scale": real(1.0, LARGEST),
     "familiarity": {
         "mean": array("F"),
@@ -77,6 +82,7 @@ class Model:
     head: kind of density, see `heads`.  blocks: exchangeable blocks of axes.
     familiarity: of features.
     report: how good it is.
+    emulator: learned renderer; None: there is none.
     """
 
     network: Network
@@ -90,6 +96,7 @@ class Model:
     familiarity: Familiarity
     report: Report
     fingerprint: str | None = None
+    emulator: Emulator | None = None
 
     @property
     def dim(self) -> int:
@@ -124,6 +131,30 @@ class Model:
         """
         points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
         return self.network.log_prob(self._input(picture), points).numpy().astype(np.float64)
+
+    @property
+    def emulates(self) -> bool:
+        """Whether it has an emulator that explains nine tenths of the variance of renders."""
+        return self.emulator is not None and (self.report.emulated or 0.0) >= _EXPLAINED
+
+    @one_thread
+    def refined(self, picture: object, X: object, seed: int = 0) -> Float64:
+        """Hypotheses (at most 8, dim) of a picture, found by descents through the emulator.
+
+        picture: as for `sample`.  X: (n, dim) in [0, 1], where descents begin; the best 32 of them
+        are taken.  The result has the best one first.  Same seed, same hypotheses.  It takes
+        seconds, and no renders.
+
+        Raises OptionError without an emulator, and what `sample` raises.
+        """
+        if self.emulator is None:
+            raise OptionError(
+                f"the model of {self.renderer!r} has no emulator: learn it with emulator=True"
+            )
+        points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
+        generator = torch.Generator().manual_seed(whole_number("seed", seed, 0))
+        found = inverted(self.emulator, self._input(picture), points, generator)
+        return found.numpy().astype(np.float64)
 
     def knows(self, picture: object) -> bool:
         """Whether the picture is like those that were learned, see `familiarity`."""
@@ -197,6 +228,7 @@ class Model:
             "periodic": list(self.periodic),
             "blocks": [list(block) for block in self.blocks],
             "weights": dict(self.network.state_dict()),
+            "emulator": None if self.emulator is None else dict(self.emulator.state_dict()),
             "scale": self.network.scale,
             "familiarity": self.familiarity.state_dict(),
             "report": self.report.state_dict(),
@@ -218,7 +250,8 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
-        state = {"fingerprint": None, "scale": 1.0, **state}  # earlier versions have none
+        earlier = {"fingerprint": None, "scale": 1.0, "emulator": None}  # versions have none
+        state = {**earlier, **state}
         check(state, _SCHEMA, {}, "model")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
@@ -228,6 +261,10 @@ class Model:
         network.load(state["weights"])
         network.scale = float(state["scale"])
         network.eval()
+        emulator = None
+        if state["emulator"] is not None:
+            emulator = Emulator((h, w), state["periodic"], blocks)
+            emulator.load(state["emulator"])
         return cls(
             network,
             None if state["space"] is None else Space.from_dict(state["space"]),
@@ -240,4 +277,5 @@ class Model:
             Familiarity.from_state(state["familiarity"]),
             Report.from_state(state["report"]),
             state["fingerprint"],
+            emulator,
         )

@@ -77,6 +77,14 @@ class Network(nn.Module):
         places, vector = self.encoder(images)
         return self.density.log_prob(places, vector, u)
 
+    def standardize(self, images: Tensor) -> None:
+        """Take mean image and contrast from images (B, 3, H, W), on any device."""
+        self.encoder.standardize(images)
+
+    def loss(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """Mean negative log-likelihood in nats; nothing of it is drawn by the generator."""
+        return -self.log_prob(images, u).mean()
+
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:
         """Features (B, width) of images (B, 3, H, W)."""

@@ -46,6 +46,8 @@ class Report:
     augment: how much its renders were changed, see `augmentation`; None: not known of a model that
         was made before there was a choice.
     parameters: how many there are; 0: not known of a model that was made before it was counted.
+    emulated: share of the variance of held-out renders that the emulator explains; None without
+        an emulator.
     """
 
     renders: int
@@ -62,6 +64,7 @@ class Report:
     scale: float = 1.0
     fitted: int = 0
     parameters: int = 0
+    emulated: float | None = None
 
     def __str__(self) -> str:
         lines = [
@@ -75,6 +78,10 @@ class Report:
             lines.append(
                 f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
                 f"{self.scale:.2f}"
+            )
+        if self.emulated is not None:
+            lines.append(
+                f"the emulator explains {self.emulated:.1%} of the variance of held-out renders"
             )
         return "\n".join(lines)
 

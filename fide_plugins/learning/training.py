@@ -1,9 +1,10 @@
-"""Trains a network on renders: maximum likelihood, judged on renders held out.
+"""Trains a network on renders, judged on renders held out: a density, or a learned renderer.
 
 AdamW with a short warm-up and a cosine schedule (Loshchilov and Hutter 2019, arXiv:1711.05101). A
 pass sees every training render once, in an order that depends on the seed and the pass alone, so
 that training goes on from a checkpoint as if it had not been interrupted. The weights of the pass
-with the lowest held-out negative log-likelihood are kept.
+with the lowest held-out loss are kept: of a `Network` the negative log-likelihood in nats, of an
+`Emulator` the share of the images' variance that it does not explain.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fide_plugins.learning.augmentation import augmented
+from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.types import Float64
@@ -35,7 +37,7 @@ _CLIP = 5.0  # norm of a gradient
 _BATCH_OF_TEST = 500
 
 Curve = list[list[float]]
-"""Of each pass: renders seen so far, training and held-out negative log-likelihood in nats.
+"""Of each pass: renders seen so far, training and held-out loss.
 
 The last pass is unfinished where the time was up.
 """
@@ -62,7 +64,8 @@ def held_out(n: int) -> npt.NDArray[np.bool_]:
 class Training:
     """Training of a network.
 
-    network: changed in place, on its device; at the end it has the best weights.
+    network: changed in place, on its device; at the end it has the best weights.  An emulator needs
+        images as they are: augment="none".
     x, images: renders (n, d) and (n, H, W, 3).
     passes: at most.  seconds: at most, for the schedule too; None: no limit.
     augment: how much images are changed, see `augmentation`.
@@ -72,7 +75,7 @@ class Training:
         fallen.
     """
 
-    network: Network
+    network: Network | Emulator
     x: Float64
     images: Pixels
     passes: int
@@ -93,7 +96,7 @@ class Training:
             self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True
         )
         first = self._train[:_STANDARD]
-        self.network.encoder.standardize(as_input(self.images[first]))  # too many for a GPU
+        self.network.standardize(as_input(self.images[first]))  # too many for a GPU
         self._best, self._best_weights = math.inf, _copy(self.network)
 
     def run(
@@ -134,6 +137,11 @@ class Training:
         return self.passed >= passes or stalled
 
     @property
+    def best(self) -> float:
+        """Lowest held-out loss of a pass; +inf before the first."""
+        return self._best
+
+    @property
     def _best_pass(self) -> int:
         """Pass, from 1, that was the best on held-out renders; 0 before the first."""
         if not self.curve:
@@ -160,7 +168,7 @@ class Training:
             self._set_rate(first, start)
             images, u = self._batch(some)
             images = augmented(images, generator, self.augment)
-            loss = -self.network.log_prob(images, u).mean()
+            loss = self.network.loss(images, u, generator)
             self._step(loss)
             total, seen = total + float(loss.detach()) * len(some), seen + len(some)
         return total / max(1, seen), seen
@@ -189,11 +197,12 @@ class Training:
 
     @torch.no_grad()
     def test(self) -> float:
-        """Mean negative log-likelihood of held-out renders, in nats."""
+        """Mean loss of held-out renders."""
+        generator = torch.Generator(self.network.device).manual_seed(self.seed)
         total = 0.0
         for first in range(0, len(self._test), _BATCH_OF_TEST):
             some = self._test[first : first + _BATCH_OF_TEST]
-            total -= float(self.network.log_prob(*self._batch(some)).sum())
+            total += float(self.network.loss(*self._batch(some), generator)) * len(some)
         return total / max(1, len(self._test))
 
     # -- checkpoints -------------------------------------------------------------------------------
@@ -228,7 +237,7 @@ class Training:
         self._optimizer.load_state_dict(whole)
 
 
-def _copy(network: Network) -> dict[str, Tensor]:
+def _copy(network: nn.Module) -> dict[str, Tensor]:
     return {
         name: value.detach().to("cpu", copy=True) for name, value in network.state_dict().items()
     }

@@ -78,12 +78,18 @@ def test_all_heads_can_be_chosen() -> None:
 
 
 def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ("learn", "voronoi", "--task-set", "cells=2", "--size", 16, "--passes", 1)
-    assert fide(*words, "--renders", 100, "--out", "v.fide") == 0
+    scene = ("learn", "voronoi", "--task-set", "cells=2", "--size", 16, "--passes", 1)
+    words = (*scene, "--render-size", 32, "--renders", 100, "--out", "v.fide")
+    assert fide(*words) == 0
+    assert "emulator, pass 1/1  held-out renders:" in capsys.readouterr().err
     model = Model.load("v.fide")
+    assert (model.shape, model.size) == ((32, 32), (16, 16))
+    assert model.emulator is not None
     assert model.head == "set" and model.blocks == ((0, 1, 2, 3, 4), (5, 6, 7, 8, 9))
     assert fide("run", "voronoi", "--task-set", "cells=3", "--learned", "v.fide") == 2
     assert "has 10 parameters, and the optimizer 15" in capsys.readouterr().err
+    assert fide(*words, "--resume", "--no-emulator") == 0
+    assert Model.load("v.fide").emulator is None
 
 
 @pytest.mark.parametrize(
@@ -100,6 +106,8 @@ def test_a_task_is_learned(capsys: pytest.CaptureFixture[str]) -> None:
         (("voronoi", "--groups", "[[0,1]"), "a value in brackets is a list such as"),
         (("voronoi", "--groups", "[0,1]"), "groups must be at least two lists"),
         (("voronoi", "--groups", "[]", "--head", "set"), "needs exchangeable blocks"),
+        (("voronoi", "--groups", "[]", "--emulator"), "an emulator needs exchangeable blocks"),
+        (("gradient.py:render", "--render-size", "32"), "--render-size is of built-in tasks"),
         (("voronoi", "--head", "flow"), "invalid choice: 'flow'"),
         (("voronoi", "--version", ""), "version is a text such as '2', or None, not ''"),
         (("voronoi", "--store-limit", "0.0001"), "the limit is 0.0001 GiB: take fewer renders"),

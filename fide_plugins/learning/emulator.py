@@ -1,0 +1,168 @@
+"""A learned renderer: the color at a place of the image, given exchangeable blocks of parameters.
+
+A renderer is a black box without gradients.  A network that imitates it has gradients: through it
+the parameters of a picture are found by descent, without a render (`inversion`).  This one is for
+scenes that are a set of similar things (cells, lamps, sprites).  At each place of the image
+
+* attention says which block is seen, where one covers the others, and
+* a mean over all blocks of what each does there, where they add up.
+
+So no order of the blocks is learned, and what is learned of one block holds for all.  Other
+parameters scale and shift the features of the places (FiLM, Perez et al. 2018, arXiv:1709.07871).
+A network of coordinates that learns a scene by attention to a set is a conditional neural field
+(Sajjadi et al. 2022, arXiv:2111.13152).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from fide_plugins.learning.axes import fourier, frequencies
+
+__all__ = ["Emulator"]
+
+_WIDTH, _HEADS = 96, 4
+_SUMMED = 32  # numbers of each block of which a place gets the mean
+_PLACES = 64  # of each image in a step of training: twice as many cost twice, and learn no more
+
+
+class Emulator(nn.Module):
+    """Colors of an image at some of its places, given points of the unit cube.
+
+    size: height and width of the images.
+    periodic: (d,), axes that wrap around.
+    blocks: (n, L), axes of each exchangeable block; there must be some.
+    seed: of the initial weights.
+
+    Places are pixels, counted row by row.
+    """
+
+    blocks: Tensor
+    others: Tensor
+    periodic: Tensor
+    pixels: Tensor
+    mean: Tensor
+    variance: Tensor
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        periodic: Sequence[bool],
+        blocks: Sequence[Sequence[int]],
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.size, self.dim = size, len(periodic)
+        index, wraps = torch.tensor([list(block) for block in blocks]), torch.tensor(periodic)
+        others = sorted(set(range(self.dim)) - set(index.flatten().tolist()))
+        constants = {
+            "blocks": index,
+            "others": torch.tensor(others, dtype=torch.long),
+            "periodic": wraps,
+            "pixels": _pixels(size),
+        }
+        for name, constant in constants.items():
+            self.register_buffer(name, constant, persistent=False)
+        self.register_buffer("mean", torch.zeros(size[0] * size[1], 3))
+        self.register_buffer("variance", torch.ones(()))
+        with torch.random.fork_rng(devices=[]):  # the global generator stays as it was
+            torch.default_generator.manual_seed(seed)
+            self.block = _perceptron(index.shape[1] * frequencies(), _WIDTH)
+            self.place = _perceptron(self.pixels.shape[1], _WIDTH)
+            self.film = _perceptron(len(others) * frequencies(), 2 * _WIDTH) if others else None
+            self.gather = _Gather()
+            self.color = _perceptron(_WIDTH, 3)
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self.mean.device
+
+    def forward(self, u: Tensor, places: Tensor) -> Tensor:
+        """Colors (B, P, 3) in the image of each of the points u (B, d), at places (P,)."""
+        of_blocks = self.block(
+            fourier(u[:, self.blocks], self.periodic[self.blocks[0]]).flatten(2)
+        )  # (B, n, W)
+        of_places = self.place(self.pixels[places])[None]  # (1, P, W)
+        if self.film is not None:
+            waves = fourier(u[:, self.others], self.periodic[self.others]).flatten(1)
+            scale, shift = self.film(waves)[:, None].chunk(2, dim=-1)
+            of_places = of_places * (1 + scale) + shift
+        seen = of_places + self.gather(of_places, of_blocks)
+        colors: Tensor = self.mean[places] + self.variance.sqrt() * self.color(seen)
+        return colors
+
+    def standardize(self, images: Tensor) -> None:
+        """Take mean image and variance from images (B, 3, H, W), on any device."""
+        colors = images.flatten(2).transpose(1, 2)  # (B, places, 3)
+        mean = colors.mean(dim=0)
+        self.mean.copy_(mean)
+        self.variance.copy_((colors - mean).square().mean().clamp_min(1e-6))
+
+    def errors(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
+        """Mean squared errors (B,) of the colors at places (P,).
+
+        images: (B, 3, H, W), or (1, 3, H, W) that each of the points u (B, d) should give.
+        """
+        colors = images.flatten(2)[:, :, places].transpose(1, 2)
+        errors: Tensor = (self(u, places) - colors).square().mean(dim=(1, 2))
+        return errors
+
+    def loss(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """Share of the images' variance that it does not explain, at random places."""
+        some = self.random_places(_PLACES, generator)
+        return self.errors(images, u, some).mean() / self.variance
+
+    def random_places(self, n: int, generator: torch.Generator) -> Tensor:
+        """Draw n places (n,), some of them more than once."""
+        of = len(self.pixels)
+        return torch.randint(of, (n,), generator=generator, device=generator.device)
+
+    def load(self, weights: Mapping[str, Any]) -> None:
+        """Take weights by name; raises RuntimeError (of PyTorch) where they do not fit."""
+        self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+
+
+class _Gather(nn.Module):
+    """What each place gets of all blocks."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.query, self.key_value = nn.Linear(_WIDTH, _WIDTH), nn.Linear(_WIDTH, 2 * _WIDTH)
+        self.sharpness = nn.Parameter(torch.zeros(_HEADS, 1, 1))  # an edge is a narrow softmax
+        self.here, self.there = nn.Linear(_WIDTH, _SUMMED), nn.Linear(_WIDTH, _SUMMED)
+        self.mix = _perceptron(_WIDTH + _SUMMED, _WIDTH)
+
+    def forward(self, places: Tensor, blocks: Tensor) -> Tensor:
+        """Places (B or 1, P, W) and blocks (B, n, W) -> (B, P, W)."""
+        keys, values = self.key_value(blocks).chunk(2, dim=-1)
+        query, key, value = (_split(t) for t in (self.query(places), keys, values))
+        query = query * self.sharpness.exp()
+        query = query.expand(len(blocks), -1, -1, -1)
+        seen = F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
+        each = F.relu(self.here(places)[:, :, None] + self.there(blocks)[:, None])  # (B, P, n, S)
+        mixed: Tensor = self.mix(torch.cat([seen, each.mean(dim=2)], dim=-1))
+        return mixed
+
+
+def _perceptron(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, _WIDTH), nn.ReLU(), nn.Linear(_WIDTH, _WIDTH), nn.ReLU(),
+        nn.Linear(_WIDTH, outputs),
+    )  # fmt: skip
+
+
+def _pixels(size: tuple[int, int]) -> Tensor:
+    """Waves (H * W, 18) of the middle of each pixel, row by row; the longer side is 1."""
+    y, x = ((torch.arange(side) + 0.5) / max(size) for side in size)
+    return fourier(torch.cartesian_prod(y, x), torch.tensor([False, False])).flatten(1)
+
+
+def _split(features: Tensor) -> Tensor:
+    """(B, m, W) -> (B, heads, m, W / heads)."""
+    return features.view(*features.shape[:2], _HEADS, -1).transpose(1, 2)

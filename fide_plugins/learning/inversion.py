@@ -1,0 +1,82 @@
+"""From a picture to its parameters through a learned renderer: descent from many points at once.
+
+Adam (Kingma and Ba 2015, arXiv:1412.6980) on the logits of the parameters, each step at other
+random places of the image.  First all points take large steps, then the best of them small ones at
+more places.  Most of the points end in local optima; what finds the picture is their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fide_plugins.learning.emulator import Emulator
+
+__all__ = ["inverted"]
+
+_INSIDE = 1e-3  # from a face of the cube, where logits end
+_JUDGED = 256  # points times images whose error is computed at once
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """Steps of the best `points`, each at `places`, while the rate falls from `first` to `last`."""
+
+    points: int
+    places: int
+    steps: int
+    first: float
+    last: float
+
+
+_STAGES = (_Stage(32, 128, 150, 0.2, 0.03), _Stage(8, 512, 150, 0.03, 3e-4))
+
+
+def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+    """Points (at most 8, d) of the cube whose emulated images are nearest to one image, best first.
+
+    image: (1, 3, H, W).  u: (n, d), where descents begin; the best 32 of them are taken.
+    generator: of the places; same generator, same points.
+    """
+    for stage in _STAGES:
+        u = _nearest_first(emulator, image, u)[: stage.points]
+        u = _descended(emulator, image, u, stage, generator)
+    return _nearest_first(emulator, image, u)
+
+
+@torch.no_grad()
+def _nearest_first(emulator: Emulator, image: Tensor, u: Tensor) -> Tensor:
+    everywhere = torch.arange(emulator.size[0] * emulator.size[1])
+    errors = [emulator.errors(image, some, everywhere) for some in torch.split(u, _JUDGED)]
+    return u[torch.argsort(torch.cat(errors), stable=True)]
+
+
+@torch.enable_grad()
+def _descended(
+    emulator: Emulator, image: Tensor, u: Tensor, stage: _Stage, generator: torch.Generator
+) -> Tensor:
+    """Points (n, d) after the steps of a stage."""
+    free = _free(u, emulator.periodic).requires_grad_()
+    optimizer = torch.optim.Adam([free])
+    for step in range(stage.steps):
+        (group,) = optimizer.param_groups
+        group["lr"] = stage.first * (stage.last / stage.first) ** (step / stage.steps)
+        optimizer.zero_grad(set_to_none=True)
+        places = emulator.random_places(stage.places, generator)
+        errors = emulator.errors(image, _bounded(free, emulator.periodic), places)
+        errors.sum().backward(inputs=[free])  # type: ignore[no-untyped-call]
+        optimizer.step()
+    return _bounded(free.detach(), emulator.periodic)
+
+
+def _free(u: Tensor, periodic: Tensor) -> Tensor:
+    """Points of the cube as numbers without bounds: logits, and four times a periodic axis."""
+    return torch.where(periodic, 4 * u, torch.logit(u, _INSIDE))
+
+
+def _bounded(free: Tensor, periodic: Tensor) -> Tensor:
+    """What `_free` made of points of the cube; both have a slope of 4 in the middle."""
+    turns = free / 4
+    return torch.where(periodic, turns - turns.floor(), torch.sigmoid(free))
