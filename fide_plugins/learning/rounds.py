@@ -141,7 +141,8 @@ class Rounds:
             if on_progress is not None and at.stage == "render":
                 on_progress(before + at.done, f"rendering for the {name} model")
             elif on_progress is not None:
-                on_progress(before + renders, f"{name} model, pass {at.done}/{at.total}")
+                what = "emulator" if at.stage == "emulate" else "model"
+                on_progress(before + renders, f"{name} {what}, pass {at.done}/{at.total}")
 
         return learn(
             self.render,
