@@ -1,7 +1,7 @@
 """Learn a renderer of similar things once: pictures are then found before anything is rendered.
 
-Three spots of light on a wall. Which of them is the first does not matter, so `learn` trains a learned
-renderer (an emulator), too. Descents through it find where the lights of a new picture are.
+Three spots of light on a wall. Which of them is the first does not matter, so `learn` trains a
+learned renderer (an emulator), too. Descents through it find the lights of a new picture.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def main() -> None:
     model = learn(render, SPACE, renders=6000, size=SIDE, passes=5, augment="none")
     print(model.report)
     rng = np.random.default_rng(1)
-    pictures = [render(params) for params in SPACE.decode_many(rng.random((5, SPACE.dim)))]
+    pictures = [render(params) for params in SPACE.decode_many(rng.random((3, SPACE.dim)))]
     for what, learned in (("without a model", None), ("with the model", model)):
         renders = [renders_until_solved(target, i, learned) for i, target in enumerate(pictures)]
         print(f"renders until solved, {what}: {renders}")
