@@ -28,6 +28,7 @@ __all__ = ["Emulator"]
 
 _WIDTH, _HEADS = 96, 4
 _SUMMED = 32  # numbers of each block of which a place gets the mean
+_JUDGED, _AT_ONCE = 2048, 16  # places of each held-out render, and renders
 _PLACES = 64  # of each image in a step of training: twice as many cost twice, and learn no more
 
 
@@ -117,6 +118,19 @@ class Emulator(nn.Module):
         """Share of the images' variance that it does not explain, at random places."""
         some = self.random_places(_PLACES, generator)
         return self.errors(images, u, some).mean() / self.variance
+
+    def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """Share of the variance of these images that it does not explain, at many more places.
+
+        What differs between images may be a few pixels of them.
+        """
+        some = self.random_places(_JUDGED, generator)
+        colors = images.flatten(2)[:, :, some].transpose(1, 2)
+        variance = (colors - self.mean[some]).square().mean().clamp_min(1e-6)
+        parts = zip(torch.split(images, _AT_ONCE), torch.split(u, _AT_ONCE), strict=True)
+        errors = torch.cat([self.errors(*part, some) for part in parts])
+        share: Tensor = errors.mean() / variance
+        return share
 
     def random_places(self, n: int, generator: torch.Generator) -> Tensor:
         """Draw n places (n,), some of them more than once."""

@@ -31,8 +31,8 @@ def hypotheses_of(
 ) -> Float64 | None:
     """Draw hypotheses (n, d) for a target; None for a picture unlike all renders.
 
-    Of sets of exchangeable blocks the first one is the middle of all.  With a good emulator they
-    are few: what it refined, the best first, and that middle.
+    Of sets of exchangeable blocks (head "set") the first one is the middle of all.  With a good
+    emulator they are at most 9: what it refined, the best first, and that first one.
 
     learned: model, or its file; None, without one: no hypotheses.
     target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.

@@ -17,7 +17,7 @@ from fide_plugins.learning.emulator import Emulator
 __all__ = ["inverted"]
 
 _INSIDE = 1e-3  # from a face of the cube, where logits end
-_JUDGED = 256  # points times images whose error is computed at once
+_AT_ONCE = 2**19  # points times pixels times blocks whose errors are computed at once
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,12 @@ _STAGES = (_Stage(32, 128, 150, 0.2, 0.03), _Stage(8, 512, 150, 0.03, 3e-4))
 
 
 def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-    """Points (at most 8, d) of the cube whose emulated images are nearest to one image, best first.
+    """Points (at most 8, d) of the unit cube whose emulated images are nearest to an image.
 
-    image: (1, 3, H, W).  u: (n, d), where descents begin; the best 32 of them are taken.
+    The best one is first.
+
+    image: (1, 3, H, W) in [0, 1].  u: (n, d) in [0, 1], where descents begin; the best 32 of them are
+        taken.
     generator: of the places; same generator, same points.
     """
     for stage in _STAGES:
@@ -48,8 +51,10 @@ def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Gene
 
 @torch.no_grad()
 def _nearest_first(emulator: Emulator, image: Tensor, u: Tensor) -> Tensor:
+    """Points (n, d), those whose images (all pixels of them) are nearest first."""
     everywhere = torch.arange(emulator.size[0] * emulator.size[1])
-    errors = [emulator.errors(image, some, everywhere) for some in torch.split(u, _JUDGED)]
+    points = max(1, _AT_ONCE // (len(everywhere) * len(emulator.blocks)))
+    errors = [emulator.errors(image, some, everywhere) for some in torch.split(u, points)]
     return u[torch.argsort(torch.cat(errors), stable=True)]
 
 
@@ -77,6 +82,6 @@ def _free(u: Tensor, periodic: Tensor) -> Tensor:
 
 
 def _bounded(free: Tensor, periodic: Tensor) -> Tensor:
-    """What `_free` made of points of the cube; both have a slope of 4 in the middle."""
+    """Inverse of `_free`: points of the cube."""
     turns = free / 4
     return torch.where(periodic, turns - turns.floor(), torch.sigmoid(free))

@@ -68,6 +68,7 @@ _SCHEMA: Schema = {
     },
     "report": table(anything),
 }
+_EMULATED: Schema = {"emulated": maybe(real())}
 
 
 @dataclass(frozen=True)
@@ -137,13 +138,14 @@ class Model:
         """Whether it has an emulator that explains nine tenths of the variance of renders."""
         return self.emulator is not None and (self.report.emulated or 0.0) >= _EXPLAINED
 
+    @torch.inference_mode(False)
     @one_thread
     def refined(self, picture: object, X: object, seed: int = 0) -> Float64:
         """Hypotheses (at most 8, dim) of a picture, found by descents through the emulator.
 
-        picture: as for `sample`.  X: (n, dim) in [0, 1], where descents begin; the best 32 of them
-        are taken.  The result has the best one first.  Same seed, same hypotheses.  It takes
-        seconds, and no renders.
+        picture: as for `sample`.  X: (n, dim) in [0, 1], n >= 1, where descents begin; the best 32
+        of them are taken.  The result has the best one first.  Same seed, same hypotheses.  It
+        takes seconds, and no renders.
 
         Raises OptionError without an emulator, and what `sample` raises.
         """
@@ -152,6 +154,8 @@ class Model:
                 f"the model of {self.renderer!r} has no emulator: learn it with emulator=True"
             )
         points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
+        if not len(points):
+            raise OptionError("X has no points: give at least one, where descents begin")
         generator = torch.Generator().manual_seed(whole_number("seed", seed, 0))
         found = inverted(self.emulator, self._input(picture), points, generator)
         return found.numpy().astype(np.float64)
@@ -253,6 +257,7 @@ class Model:
         earlier = {"fingerprint": None, "scale": 1.0, "emulator": None}  # versions have none
         state = {**earlier, **state}
         check(state, _SCHEMA, {}, "model")
+        check({"emulated": state["report"].get("emulated")}, _EMULATED, {}, "model['report']")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
             raise ValueError("its head or its axes are none")

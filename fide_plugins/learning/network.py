@@ -85,6 +85,8 @@ class Network(nn.Module):
         """Mean negative log-likelihood in nats; nothing of it is drawn by the generator."""
         return -self.log_prob(images, u).mean()
 
+    judged = loss
+
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:
         """Features (B, width) of images (B, 3, H, W)."""

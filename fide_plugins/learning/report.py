@@ -80,9 +80,8 @@ class Report:
                 f"{self.scale:.2f}"
             )
         if self.emulated is not None:
-            lines.append(
-                f"the emulator explains {self.emulated:.1%} of the variance of held-out renders"
-            )
+            share = max(0.0, self.emulated)
+            lines.append(f"the emulator explains {share:.1%} of the variance of held-out renders")
         return "\n".join(lines)
 
     @property

@@ -202,7 +202,7 @@ class Training:
         total = 0.0
         for first in range(0, len(self._test), _BATCH_OF_TEST):
             some = self._test[first : first + _BATCH_OF_TEST]
-            total += float(self.network.loss(*self._batch(some), generator)) * len(some)
+            total += float(self.network.judged(*self._batch(some), generator)) * len(some)
         return total / max(1, len(self._test))
 
     # -- checkpoints -------------------------------------------------------------------------------

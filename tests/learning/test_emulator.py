@@ -194,6 +194,26 @@ def test_without_an_emulator_nothing_is_refined(model: Model) -> None:
         without.refined(lights(np.full(6, 0.3)), np.full((1, 6), 0.5))
 
 
+def test_points_are_needed_and_gradients_are_there(model: Model) -> None:
+    picture = lights(np.full(6, 0.3))
+    with pytest.raises(OptionError, match="X has no points"):
+        model.refined(picture, np.empty((0, 6)))
+    with torch.inference_mode():
+        assert model.refined(picture, np.full((1, 6), 0.5)).shape == (1, 6)
+
+
+def test_a_few_pixels_that_change_are_judged() -> None:
+    """Random weights explain nothing of two small spots in a corner, whatever places are drawn."""
+    rng = np.random.default_rng(0)
+    images = torch.zeros(100, 3, 64, 64)
+    images[:, :, 2:8, 2:8] = torch.from_numpy(rng.random((100, 3, 6, 6))).float()
+    emulator = Emulator((64, 64), [False] * 6, BLOCKS)
+    emulator.standardize(images)
+    u = torch.from_numpy(rng.random((100, 6))).float()
+    for seed in range(4):
+        assert emulator.judged(images, u, torch.Generator().manual_seed(seed)) > 0.5
+
+
 def test_where_it_is_learned() -> None:
     """Where blocks are exchangeable, unless somebody wants none."""
     words = {"renders": 100, "size": SIDE, "passes": 1}
