@@ -39,7 +39,7 @@ def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Gene
 
     The best one is first.
 
-    image: (1, 3, H, W) in [0, 1].  u: (n, d) in [0, 1], where descents begin; the best 32 are taken.
+    image: (1, 3, H, W) in [0, 1].  u: (n, d) in [0, 1], where descents begin, the best 32 of them.
     generator: of the places; same generator, same points.
     """
     for stage in _STAGES:
