@@ -44,6 +44,7 @@ from fide_plugins.runtime.timing import timed
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.space import Space
 from fide_plugins.state import State
@@ -153,8 +154,8 @@ class FIDE(Retargeting):
         """Whether images say where the next one begins, where others decide that."""
         self.begin_with(learned)
 
-    def _initial_state(self, hypotheses: Float64 | None = None) -> State:
-        """Lines 1 and 2; hypotheses: (n, d), of a learned model, where the search begins."""
+    def _initial_state(self, posterior: Posterior | None = None) -> State:
+        """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
         subsets = o.proposal.channel_subsets or self.encoder.channel_subsets
         cells = None if self.space is None else self.space.layout
@@ -163,7 +164,7 @@ class FIDE(Retargeting):
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
         about = self.x0, setting.sigma0, k, self.target_tokens, subsets[0], self.seed
-        moves, known = MovePolicy(*about, groups, cells, hypotheses), hypotheses is not None
+        moves, known = MovePolicy(*about, groups, cells, posterior), posterior is not None
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),

@@ -13,6 +13,7 @@ from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
+from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.search.moves.optima import APART
 from fide_plugins.search.moves.status import Facts, Status, status_of
 from fide_plugins.space import Space
@@ -197,8 +198,8 @@ class Readings(Saved):
         self.state = fresh
 
     @abstractmethod
-    def _initial_state(self, hypotheses: Float64 | None = None) -> State:
-        """Return a state in which nothing was asked; hypotheses: (n, d), where it begins."""
+    def _initial_state(self, posterior: Posterior | None = None) -> State:
+        """Return a state in which nothing was asked; posterior: where it begins."""
 
     @classmethod
     def check_settings(cls, settings: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.learning.hypotheses import hypotheses_of
+from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.training_sample import TrainingSample, columns
 from fide_plugins.readings import Readings
@@ -36,8 +36,7 @@ class Retargeting(Readings):
         learned: argument of `FIDE`; raises and warns as that does, before anything changes.
         """
         space = self.space or self.dim
-        hypotheses = hypotheses_of(learned, space, self.target, self.seed)
-        self.state = self._initial_state(hypotheses)
+        self.state = self._initial_state(posterior_of(learned, space, self.target, self.seed))
 
     @one_at_a_time
     @one_thread

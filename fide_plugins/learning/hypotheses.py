@@ -11,34 +11,34 @@ import numpy.typing as npt
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers.fingerprint import changed, fingerprint_of, version_of
 from fide_plugins.runtime.warn import warn_user
+from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
 
-__all__ = ["hypotheses_of", "model_for"]
+__all__ = ["model_for", "posterior_of"]
 
 _DRAWN = 512
 _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
 
 
-def hypotheses_of(
+def posterior_of(
     learned: Model | str | os.PathLike[str] | None,
     space: Space | int,
     target: Any,
     seed: int,
-) -> Float64 | None:
-    """Draw hypotheses (n, d) for a target; None for a picture unlike all renders.
+) -> Posterior | None:
+    """Draw hypotheses of a target's parameters, and refine some where there is a good emulator.
 
-    Of sets of exchangeable blocks (head "set") the first one is the middle of all.  With a good
-    emulator they are at most 9: what it refined, the best first, and that first one.
+    It is None without a model, and, with a warning, for a picture unlike all renders.
 
-    learned: model, or its file; None, without one: no hypotheses.
+    learned: model, or its file.
     target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
 
-    Warns of an unknown picture.  Raises OSError or CheckpointError for a file that is no model,
-    OptionError for a model of another space or for several views, ImageError for another aspect.
+    Raises OSError or CheckpointError for a file that is no model, OptionError for a model of
+    another space or for several views, ImageError for another aspect.
     """
     if learned is None:
         return None
@@ -61,14 +61,14 @@ def hypotheses_of(
     x = learned.sample(target, _DRAWN, seed % 2**32)
     if learned.head == "set":
         x[0] = _middle(x, np.array(learned.periodic))
-    return _refined(learned, target, x, seed % 2**32) if learned.emulates else x
+    refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
+    return Posterior(x, refined)
 
 
 def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
-    """What descents find from hypotheses x (n, d) and from anywhere, and the first hypothesis."""
+    """What descents find (m, d) from hypotheses x (n, d) and from anywhere."""
     anywhere = np.random.default_rng((seed, 3)).random((_DESCENTS, model.dim))
-    found = model.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
-    return np.concatenate([found, x[:1]])
+    return model.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
 
 
 def _middle(x: Float64, periodic: npt.NDArray[np.bool_]) -> Float64:

@@ -13,7 +13,7 @@ from torch import Tensor
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
 from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.hypotheses import hypotheses_of
+from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.learning.inversion import _bounded, _free, inverted
 from fide_plugins.learning.network import as_input
 from fide_plugins.learning.renderer import Pixels
@@ -164,10 +164,12 @@ def test_hypotheses_are_what_descents_find(model: Model) -> None:
     others = np.stack([lights(x) for x in np.random.default_rng(3).random((1000, 6))])
     for seed, truth in enumerate(np.random.default_rng(2).random((2, 6))):
         picture = lights(truth)
-        x = hypotheses_of(model, 6, picture, seed)
-        assert x is not None
-        assert x.shape == (9, 6)
-        error = np.square(lights(x[0]) - picture).mean()
+        posterior = posterior_of(model, 6, picture, seed)
+        assert posterior is not None
+        assert posterior.refined is not None
+        assert posterior.x.shape == (512, 6)
+        assert posterior.refined.shape == (8, 6)
+        error = np.square(lights(posterior.refined[0]) - picture).mean()
         assert (np.square(others - picture).mean(axis=(1, 2)) < error).mean() < 0.02
 
 
@@ -182,9 +184,10 @@ def test_same_seed_same_hypotheses(model: Model) -> None:
 def test_a_bad_emulator_is_not_asked(model: Model) -> None:
     bad = replace(model, report=replace(model.report, emulated=0.89))
     assert not bad.emulates
-    x = hypotheses_of(bad, 6, lights(np.full(6, 0.3)), 0)
-    assert x is not None
-    assert len(x) == 512
+    posterior = posterior_of(bad, 6, lights(np.full(6, 0.3)), 0)
+    assert posterior is not None
+    assert len(posterior.x) == 512
+    assert posterior.refined is None
 
 
 def test_without_an_emulator_nothing_is_refined(model: Model) -> None:

@@ -12,7 +12,7 @@ rendered, one is searched, and narrowly.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.types import Float64
 
-__all__ = ["Hypotheses"]
+__all__ = ["Hypotheses", "Posterior"]
 
 _RENDERED = 48
 _RENDERED_SETS = 8
@@ -32,22 +32,35 @@ _NARROWEST, _WIDEST = 0.02, 1 / 6  # standard deviations
 _NARROWEST_SET, _WIDEST_SET = 0.006, 0.06  # descents through an emulator end near each other
 _SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
+    "refined": maybe(array("refined", "d", low=0.0, high=1.0)),
     "waiting": array("waiting", "d", low=0.0, high=1.0),
     "typical": maybe(real()),
 }
 
 
-class Hypotheses:
-    """Points x (n, d) of the cube, drawn from a posterior; none without a model.
+class Posterior(NamedTuple):
+    """What a learned model says of a picture.
 
+    x: (n, d), draws; of sets of exchangeable blocks the first one is the middle of all.
+    refined: (m, d), what descents through an emulator found, the best first; None without one.
+    """
+
+    x: Float64
+    refined: Float64 | None = None
+
+
+class Hypotheses:
+    """Points of the cube that a model takes for possible; none without a model.
+
+    posterior: draws x (n, d), which say how probable an answer is, and refined points.
     sets: whether they are sets of exchangeable blocks.
     """
 
     name = "learned"
 
-    def __init__(self, x: Float64 | None, dim: int, *, sets: bool = False) -> None:
+    def __init__(self, posterior: Posterior | None, dim: int, *, sets: bool = False) -> None:
         self._sets = sets
-        self.x = np.empty((0, dim)) if x is None else x
+        self.x, self._refined = posterior or Posterior(np.empty((0, dim)))
         self._waiting = np.empty((0, dim))  # starts that were not searched yet, best first
         self.typical: float | None = None
         """Median loss of those that were rendered; None before, and where it is not known."""
@@ -72,7 +85,14 @@ class Hypotheses:
 
     def draw(self) -> Float64:
         """Those that are rendered first, (m, d)."""
-        return self.x[: _RENDERED_SETS if self._sets else _RENDERED]
+        return self._candidates[: _RENDERED_SETS if self._sets else _RENDERED]
+
+    @property
+    def _candidates(self) -> Float64:
+        """Where a search may begin (m, d): what was refined and the first draw, or all draws."""
+        if self._refined is None:
+            return self.x
+        return np.concatenate([self._refined, self.x[:1]])
 
     def learn(
         self,
@@ -106,10 +126,10 @@ class Hypotheses:
         They are narrow in what the picture shows well, and wide in the rest.  Exchangeable blocks
         are in the order nearest to x, and periodic axes are differences the shorter way around.
         """
-        others = np.stack([known.exchangeability.aligned(one, x) for one in self.x])
+        others = np.stack([known.exchangeability.aligned(one, x) for one in self._candidates])
         squares = np.square(known.axes.difference(others, x))  # (n, d)
         order = np.argsort(squares.sum(axis=1), kind="stable")
-        nearest = squares[order[: max(2, int(_NEAREST * len(self.x)))]]
+        nearest = squares[order[: max(2, int(_NEAREST * len(others)))]]
         spread = np.sqrt(nearest.mean(axis=0))
         ends = (_NARROWEST_SET, _WIDEST_SET) if self._sets else (_NARROWEST, _WIDEST)
         return np.asarray(np.clip(spread, *ends), np.float64)
@@ -117,11 +137,17 @@ class Hypotheses:
     def forget(self) -> None:
         """There are none: the target is another one."""
         self.x = self._waiting = np.empty((0, self.x.shape[1]))
+        self._refined = None
         self.typical = None
 
     def state_dict(self) -> dict[str, Any]:
         """All of it."""
-        return {"x": self.x, "waiting": self._waiting, "typical": self.typical}
+        return {
+            "x": self.x,
+            "refined": self._refined,
+            "waiting": self._waiting,
+            "typical": self.typical,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any] | None) -> None:
         """Put back what `state_dict` gave; None: there are none.  Raises ValueError."""
@@ -129,8 +155,10 @@ class Hypotheses:
         if state is None:
             self.forget()
             return
-        state = {"typical": None, **state}  # saved before there were probabilities
+        earlier = {"typical": None, "refined": None}  # versions have none
+        state = {**earlier, **state}
         check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
         self.x = state["x"].reshape(-1, dim)
+        self._refined = state["refined"]
         self._waiting = state["waiting"].reshape(-1, dim)
         self.typical = state["typical"]

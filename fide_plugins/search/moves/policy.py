@@ -33,7 +33,7 @@ from fide_plugins.search.moves.choice import Choice
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.half_turn import HalfTurn
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
 from fide_plugins.search.moves.modes import probabilities
 from fide_plugins.search.moves.optima import Optima
 from fide_plugins.search.moves.policy_schema import check_policy
@@ -68,7 +68,7 @@ class MovePolicy:
     seed: of the draws of moves.
     groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
     cells: what is discrete or periodic in the cube; None: nothing.
-    hypotheses: (n, d), of a learned model; the run begins with them.  None: there is no model.
+    posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
 
     Raises OptionError for groups that are declared wrongly.
     """
@@ -83,7 +83,7 @@ class MovePolicy:
         seed: int,
         groups: Sequence[Sequence[int]] | None = None,
         cells: Cells | None = None,
-        hypotheses: Float64 | None = None,
+        posterior: Posterior | None = None,
     ) -> None:
         dim = len(x0)
         axes = Axes(dim, cells)
@@ -101,7 +101,7 @@ class MovePolicy:
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
-        self.hypotheses = Hypotheses(hypotheses, dim, sets=bool(groups))
+        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups))
         family.append(Resample(self.hypotheses))
         self._moves = {move.name: move for move in family}
         self._choice = Choice(
@@ -132,9 +132,9 @@ class MovePolicy:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
         if not self.hypotheses.there or not len(X):
             return None
-        posterior = self.hypotheses.x, self.hypotheses.typical
-        known = self.known
-        return probabilities(losses, X, *posterior, self.noise, known.exchangeability, known.axes)
+        there, known = self.hypotheses, self.known
+        about = there.x, there.typical, self.noise, known.exchangeability, known.axes
+        return probabilities(losses, X, *about)
 
     # -- after a search ----------------------------------------------------------------------------
 

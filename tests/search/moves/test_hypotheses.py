@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from fide_plugins import Float, Group, Space
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
 from fide_plugins.search.moves.policy import MovePolicy
 from fide_plugins.types import Float64
 
@@ -23,7 +23,7 @@ def begin(hypotheses: Float64) -> Float64:
     d = SPACE.dim
     policy = MovePolicy(
         np.full(d, 0.5), np.full(d, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
-        SPACE.largest_family, SPACE.layout, hypotheses,
+        SPACE.largest_family, SPACE.layout, Posterior(hypotheses),
     )  # fmt: skip
     policy.hypotheses.learn([(0.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
     return policy.hypotheses.next(policy.known).std
@@ -46,7 +46,7 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
     policies = [
         MovePolicy(
             np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
-            groups, SPACE.layout, x,
+            groups, SPACE.layout, Posterior(x),
         )
         for groups in (SPACE.largest_family, [])
     ]  # fmt: skip
@@ -68,10 +68,33 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
 def test_a_search_has_to_be_brisk_only_above_a_positive_finite_loss(
     losses: list[float], above: float | None
 ) -> None:
-    hypotheses = Hypotheses(np.random.default_rng(0).random((10, 2)), 2)
+    hypotheses = Hypotheses(Posterior(np.random.default_rng(0).random((10, 2))), 2)
     found = [(loss, x) for loss, x in zip(losses, hypotheses.x, strict=False)]
     hypotheses.learn(found, hypotheses.x[0], lambda x, y: float(np.abs(x - y).max()))
     assert hypotheses.brisk_above == pytest.approx(above)
     again = Hypotheses(None, 2)
     again.load_state_dict(hypotheses.state_dict())  # which refuses what is not finite
     assert again.typical == hypotheses.typical
+
+
+def test_what_was_refined_is_rendered_and_searched_narrowly() -> None:
+    rng = np.random.default_rng(0)
+    draws, refined = rng.random((512, 7)), np.tile(TRUTH, (8, 1))
+    policy = MovePolicy(
+        np.full(7, 0.5), np.full(7, 1 / 6), 9, torch.zeros(1, 3), 3, 0,
+        SPACE.largest_family, SPACE.layout, Posterior(draws, refined),
+    )  # fmt: skip
+    there = policy.hypotheses
+    np.testing.assert_array_equal(policy.draw(rng), refined)
+    there.learn([(1.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
+    assert there.next(policy.known).std.max() < 0.01
+
+    again = Hypotheses(None, 7, sets=True)
+    again.load_state_dict(there.state_dict())
+    np.testing.assert_array_equal(again.draw(), refined)
+    np.testing.assert_array_equal(again.x, draws)
+    earlier = {name: value for name, value in there.state_dict().items() if name != "refined"}
+    again.load_state_dict(earlier)  # as versions saved it that refined nothing
+    np.testing.assert_array_equal(again.draw(), draws[:8])
+    again.forget()
+    assert not len(again.draw())

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from fide_plugins.fide import FIDE
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.search.moves.modes import nearest_shares, probabilities, relative_likelihoods
+from fide_plugins.search.moves.policy import MovePolicy
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
 
@@ -104,7 +107,8 @@ def searched(opt: FIDE, renders: int) -> FIDE:
 
 
 def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fide_plugins.retargeting.hypotheses_of", lambda *_: posterior(256, 256))
+    there = Posterior(posterior(256, 256))
+    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", lambda *_: there)
     opt = searched(FIDE(4, two_cells(A), seed=0, groups=[]), 1200)
     found = opt.solutions()
     likely = [one for one in found if one.probability is not None and one.probability > 0.1]
@@ -119,6 +123,15 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
     opt.retarget(two_cells(B + 0.05))
     assert not opt.state.moves.hypotheses.there
     assert all(one.probability is None for one in searched(opt, 1400).solutions())
+
+
+def test_probabilities_are_shares_of_draws_not_of_refined_points() -> None:
+    there = Posterior(posterior(384, 128), np.tile(A, (8, 1)))
+    policy = MovePolicy(
+        np.full(4, 0.5), np.full(4, 1 / 6), 9, torch.zeros(1, 3), 3, 0, [], posterior=there
+    )
+    policy.hypotheses.typical = 1.0
+    assert policy.probabilities([0.0, 0.0], np.stack([A, B])) == pytest.approx([0.75, 0.25])
 
 
 def test_without_a_model_nothing_is_said() -> None:

@@ -10,7 +10,7 @@ from fide_plugins import Choice, Float, Space
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.exchangeability import Exchangeability
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.search.moves.removal import Removal
 from fide_plugins.search.moves.resample import Resample
@@ -50,7 +50,7 @@ def hypotheses(n: int = 512, seed: int = 0) -> Float64:
 @pytest.mark.parametrize("n", [1, 2, 7, 20])
 def test_candidates_keep_what_is_known_and_have_values_of_hypotheses(n: int) -> None:
     known, there = scene(), hypotheses()
-    x = Resample(Hypotheses(there, 4)).draw(known, n, np.random.default_rng(1))
+    x = Resample(Hypotheses(Posterior(there), 4)).draw(known, n, np.random.default_rng(1))
     assert x.shape == (n, 4)
     np.testing.assert_array_equal(x[:, KNOWN], np.tile(HERE[KNOWN], (n, 1)))
     for axis in OPEN:
@@ -63,7 +63,9 @@ def test_candidates_keep_what_is_known_and_have_values_of_hypotheses(n: int) -> 
 
 def test_single_changes_are_spread_over_what_hypotheses_have() -> None:
     known = scene()
-    x = Resample(Hypotheses(hypotheses(), 4)).draw(known, 40, np.random.default_rng(2))[::2]
+    x = Resample(Hypotheses(Posterior(hypotheses()), 4)).draw(known, 40, np.random.default_rng(2))[
+        ::2
+    ]
     other, any_ = (x[x[:, axis] != HERE[axis], axis] for axis in OPEN)
     np.testing.assert_array_equal(other, np.full(10, 0.74))  # the value that is not here
     assert np.diff(np.sort(any_)).max() < 0.35  # two strata of ten, and the gap around what is here
@@ -72,10 +74,12 @@ def test_single_changes_are_spread_over_what_hypotheses_have() -> None:
 def test_there_is_nothing_to_draw_where_hypotheses_agree_or_there_are_none() -> None:
     there = hypotheses()
     there[:, OPEN] = HERE[OPEN]
-    assert not Resample(Hypotheses(there, 4)).possible(scene())
+    assert not Resample(Hypotheses(Posterior(there), 4)).possible(scene())
     assert not Resample(Hypotheses(None, 4)).possible(scene())
-    assert Resample(Hypotheses(hypotheses(), 4)).possible(scene())
-    assert not Resample(Hypotheses(hypotheses(), 4)).possible(scene(groups=[[0, 1], [2, 3]]))
+    assert Resample(Hypotheses(Posterior(hypotheses()), 4)).possible(scene())
+    assert not Resample(Hypotheses(Posterior(hypotheses()), 4)).possible(
+        scene(groups=[[0, 1], [2, 3]])
+    )
 
 
 def test_a_circle_has_no_ends_and_the_axes_of_a_choice_belong_together() -> None:
@@ -86,21 +90,23 @@ def test_a_circle_has_no_ends_and_the_axes_of_a_choice_belong_together() -> None
         [np.mod(0.01 * rng.standard_normal(400), 1), np.eye(3)[rng.integers(3, size=400)]]
     )
     known = scene(np.array([0.999, 1.0, 0.0, 0.0]), axes)
-    x = Resample(Hypotheses(there, space.dim)).draw(known, 30, rng)
+    x = Resample(Hypotheses(Posterior(there), space.dim)).draw(known, 30, rng)
     np.testing.assert_array_equal(x[:, 0], np.full(30, 0.999))
     assert (np.isin(x[:, 1:], [0, 1])).all() and (x[:, 1:].sum(axis=1) == 1).all()
 
 
 def test_a_search_begins_wide_in_what_was_drawn() -> None:
     known = scene()
-    start = Resample(Hypotheses(hypotheses(), 4)).begin_at(known, np.array([0.3, 0.7, 0.74, 0.5]))
+    move = Resample(Hypotheses(Posterior(hypotheses()), 4))
+    start = move.begin_at(known, np.array([0.3, 0.7, 0.74, 0.5]))
     assert start.std[2] > 3 * start.std[[0, 1, 3]].max()
 
 
 def policy() -> MovePolicy:
     return MovePolicy(
-        np.full(4, 0.5), np.full(4, 1 / 6), 9, torch.zeros(16, 3), 3, 0, [], None, hypotheses()
-    )
+        np.full(4, 0.5), np.full(4, 1 / 6), 9, torch.zeros(16, 3), 3, 0, [],
+        posterior=Posterior(hypotheses()),
+    )  # fmt: skip
 
 
 def test_it_follows_a_search_from_a_hypothesis_and_itself_while_it_helps() -> None:
