@@ -7,12 +7,13 @@ the parameters. For a new picture it gives several hypotheses at once, which the
 =================  =============================================================================
 file               idea
 =================  =============================================================================
-`learn`            the whole way from a renderer to a model
+`pipeline`         `learn`, the whole way from a renderer to a model
 `model`            hypotheses, density, one file
 `renderer`         a user's function, or a task
 `store`            renders on disk, in shards
 `identity`         whether what renders now is what rendered before
 `rendering`        fills the store, in one process or several, or on a cluster
+`trainable`        what a network needs to be trained
 `network`          encoder and head
 `encoder`          a small convolutional network
 `heads`            densities of the parameters: autoregressive, mixture
@@ -37,13 +38,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fide_plugins.learning.learn import LearnProgress as LearnProgress, learn as learn
     from fide_plugins.learning.model import Model as Model
+    from fide_plugins.learning.pipeline import LearnProgress as LearnProgress, learn as learn
     from fide_plugins.learning.report import Report as Report
 
 __all__ = ["LearnProgress", "Model", "Report", "learn"]
 
-_ATTRIBUTES = {"LearnProgress": "learn", "Model": "model", "Report": "report", "learn": "learn"}
+_ATTRIBUTES = {
+    "LearnProgress": "pipeline",
+    "Model": "model",
+    "Report": "report",
+    "learn": "pipeline",
+}
 
 
 if not TYPE_CHECKING:  # a process that renders needs no PyTorch

@@ -15,14 +15,14 @@ A network of coordinates that learns a scene by attention to a set is a conditio
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fide_plugins.learning.axes import fourier, frequencies
+from fide_plugins.learning.trainable import Trainable
 
 __all__ = ["Emulator"]
 
@@ -32,7 +32,7 @@ _JUDGED, _AT_ONCE = 2048, 16  # places of each held-out render, and renders
 _PLACES = 64  # of each image in a step of training: twice as many cost twice, and learn no more
 
 
-class Emulator(nn.Module):
+class Emulator(Trainable):
     """Colors of an image at some of its places, given points of the unit cube.
 
     size: height and width of the images.
@@ -78,11 +78,6 @@ class Emulator(nn.Module):
             self.film = _perceptron(len(others) * frequencies(), 2 * _WIDTH) if others else None
             self.gather = _Gather()
             self.color = _perceptron(_WIDTH, 3)
-
-    @property
-    def device(self) -> torch.device:
-        """Where it computes."""
-        return self.mean.device
 
     def forward(self, u: Tensor, places: Tensor) -> Tensor:
         """Colors (B, P, 3) in the image of each of the points u (B, d), at places (P,)."""
@@ -136,10 +131,6 @@ class Emulator(nn.Module):
         """Draw n places (n,), some of them more than once."""
         of = len(self.pixels)
         return torch.randint(of, (n,), generator=generator, device=generator.device)
-
-    def load(self, weights: Mapping[str, Any]) -> None:
-        """Take weights by name; raises RuntimeError (of PyTorch) where they do not fit."""
-        self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
 
 
 class _Gather(nn.Module):

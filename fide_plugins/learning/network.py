@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from fide_plugins.learning.encoder import Encoder
 from fide_plugins.learning.heads import Autoregressive, Head, Mixture
 from fide_plugins.learning.renderer import Pixels
+from fide_plugins.learning.trainable import Trainable
 
 __all__ = ["HEADS", "Network", "as_input"]
 
@@ -18,7 +19,7 @@ HEADS = ("autoregressive", "mixture", "set")
 _WIDTH = 256
 
 
-class Network(nn.Module):
+class Network(Trainable):
     """Density of the parameters given an image.
 
     size: height and width of the images.
@@ -67,11 +68,6 @@ class Network(nn.Module):
     def scale(self, scale: float) -> None:
         self.density.scale = scale
 
-    @property
-    def device(self) -> torch.device:
-        """Where it computes."""
-        return self.encoder.mean.device
-
     def log_prob(self, images: Tensor, u: Tensor) -> Tensor:
         """Logarithm of the density (B,) at u (B, d), given images (B, 3, H, W), or one for all."""
         places, vector = self.encoder(images)
@@ -85,7 +81,9 @@ class Network(nn.Module):
         """Mean negative log-likelihood in nats; nothing of it is drawn by the generator."""
         return -self.log_prob(images, u).mean()
 
-    judged = loss
+    def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """The same."""
+        return self.loss(images, u, generator)
 
     @torch.no_grad()
     def vectors(self, images: Tensor) -> Tensor:
@@ -98,10 +96,6 @@ class Network(nn.Module):
         """Draw (n, d) given one image (1, 3, H, W)."""
         places, vector = self.encoder(image)
         return self.density.sample(places, vector, n, generator)
-
-    def load(self, weights: Mapping[str, Any]) -> None:
-        """Take weights by name; raises RuntimeError (of PyTorch) where they do not fit."""
-        self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
 
 
 def as_input(images: Pixels, device: torch.device | str = "cpu") -> Tensor:

@@ -13,7 +13,7 @@ round, and the search gets its renders, too.
 
 The files lie in the folder `rounds` of the run directory, so an interrupted fit goes on where it
 was.  The renders are removed when the search begins; the model of the first round, `first.fide`,
-stays for other pictures of the renderer.
+stays for other pictures of the renderer.  It has no emulator.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from fide_plugins.options import GLOBAL
 from fide_plugins.space import Space
 
 if TYPE_CHECKING:
-    from fide_plugins.learning.learn import LearnProgress
     from fide_plugins.learning.model import Model
+    from fide_plugins.learning.pipeline import LearnProgress
 
 __all__ = ["LEAST", "Learned", "Rounds", "rounds_of", "search_options"]
 
@@ -97,7 +97,8 @@ class Rounds:
             end = None if self.seconds is None else start + self.seconds
             middle = None if self.seconds is None else start + 0.5 * self.seconds
             learn = partial(self._learn, folder, workers, on_progress)
-            first = learn("first", 0, self.renders[0], middle)
+            # the second model gives the hypotheses, so the first needs no emulator
+            first = learn("first", 0, self.renders[0], middle, emulator=False)
             if not first.knows(self.picture):
                 return Learned(first, _number(first))
             second = learn(
@@ -122,7 +123,7 @@ class Rounds:
         A model that is there was finished before an interruption.
         """
         from fide_plugins.learning.hypotheses import model_for
-        from fide_plugins.learning.learn import learn
+        from fide_plugins.learning.pipeline import learn
         from fide_plugins.renderers.fingerprint import version_of
 
         file = folder / f"{name}.fide"

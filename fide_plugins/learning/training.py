@@ -21,9 +21,9 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.learning.augmentation import augmented
-from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.network import as_input
 from fide_plugins.learning.renderer import Pixels
+from fide_plugins.learning.trainable import Trainable
 from fide_plugins.types import Float64
 
 __all__ = ["Curve", "Progress", "Training", "held_out"]
@@ -75,7 +75,7 @@ class Training:
         fallen.
     """
 
-    network: Network | Emulator
+    network: Trainable
     x: Float64
     images: Pixels
     passes: int

@@ -141,7 +141,7 @@ def full_gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     def to(self: Network, device: object = None, **_: object) -> Network:
         return full() if device is not None and request.param == "to" else self
 
-    module = importlib.import_module("fide_plugins.learning.learn")  # the package has the function
+    module = importlib.import_module("fide_plugins.learning.pipeline")
     monkeypatch.setattr(module, "resolve_device", torch.device)
     monkeypatch.setattr(Network, "to", to)
     if request.param != "to":
@@ -183,7 +183,7 @@ def test_an_earlier_training_for_which_there_is_no_memory_is_no_damaged_file(
     def full(*_: object) -> NoReturn:
         raise error
 
-    module = importlib.import_module("fide_plugins.learning.learn")
+    module = importlib.import_module("fide_plugins.learning.pipeline")
     with monkeypatch.context() as patch:
         patch.setattr(module, "resolve_device", torch.device)
         patch.setattr(Network, "to", lambda network, *_, **__: network)
@@ -198,7 +198,7 @@ def test_main_memory_is_not_the_gpu_s(monkeypatch: pytest.MonkeyPatch, tmp_path:
     def full(*_: object) -> NoReturn:
         raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate")
 
-    module = importlib.import_module("fide_plugins.learning.learn")
+    module = importlib.import_module("fide_plugins.learning.pipeline")
     monkeypatch.setattr(module, "resolve_device", torch.device)
     monkeypatch.setattr(Network, "to", lambda network, *_, **__: network)
     monkeypatch.setattr(Training, "_batch", full)

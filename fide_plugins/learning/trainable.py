@@ -1,0 +1,37 @@
+"""What `training` trains: networks with weights by name, on one device."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+__all__ = ["Trainable"]
+
+
+class Trainable(nn.Module, ABC):
+    """A network that learns from renders: images (B, 3, H, W) in [0, 1] and points u (B, d)."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return next(self.parameters()).device
+
+    def load(self, weights: Mapping[str, Any]) -> None:
+        """Take weights by name; raises RuntimeError (of PyTorch) where they do not fit."""
+        self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+
+    @abstractmethod
+    def standardize(self, images: Tensor) -> None:
+        """Take from some of the images, on any device, how they differ."""
+
+    @abstractmethod
+    def loss(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """What a step of training makes smaller, a number."""
+
+    @abstractmethod
+    def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
+        """What held-out renders are judged by, a number; smaller is better."""
