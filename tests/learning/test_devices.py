@@ -20,8 +20,10 @@ from fide_plugins.cli import main
 from fide_plugins.errors import DeviceError, DeviceMemoryError
 from fide_plugins.learning import learn, sets
 from fide_plugins.learning.augmentation import AUGMENT, augmented
+from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.encoder import Encoder
 from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.trainable import Trainable
 from fide_plugins.learning.training import Training
 
 from .conftest import SIDE, SPACE, disk
@@ -50,6 +52,20 @@ def test_the_loss_of_each_head_is_computed_where_the_network_is(
         network.log_prob(images, torch.zeros(8, 5))
 
 
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("others", [0, 1])
+def test_the_errors_of_an_emulator_are_computed_where_it_is(others: int, periodic: bool) -> None:
+    d = 4 + others
+    emulator = Emulator((32, 32), [periodic] * d, BLOCKS).to("meta")
+    images, u = torch.zeros(8, 3, 32, 32, device="meta"), torch.zeros(8, d, device="meta")
+    emulator.standardize(images)
+    loss: Any = emulator.errors(images, u, torch.arange(7, device="meta")).mean()
+    loss.backward()
+    assert {w.grad.device.type for w in emulator.parameters() if w.grad is not None} == {"meta"}
+    with pytest.raises(RuntimeError, match="device"):  # or this test could not fail
+        emulator.errors(images, torch.zeros(8, d), torch.arange(7, device="meta"))
+
+
 def test_blocks_are_matched_on_the_cpu_and_taken_back() -> None:
     gain = torch.tensor([[[0.0, 1.0], [1.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]], requires_grad=True)
     assert sets._matching(gain).tolist() == [[1, 0], [0, 1]]
@@ -70,20 +86,26 @@ def test_a_device_that_is_not_there_is_refused_before_anything_is_rendered(devic
 # -- on a real GPU ---------------------------------------------------------------------------------
 
 
-def trainings(head: str, blocks: Sequence[Sequence[int]], augment: str) -> list[Training]:
+def made(kind: str) -> Trainable:
+    """A network with a head of this kind, or an emulator."""
+    periodic = [False] * 4 + [True]
+    if kind == "emulator":
+        return Emulator((32, 32), periodic, BLOCKS)
+    return Network((32, 32), periodic, kind, BLOCKS if kind == "set" else [])
+
+
+def trainings(kind: str, augment: str = "none") -> list[Training]:
     """The same on a GPU and on the CPU."""
     rng = np.random.default_rng(0)
     x, images = rng.random((640, 5)), rng.integers(0, 256, (640, 32, 32, 3), dtype=np.uint8)
-    networks = [
-        Network((32, 32), [False] * 4 + [True], head, blocks).to(d) for d in ("cuda", "cpu")
-    ]
+    networks = [made(kind).to(device) for device in ("cuda", "cpu")]
     return [Training(network, x, images, 1, augment=augment) for network in networks]
 
 
 @on_gpu
 @pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
 def test_a_pass_of_training_as_on_the_processor(head: str) -> None:
-    there, here = trainings(head, BLOCKS if head == "set" else [], "none")
+    there, here = trainings(head)
     assert there.test() == pytest.approx(here.test(), abs=1e-3)
     for training in (there, here):
         training.run()
@@ -92,8 +114,21 @@ def test_a_pass_of_training_as_on_the_processor(head: str) -> None:
 
 
 @on_gpu
-def test_a_training_goes_on_there_and_on_the_processor() -> None:
-    there, here = trainings("autoregressive", [], "photograph")
+def test_a_pass_of_an_emulator_as_on_the_processor() -> None:
+    """Other random places, which are noise: nothing of it can be explained."""
+    there, here = trainings("emulator")
+    for training in (there, here):
+        training.run()
+        assert training.best == pytest.approx(1.0, abs=0.1)
+    assert there.network.device.type == "cuda"
+
+
+@on_gpu
+@pytest.mark.parametrize(
+    ("kind", "augment"), [("autoregressive", "photograph"), ("emulator", "none")]
+)
+def test_a_training_goes_on_there_and_on_the_processor(kind: str, augment: str) -> None:
+    there, here = trainings(kind, augment)
     there.run()
     state = there.state_dict()
     for training in (there, here):
@@ -118,6 +153,16 @@ def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     assert model.network.device.type == "cpu"
     assert model.report.nll < -1.0
     assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
+
+
+@on_gpu
+def test_an_emulator_that_was_learned_there_computes_on_the_processor() -> None:
+    words: dict[str, Any] = {"size": SIDE, "passes": 1, "groups": [[0], [1]], "device": "cuda"}
+    model = learn(disk, SPACE, renders=200, **words)
+    assert model.emulator is not None
+    assert model.emulator.device.type == "cpu"
+    picture = disk({"x": 0.3, "y": 0.6, "gray": 0.5})
+    assert model.refined(picture, np.full((2, 4), 0.5)).shape == (2, 4)
 
 
 PLACES = {
