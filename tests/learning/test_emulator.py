@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.hypotheses import posterior_of
@@ -18,6 +19,7 @@ from fide_plugins.learning.inversion import _bounded, _free, inverted
 from fide_plugins.learning.network import as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.training import Training
+from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
 SIDE, SIZE = 16, (16, 16)
@@ -256,8 +258,6 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path) -> None:
 
 
 def test_files_of_earlier_versions_have_none(model: Model, tmp_path: Path) -> None:
-    from fide_plugins.runtime import checkpoint
-
     model.save(tmp_path / "m.fide")
     state = checkpoint.read(tmp_path / "m.fide", "learned model")
     del state["emulator"], state["report"]["emulated"]
@@ -266,3 +266,36 @@ def test_files_of_earlier_versions_have_none(model: Model, tmp_path: Path) -> No
     assert earlier.emulator is None
     assert earlier.report.emulated is None
     assert not earlier.emulates
+
+
+def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
+    """State of a model with something wrong about its emulator."""
+    weights, report = dict(state["emulator"]), dict(state["report"])
+    if how == "a weight is missing":
+        del weights["mean"]
+    elif how == "a weight is of another size":
+        weights["mean"] = weights["mean"][:-1]
+    elif how == "a weight too many":
+        weights["other"] = weights["mean"]
+    elif how == "no weights":
+        weights = {}
+    elif how == "no blocks":
+        return {**state, "blocks": []}
+    else:
+        report["emulated"] = "all of it"
+    return {**state, "emulator": weights, "report": report}
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        "a weight is missing", "a weight is of another size", "a weight too many", "no weights",
+        "no blocks", "no number in the report",
+    ],
+)  # fmt: skip
+def test_a_damaged_emulator_is_refused(model: Model, tmp_path: Path, how: str) -> None:
+    model.save(tmp_path / "m.fide")
+    state = checkpoint.read(tmp_path / "m.fide", "learned model")
+    checkpoint.write(tmp_path / "m.fide", "learned model", damaged(state, how))
+    with pytest.raises(CheckpointError, match=r"m\.fide: a model with impossible contents"):
+        Model.load(tmp_path / "m.fide")
