@@ -28,8 +28,8 @@ _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
 _BETTER = 0.1  # of the typical loss
-_NARROWEST, _WIDEST = 0.02, 1 / 6  # standard deviations
-_NARROWEST_SET, _WIDEST_SET = 0.006, 0.06  # descents through an emulator end near each other
+_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
+_NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
 _SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
     "refined": maybe(array("refined", "d", low=0.0, high=1.0)),
@@ -131,8 +131,8 @@ class Hypotheses:
         order = np.argsort(squares.sum(axis=1), kind="stable")
         nearest = squares[order[: max(2, int(_NEAREST * len(others)))]]
         spread = np.sqrt(nearest.mean(axis=0))
-        ends = (_NARROWEST_SET, _WIDEST_SET) if self._sets else (_NARROWEST, _WIDEST)
-        return np.asarray(np.clip(spread, *ends), np.float64)
+        low = _NARROWEST if self._refined is None else _NARROWEST_REFINED
+        return np.asarray(np.clip(spread, low, _WIDEST_SET if self._sets else _WIDEST), np.float64)
 
     def forget(self) -> None:
         """There are none: the target is another one."""

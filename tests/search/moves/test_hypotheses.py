@@ -88,6 +88,7 @@ def test_what_was_refined_is_rendered_and_searched_narrowly() -> None:
     np.testing.assert_array_equal(policy.draw(rng), refined)
     there.learn([(1.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
     assert there.next(policy.known).std.max() < 0.01
+    assert begin(np.tile(TRUTH, (512, 1))).min() == 0.02  # a density may be wrong by as much
 
     again = Hypotheses(None, 7, sets=True)
     again.load_state_dict(there.state_dict())
