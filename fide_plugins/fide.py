@@ -44,11 +44,10 @@ from fide_plugins.runtime.timing import timed
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.memory import Memory
-from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.space import Space
 from fide_plugins.state import State
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 from fide_plugins.validation.evaluation import Evaluator, Result
 from fide_plugins.validation.points import (
     as_points,

@@ -13,12 +13,11 @@ from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.search.moves.optima import APART
 from fide_plugins.search.moves.status import Facts, Status, status_of
 from fide_plugins.space import Space
 from fide_plugins.state import State
-from fide_plugins.types import Float64, Solution
+from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.evaluation import Evaluator
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of

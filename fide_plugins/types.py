@@ -1,10 +1,10 @@
-"""Arrays by name, what an optimizer is, and what it returns."""
+"""Arrays by name, what an optimizer is, what it returns, and what a model says of a picture."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fide_plugins.search.moves.status import Status
     from fide_plugins.space import Space
 
-__all__ = ["Estimate", "Estimated", "Float32", "Float64", "Optimizer", "Solution"]
+__all__ = ["Estimate", "Estimated", "Float32", "Float64", "Optimizer", "Posterior", "Solution"]
 
 Float64: TypeAlias = npt.NDArray[np.float64]
 """Parameters, losses and everything of the search."""
@@ -22,6 +22,17 @@ Float32: TypeAlias = npt.NDArray[np.float32]
 
 
 _OPEN = 0.2  # standard deviation of a parameter that is not determined (a uniform one has 0.29)
+
+
+class Posterior(NamedTuple):
+    """What a learned model says of a picture.
+
+    x: (n, d), draws; of sets of exchangeable blocks the first one is the middle of all.
+    refined: (m, d), what descents through an emulator found, the best first; None without one.
+    """
+
+    x: Float64
+    refined: Float64 | None = None
 
 
 class Estimate(Protocol):

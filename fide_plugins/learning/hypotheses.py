@@ -11,9 +11,8 @@ import numpy.typing as npt
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers.fingerprint import changed, fingerprint_of, version_of
 from fide_plugins.runtime.warn import warn_user
-from fide_plugins.search.moves.hypotheses import Posterior
 from fide_plugins.space import Space
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model

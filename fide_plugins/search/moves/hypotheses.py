@@ -12,15 +12,15 @@ rendered, one is searched, and narrowly.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.search.moves.base import Known, Start
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 
-__all__ = ["Hypotheses", "Posterior"]
+__all__ = ["Hypotheses"]
 
 _RENDERED = 48
 _RENDERED_SETS = 8
@@ -36,17 +36,6 @@ _SCHEMA: dict[str, Schema] = {
     "waiting": array("waiting", "d", low=0.0, high=1.0),
     "typical": maybe(real()),
 }
-
-
-class Posterior(NamedTuple):
-    """What a learned model says of a picture.
-
-    x: (n, d), draws; of sets of exchangeable blocks the first one is the middle of all.
-    refined: (m, d), what descents through an emulator found, the best first; None without one.
-    """
-
-    x: Float64
-    refined: Float64 | None = None
 
 
 class Hypotheses:

@@ -33,7 +33,7 @@ from fide_plugins.search.moves.choice import Choice
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.half_turn import HalfTurn
-from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
+from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.modes import probabilities
 from fide_plugins.search.moves.optima import Optima
 from fide_plugins.search.moves.policy_schema import check_policy
@@ -45,7 +45,7 @@ from fide_plugins.search.moves.sensitivity import Sensitivity
 from fide_plugins.search.moves.split import Split
 from fide_plugins.search.moves.swap import Swap
 from fide_plugins.search.moves.values import Values
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 
 __all__ = ["MovePolicy", "Stage", "Start"]
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from fide_plugins import Float, Group, Space
-from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
+from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.policy import MovePolicy
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 
 SPACE = Space(
     hand=Float(0, 360, periodic=True),

@@ -10,12 +10,12 @@ from fide_plugins import Choice, Float, Space
 from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.exchangeability import Exchangeability
-from fide_plugins.search.moves.hypotheses import Hypotheses, Posterior
+from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.search.moves.removal import Removal
 from fide_plugins.search.moves.resample import Resample
 from fide_plugins.search.moves.sensitivity import Sensitivity
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
 
 from .conftest import sample
 
