@@ -79,11 +79,10 @@ STAGES = {
         Stage(("robot", "spline"), ("mse",), (PUBLISHED,), (0,)),
         Stage(("voronoi",), ("perceptual",), (PUBLISHED,), (0,)),
     ],
-    "dibo": [Stage(FAST, METRICS, (DIBO,), (0,))],
+    "dibo": [Stage(FAST, METRICS, (DIBO,))],
     "rendered": [Stage(RENDERED, ("perceptual",), CHEAP, (0,))],
     "rest": [
         Stage(FAST, (*METRICS, "loi"), (PUBLISHED,)),
-        Stage(FAST, METRICS, (DIBO,)),
         Stage(RENDERED, ("perceptual",), SLOW, (0,)),
         Stage(RENDERED, ("mse",), tuple(RACERS), (0,)),
         Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,)),

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.baselines.dibo import DiBO, Diffusion, Round, RoundOptions
+from fide_plugins.baselines.dibo.diffusion import program_betas
 from fide_plugins.baselines.dibo.likelihood import program_likelihood, program_sigmas
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.dibo.round import trajectory_balance
@@ -53,6 +54,15 @@ def test_the_schedule() -> None:
     torch.testing.assert_close(diffusion.beta.diff().std(), torch.zeros((), dtype=DOUBLE))
     torch.testing.assert_close(diffusion.abar[0], (1 - diffusion.beta).prod())
     torch.testing.assert_close(diffusion.abar[-1], 1 - diffusion.beta[-1])
+
+
+def test_the_schedule_of_the_program_leaves_its_cleanest_noise() -> None:
+    diffusion = Diffusion(30, DOUBLE, betas=program_betas(30))
+    ends = torch.tensor([0.0199 * 31 / 30 + 1e-4, 0.0199 * 2 / 30 + 1e-4], dtype=DOUBLE)
+    torch.testing.assert_close(diffusion.beta[[0, -1]], ends)
+    cleanest = 0.0199 / 30 + 1e-4  # of its 31 variances; no step takes it away
+    torch.testing.assert_close(diffusion.abar[-1], (1 - ends[1]) * (1 - cleanest))
+    torch.testing.assert_close(diffusion.sigma, program_sigmas(30).flip(0)[:30])
 
 
 def test_noising_keeps_a_standard_normal_law_and_denoising_too() -> None:
@@ -218,15 +228,16 @@ def test_the_buffer_keeps_the_best() -> None:
     np.testing.assert_array_equal(opt._losses, np.sort(losses)[:50])
 
 
-def test_a_run_from_before_the_choice_of_the_likelihood_goes_on_with_the_exact_one(
-    tmp_path: Path,
+@pytest.mark.parametrize(("choice", "former"), [("likelihood", "exact"), ("schedule", "paper")])
+def test_a_run_from_before_a_choice_goes_on_with_what_it_had(
+    choice: str, former: str, tmp_path: Path
 ) -> None:
     DiBO(2, seed=0).save(tmp_path / "now")
-    assert DiBO.load(tmp_path / "now").round_options.likelihood == "authors"
+    assert DiBO.load(tmp_path / "now").round_options.as_dict()[choice] == "authors"
     saved = checkpoint.read(tmp_path / "now", "dibo")
-    del saved["settings"]["likelihood"]
+    del saved["settings"][choice]
     checkpoint.write(tmp_path / "before", "dibo", saved)
-    assert DiBO.load(tmp_path / "before").round_options.likelihood == "exact"
+    assert DiBO.load(tmp_path / "before").round_options.as_dict()[choice] == former
 
 
 def test_it_minimizes() -> None:
@@ -247,6 +258,7 @@ def test_it_minimizes() -> None:
     "options",
     [
         {"likelihood": "none"},
+        {"schedule": "none"},
         {"initial": 1},
         {"buffer": 0},
         {"alpha": 0.0},

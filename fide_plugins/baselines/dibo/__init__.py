@@ -18,8 +18,9 @@ Where this deviates from the authors' program
 ---------------------------------------------
 - Adam climbs the score itself, not its exponential, and without the divergence part of
   log p_prior, whose gradient the program drops as well; the final ranking has it.
-- The variances of the noise are 30 numbers from 1e-4 to 0.02, as the paper says.  The program makes
-  31, from 7.6e-4 to 0.0207, and trains and samples without the cleanest.
+- With schedule="paper" the variances of the noise are 30 numbers from 1e-4 to 0.02, as the paper
+  says.  By default they are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples
+  with all but the cleanest, so that candidates keep more noise.
 - With likelihood="exact" log p_prior is that of the model which is sampled (`diffusion.py`); with
   alpha = 1e-4 it weighs next to nothing in the score.  By default it is the program's own number,
   see `likelihood.py`: its ODE goes the other way round and ends in N(0, 0.0276^2), so that it is no
@@ -64,6 +65,7 @@ class DiBO(Stateful):
     batch: examples, or chains, a training step.
     precision: "double" or "single".
     likelihood: "authors", that of their program, or "exact", that of the model; see above.
+    schedule: variances of the noise: "authors", those of their program, or "paper"; see above.
 
     The other options are those of `Baseline`; `sigma0` is not used.  The defaults are those of
     the FIDE paper, which took them from the authors' for problems of like size.
@@ -100,6 +102,7 @@ class DiBO(Stateful):
         batch: int = 256,
         precision: str = "double",
         likelihood: str = "authors",
+        schedule: str = "authors",
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
@@ -107,6 +110,8 @@ class DiBO(Stateful):
             raise OptionError(f"precision must be 'double' or 'single', not {precision!r}")
         if likelihood not in ("authors", "exact"):
             raise OptionError(f"likelihood must be 'authors' or 'exact', not {likelihood!r}")
+        if schedule not in ("authors", "paper"):
+            raise OptionError(f"schedule must be 'authors' or 'paper', not {schedule!r}")
         self.initial = whole_number("initial", initial, 2)
         self.buffer = whole_number("buffer", buffer, 2)
         self.precision = precision
@@ -123,6 +128,7 @@ class DiBO(Stateful):
             proxy_width=whole_number("proxy_width", proxy_width, 1),
             batch=whole_number("batch", batch, 1),
             likelihood=likelihood,
+            schedule=schedule,
         )
         self._rng = np.random.default_rng(self.seed)
         self._generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
@@ -164,8 +170,8 @@ class DiBO(Stateful):
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor from `settings`; runs older than the choice stay exact."""
-        return {"likelihood": "exact", **settings}
+        """Arguments of the constructor; runs from before a choice keep what they had."""
+        return {"likelihood": "exact", "schedule": "paper", **settings}
 
     def _default_popsize(self) -> int:
         return 50

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from fide_plugins.baselines.dibo.diffusion import program_betas
+
 if TYPE_CHECKING:
     from fide_plugins.baselines.dibo.diffusion import Predict
 
@@ -27,9 +29,7 @@ __all__ = ["program_likelihood", "program_sigmas"]
 
 def program_sigmas(steps: int) -> Tensor:
     """Noise in the coordinates y of the program's steps + 1 steps, rising, (steps + 1,)."""
-    rank = torch.arange(1, steps + 2, dtype=torch.float64)
-    beta = (0.02 - 1e-4) * rank / steps + 1e-4
-    abar = (1 - beta).cumprod(0)
+    abar = (1 - program_betas(steps).flip(0)).cumprod(0)
     return ((1 - abar) / abar).sqrt()
 
 

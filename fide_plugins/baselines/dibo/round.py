@@ -12,7 +12,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fide_plugins.baselines.dibo.diffusion import Diffusion, Predict, draw_normal
+from fide_plugins.baselines.dibo.diffusion import (
+    Diffusion,
+    Predict,
+    draw_normal,
+    paper_betas,
+    program_betas,
+)
 from fide_plugins.baselines.dibo.likelihood import program_likelihood
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.networks import make
@@ -40,6 +46,7 @@ class RoundOptions:
     proxy_width: int = 256
     batch: int = 256
     likelihood: str = "authors"
+    schedule: str = "authors"
 
     def as_dict(self) -> dict[str, Any]:
         """All of them, by name."""
@@ -53,7 +60,9 @@ class Round:
         self, options: RoundOptions, x: Tensor, y: Tensor, generator: torch.Generator
     ) -> None:
         self.options, self.x, self.y, self.generator = options, x, y, generator
-        self.diffusion = Diffusion(options.diffusion_steps, x.dtype, x.device)
+        betas = program_betas if options.schedule == "authors" else paper_betas
+        steps = options.diffusion_steps
+        self.diffusion = Diffusion(steps, x.dtype, x.device, betas(steps))
 
     @cached_property
     def proxy(self) -> Ensemble:
