@@ -80,10 +80,9 @@ STAGES = {
         Stage(("voronoi",), ("perceptual",), (PUBLISHED,), (0,)),
     ],
     "dibo": [Stage(FAST, METRICS, (DIBO,))],
-    "rendered": [Stage(RENDERED, ("perceptual",), CHEAP, (0,))],
+    "rendered": [Stage(RENDERED, ("perceptual",), tuple(RACERS), (0,))],
     "rest": [
         Stage(FAST, (*METRICS, "loi"), (PUBLISHED,)),
-        Stage(RENDERED, ("perceptual",), SLOW, (0,)),
         Stage(RENDERED, ("mse",), tuple(RACERS), (0,)),
         Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,)),
     ],
