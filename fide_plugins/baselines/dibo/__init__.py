@@ -170,7 +170,10 @@ class DiBO(Stateful):
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor; runs from before a choice keep what they had."""
+        """Arguments of the constructor from the `settings` of a checkpoint.
+
+        A run from before an option existed keeps what it had then.
+        """
         return {"likelihood": "exact", "schedule": "paper", **settings}
 
     def _default_popsize(self) -> int:
