@@ -7,6 +7,10 @@ as wide as the hypotheses around it. They follow each other, and each has to bea
 Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
 wrong then is repaired by moves of single blocks (`split`), not by another set.  So few are
 rendered, one is searched, and narrowly.
+
+Where descents through an emulator have refined some, the best of these come first. Two draws and
+the middle of all are rendered beside them, since the emulator may be wrong of a picture: it has
+learned renders as they are. These three, which are no optima, say what a typical loss is.
 """
 
 from __future__ import annotations
@@ -23,7 +27,8 @@ from fide_plugins.types import Float64, Posterior
 __all__ = ["Hypotheses"]
 
 _RENDERED = 48
-_RENDERED_SETS = 8
+_RENDERED_SETS = 8  # and where some were refined
+_BESIDE_REFINED = 3  # of those: draws, whose median loss one odd draw does not move
 _SEARCHED = 4  # of those rendered
 _APART = 0.15  # of the unit cube, in some parameter: other hypotheses
 _NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
@@ -43,16 +48,25 @@ class Hypotheses:
 
     posterior: draws x (n, d), which say how probable an answer is, and refined points.
     sets: whether they are sets of exchangeable blocks.
+    place: points (n, d) as they are rendered: integers and choices in their cells.
     """
 
     name = "learned"
 
-    def __init__(self, posterior: Posterior | None, dim: int, *, sets: bool = False) -> None:
-        self._sets = sets
-        self.x, self._refined = posterior or Posterior(np.empty((0, dim)))
-        self._waiting = np.empty((0, dim))  # starts that were not searched yet, best first
+    def __init__(
+        self,
+        posterior: Posterior | None,
+        dim: int,
+        *,
+        sets: bool = False,
+        place: Callable[[Float64], Float64] = np.copy,
+    ) -> None:
+        self._sets, self._place, nothing = sets, place, np.empty((0, dim))
+        self.x, refined = posterior or Posterior(nothing)
+        self._refined = nothing if refined is None else refined
+        self._waiting = nothing  # starts that were not searched yet, best first
         self.typical: float | None = None
-        """Median loss of those that were rendered; None before, and where it is not known."""
+        """Median loss of the draws that were rendered; None before, and where it is not known."""
 
     @property
     def there(self) -> bool:
@@ -73,15 +87,11 @@ class Hypotheses:
         return None if self.typical is None or self.typical <= 0 else _BETTER * self.typical
 
     def draw(self) -> Float64:
-        """Those that are rendered first, (m, d)."""
-        return self._candidates[: _RENDERED_SETS if self._sets else _RENDERED]
-
-    @property
-    def _candidates(self) -> Float64:
-        """Where a search may begin (m, d): what was refined and the first draw, or all draws."""
-        if self._refined is None:
-            return self.x
-        return np.concatenate([self._refined, self.x[:1]])
+        """Those that are rendered first, (m, d): what was refined, the best first, and draws."""
+        few = self._sets or len(self._refined) > 0
+        refined = self._refined[: _RENDERED_SETS - _BESIDE_REFINED]
+        draws = self.x[: (_RENDERED_SETS if few else _RENDERED) - len(refined)]
+        return np.concatenate([refined, draws])
 
     def learn(
         self,
@@ -101,7 +111,8 @@ class Hypotheses:
             ):
                 chosen.append(x)
         self._waiting = np.array(chosen)
-        typical = float(np.median([loss for loss, _ in found])) if found else np.inf
+        losses = [loss for loss, x in found if self._is_among(x, self.x)]
+        typical = float(np.median(losses)) if losses else np.inf
         self.typical = typical if np.isfinite(typical) else None
 
     def next(self, known: Known) -> Start:
@@ -115,18 +126,23 @@ class Hypotheses:
         They are narrow in what the picture shows well, and wide in the rest.  Exchangeable blocks
         are in the order nearest to x, and periodic axes are differences the shorter way around.
         """
-        others = np.stack([known.exchangeability.aligned(one, x) for one in self._candidates])
+        refined = self._is_among(x, self._refined)
+        around = np.concatenate([self._refined, self.x[:1]]) if refined else self.x
+        others = np.stack([known.exchangeability.aligned(one, x) for one in around])
         squares = np.square(known.axes.difference(others, x))  # (n, d)
         order = np.argsort(squares.sum(axis=1), kind="stable")
         nearest = squares[order[: max(2, int(_NEAREST * len(others)))]]
         spread = np.sqrt(nearest.mean(axis=0))
-        low = _NARROWEST if self._refined is None else _NARROWEST_REFINED
+        low = _NARROWEST_REFINED if refined else _NARROWEST
         return np.asarray(np.clip(spread, low, _WIDEST_SET if self._sets else _WIDEST), np.float64)
+
+    def _is_among(self, x: Float64, points: Float64) -> bool:
+        """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
+        return bool((self._place(points) == x).all(axis=1).any())
 
     def forget(self) -> None:
         """There are none: the target is another one."""
-        self.x = self._waiting = np.empty((0, self.x.shape[1]))
-        self._refined = None
+        self.x = self._waiting = self._refined = np.empty((0, self.x.shape[1]))
         self.typical = None
 
     def state_dict(self) -> dict[str, Any]:
@@ -144,10 +160,10 @@ class Hypotheses:
         if state is None:
             self.forget()
             return
-        earlier = {"typical": None, "refined": None}  # versions have none
-        state = {**earlier, **state}
+        state = {"typical": None, "refined": None, **state}  # files of earlier versions lack them
         check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
         self.x = state["x"].reshape(-1, dim)
-        self._refined = state["refined"]
+        refined = state["refined"]
+        self._refined = np.empty((0, dim)) if refined is None else refined.reshape(-1, dim)
         self._waiting = state["waiting"].reshape(-1, dim)
         self.typical = state["typical"]

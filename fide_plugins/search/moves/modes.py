@@ -7,8 +7,9 @@ takes for possible may be rendered, and not look like the target.  So
     p_m ~ (share of hypotheses that are nearest to m) * exp(-(L_m - L_best) / T),
 
 where L are the losses at the answers, and T is the noise of a loss, or a hundredth of the median
-loss of hypotheses above that of the best answer, if this is larger.  Answers that the second factor
-excludes take no hypotheses from the others.
+loss of rendered draws above that of the best answer, if this is larger.  (Hypotheses that were
+refined through an emulator are optima, and no measure.)  Answers that the second factor excludes
+take no hypotheses from the others.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def probabilities(
     """Probabilities (m,) of answers X (m, d) with these losses; they sum to 1.
 
     hypotheses: (n, d), draws from the posterior.
-    typical: median loss of hypotheses; None: not known, and the best answer alone is likely.
+    typical: median loss of draws; None: not known, and the best answer alone is likely.
     noise: standard deviation of a loss; None: not known.
     """
     likelihood = relative_likelihoods(losses, typical, noise)

@@ -101,7 +101,7 @@ class MovePolicy:
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
-        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups))
+        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
         family.append(Resample(self.hypotheses))
         self._moves = {move.name: move for move in family}
         self._choice = Choice(

@@ -14,6 +14,8 @@ from fide_plugins.search.moves.policy import MovePolicy
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 
+from .conftest import sample
+
 A, B = np.array([0.25, 0.4, 0.75, 0.6]), np.array([0.75, 0.6, 0.25, 0.4])
 SIDE = 12
 _GRID = (np.arange(SIDE) + 0.5) / SIDE
@@ -125,12 +127,20 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
 
 
 def test_probabilities_are_shares_of_draws_not_of_refined_points() -> None:
+    """Both answers are exact but for rounding, of which one has ten times as much."""
     there = Posterior(posterior(384, 128), np.tile(A, (8, 1)))
     policy = MovePolicy(
         np.full(4, 0.5), np.full(4, 1 / 6), 9, torch.zeros(1, 3), 3, 0, [], posterior=there
     )
-    policy.hypotheses.typical = 1.0
-    assert policy.probabilities([0.0, 0.0], np.stack([A, B])) == pytest.approx([0.75, 0.25])
+    X, target = policy.draw(np.random.default_rng(0)), two_cells(A)
+    losses = [float(np.square(two_cells(x) - target).mean()) for x in X]
+    samples = [
+        sample(two_cells(x).ravel(), x, loss, i)
+        for i, (x, loss) in enumerate(zip(X, losses, strict=True))
+    ]
+    policy.learn(samples, A)
+    probable = policy.probabilities([1e-9, 1e-8], np.stack([A, B]))
+    assert probable == pytest.approx([0.75, 0.25], abs=0.01)
 
 
 def test_without_a_model_nothing_is_said() -> None:
