@@ -3,12 +3,16 @@
     python benchmarks/suite.py                        # what is missing; can be stopped at any time
     python benchmarks/suite.py --from runs/suite      # take over finished runs of `fide compare`
     python benchmarks/suite.py --table
-    python benchmarks/suite.py --picture docs/images/suite.png
+    python benchmarks/suite.py --picture docs/images/suite.png          # data profile
+    python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
+    python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
-machines come into one file.  Targets come one after the other.  The table and the picture show the
-problems that all of the optimizers have finished, by the functions that make the page of a suite.
+machines come into one file.  Targets come one after the other.  Slow optimizers and slow scenes may
+have runs that end at an earlier budget of the suite.  The table and the pictures show the problems
+that all of the optimizers have finished, up to the budget that is asked for, by the functions that
+make the page of a suite.
 """
 
 from __future__ import annotations
@@ -50,10 +54,10 @@ Row = dict[str, Any]
 
 
 def missing(
-    rows: list[Row], scenes: Sequence[str], optimizers: Sequence[str], targets: int
+    rows: list[Row], scenes: Sequence[str], optimizers: Sequence[str], targets: int, budget: int
 ) -> Iterator[tuple[str, str]]:
     """Problem and optimizer of each run that is missing, targets outermost."""
-    done = {(row["problem"], row["optimizer"]) for row in rows}
+    done = {(row["problem"], row["optimizer"]) for row in long_enough(rows, budget)}
     for number in range(targets):
         for scene in scenes:
             for optimizer in optimizers:
@@ -61,15 +65,20 @@ def missing(
                     yield f"{scene}-{number}", optimizer
 
 
-def measure(problem: str, optimizer: str) -> Row:
-    """One run, as `fide compare --suite` has it."""
+def long_enough(rows: list[Row], budget: int) -> list[Row]:
+    """Rows of runs that had so many renders."""
+    return [row for row in rows if str(budget) in row["losses"]]
+
+
+def measure(problem: str, optimizer: str, budget: int) -> Row:
+    """One run, as `fide compare --suite` has it with `--budget`."""
     scene, _ = SUITE.problem(problem)
     configuration = Configuration.parse(optimizer)
     result = harness.run(
         problem,
         configuration.name,
         scene.loss,
-        SUITE.budgets[-1],
+        budget,
         seed=int(problem.rpartition("-")[2]),
         task_options={"suite": SUITE.name},
         options=configuration.options,
@@ -78,7 +87,7 @@ def measure(problem: str, optimizer: str) -> Row:
     best = np.fmin.accumulate(result.losses)
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
-    losses = {str(b): float(best[b - 1]) for b in SUITE.budgets}
+    losses = {str(b): float(best[b - 1]) for b in SUITE.budgets if b <= budget}
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
@@ -117,28 +126,35 @@ def row_of(
     }
 
 
-def scores(rows: list[Row], optimizers: Sequence[str]) -> Scores:
-    """Of the problems that all of these optimizers have finished."""
+def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
+    """Of the problems that all of these optimizers have finished, up to the budget."""
+    rows = long_enough(rows, budget)
     found = {(row["problem"], row["optimizer"]): row for row in rows}
+    budgets = tuple(b for b in SUITE.budgets if b <= budget)
     there = dict.fromkeys(row["problem"] for row in rows)
     problems = [p for p in there if all((p, label) in found for label in optimizers)]
     if not problems:
         sys.exit("no problem is finished by all of these optimizers")
     table = [[found[p, label] for label in optimizers] for p in problems]
     t = np.array([[row["solved_at"] or np.inf for row in line] for line in table])
-    losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in SUITE.budgets]
+    losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in budgets]
     return Scores(
-        SUITE, tuple(optimizers), tuple(problems), len(problems), SUITE.budgets,
-        t, np.array(losses),
+        SUITE, tuple(optimizers), tuple(problems), len(problems), budgets,
+        profiles.within(t, budget), np.array(losses),
     )  # fmt: skip
 
 
-def picture(found: Scores) -> bytes:
-    """Data profile as PNG."""
-    solved = found.t[np.isfinite(found.t)]
-    at = np.unique([100.0, *solved, float(SUITE.budgets[-1])])
+def picture(found: Scores, *, performance: bool) -> bytes:
+    """Data profile, or performance profile at the last budget, as PNG."""
+    if performance:
+        ratios = profiles.performance_ratios(found.t)
+        at = np.unique([1.0, *ratios[np.isfinite(ratios)]])
+        at = np.append(at, max(2.0, 1.3 * at[-1]))
+        shares, axis = profiles.performance_profile(found.t, at), "renders / those of the fastest"
+        return svg.png(plots.profile(at, shares, found.labels, axis))
+    at = np.unique([100.0, *found.t[np.isfinite(found.t)], float(found.budgets[-1])])
     shares = profiles.data_profile(found.t, at)
-    return svg.png(plots.profile(at, shares, found.labels, "renders", True, SUITE.budgets))
+    return svg.png(plots.profile(at, shares, found.labels, "renders", True, found.budgets))
 
 
 def main() -> None:
@@ -153,15 +169,20 @@ def main() -> None:
     add("--part", default="0/1", metavar="I/N", help="the runs of this process")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
+    add("--budget", type=int, default=SUITE.budgets[-1], choices=SUITE.budgets, help="renders")
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
+    add("--performance", action="store_true", help="a performance profile as picture")
     arguments = parser.parse_args()
     rows, optimizers = rows_of(arguments.out), arguments.optimizers.split(",")
-    if arguments.table:
-        found = scores(rows, optimizers)
-        print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
-    elif arguments.picture:
-        arguments.picture.write_bytes(picture(scores(rows, optimizers)))
+    if arguments.table or arguments.picture:
+        chosen = [r for r in rows if r["problem"].rpartition("-")[0] in arguments.scenes.split(",")]
+        found = scores(chosen, optimizers, arguments.budget)
+        if arguments.picture:
+            drawn = picture(found, performance=arguments.performance)
+            arguments.picture.write_bytes(drawn)
+        else:
+            print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
     elif arguments.folder:
         done = {(row["problem"], row["optimizer"]) for row in rows}
         for row in taken_over(arguments.folder):
@@ -170,9 +191,10 @@ def main() -> None:
     else:
         scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
         part, parts = map(int, arguments.part.split("/"))
-        for i, run in enumerate(missing(rows, scenes, optimizers, arguments.targets)):
+        budget = arguments.budget
+        for i, run in enumerate(missing(rows, scenes, optimizers, arguments.targets, budget)):
             if i % parts == part:
-                row = measure(*run)
+                row = measure(*run, budget)
                 append(arguments.out, row)
                 print(json.dumps(row), file=sys.stderr, flush=True)
 
