@@ -23,6 +23,7 @@ from typing import Any, TypeAlias
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from moves import literal
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.machine import machine
@@ -72,6 +73,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--size", type=int, default=112)
+    parser.add_argument(
+        "--task-set", nargs="+", default=[], metavar="KEY=VALUE", help="of the tasks"
+    )
     parser.add_argument("--budget", type=int, default=None)
     parser.add_argument("--out", type=Path, default=Path("runs/quality.jsonl"))
     parser.add_argument("--part", default="0/1")
@@ -106,6 +110,8 @@ def append(out: Path, row: Row) -> None:
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
+    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in arguments.task_set)}
+    more = {"task_options": options} if options else {}
     for seed in range(arguments.seeds):
         for task in arguments.tasks:
             for target in range(arguments.targets):
@@ -118,13 +124,15 @@ def grid(arguments: argparse.Namespace) -> Iterator[Row]:
                         "seed": seed,
                         "size": arguments.size,
                         "budget": budget,
+                        **more,
                     }
 
 
 def key(row: Row) -> tuple[Any, ...]:
     """What makes a cell; cells of mean squared error and of tasks without noise say no more."""
     names = ("task", "target", "configuration", "seed", "size", "budget")
-    return (*(row[name] for name in names), row.get("loss", "mse"), row.get("spp"))
+    options = tuple(sorted(row.get("task_options", {}).items()))
+    return (*(row[name] for name in names), row.get("loss", "mse"), row.get("spp"), *options)
 
 
 def measure(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
@@ -137,6 +145,7 @@ def measure(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
         cell["seed"],
         size=cell["size"],
         task_seed=cell["target"],
+        task_options=cell.get("task_options", {}),
         options=options,
     )
     return measured(cell, result)
