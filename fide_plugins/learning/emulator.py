@@ -22,13 +22,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fide_plugins.learning.axes import fourier, frequencies
-from fide_plugins.learning.trainable import Trainable
+from fide_plugins.learning.trainable import Trainable, mean_and_variance
 
 __all__ = ["Emulator"]
 
 _WIDTH, _HEADS = 96, 4
 _SUMMED = 32  # numbers of each block of which a place gets the mean
-_JUDGED, _AT_ONCE = 2048, 16  # places of each held-out render, and renders
+_JUDGED = 2048  # places at which a held-out render is judged
+_NUMBERS = 2**25  # 128 MB, of features that are there at once where no gradient keeps them
 _PLACES = 64  # of each image in a step of training: twice as many cost twice, and learn no more
 
 
@@ -95,19 +96,34 @@ class Emulator(Trainable):
 
     def standardize(self, images: Tensor) -> None:
         """Take mean image and variance from images (B, 3, H, W), on any device."""
-        colors = images.flatten(2).transpose(1, 2)  # (B, places, 3)
-        mean = colors.mean(dim=0)
-        self.mean.copy_(mean)
-        self.variance.copy_((colors - mean).square().mean().clamp_min(1e-6))
+        mean, variance = mean_and_variance(images)
+        self.mean.copy_(mean.flatten(1).T)  # (places, 3)
+        self.variance.copy_(variance)
 
     def errors(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
         """Mean squared errors (B,) of the colors at places (P,).
 
         images: (B, 3, H, W), or (1, 3, H, W) that each of the points u (B, d) should give.
         """
-        colors = images.flatten(2)[:, :, places].transpose(1, 2)
-        errors: Tensor = (self(u, places) - colors).square().mean(dim=(1, 2))
+        errors: Tensor = (self(u, places) - _colors(images, places)).square().mean(dim=(1, 2))
         return errors
+
+    @torch.no_grad()
+    def errors_of_many(self, images: Tensor, u: Tensor, places: Tensor) -> Tensor:
+        """As `errors`, in parts: memory does not grow with the number of points and places."""
+        numbers = 6 * _WIDTH + (2 * _SUMMED + _HEADS) * len(self.blocks)  # of one place
+        at_once = max(1, _NUMBERS // numbers)  # places of all points
+        points = max(1, at_once // len(places))
+        errors = []
+        for some, at in zip(
+            torch.split(images.expand(len(u), -1, -1, -1), points),
+            torch.split(u, points),
+            strict=True,
+        ):
+            parts = torch.split(places, at_once)
+            sums = [self.errors(some, at, part) * len(part) for part in parts]
+            errors.append(torch.stack(sums).sum(dim=0) / len(places))
+        return torch.cat(errors)
 
     def loss(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
         """Share of the images' variance that it does not explain, at random places."""
@@ -115,16 +131,14 @@ class Emulator(Trainable):
         return self.errors(images, u, some).mean() / self.variance
 
     def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
-        """Share of the variance of these images that it does not explain, at many more places.
+        """Share of the variance of these images that it does not explain.
 
-        What differs between images may be a few pixels of them.
+        At many more places than those of a step of training, so that a small thing that moves
+        counts.
         """
         some = self.random_places(_JUDGED, generator)
-        colors = images.flatten(2)[:, :, some].transpose(1, 2)
-        variance = (colors - self.mean[some]).square().mean().clamp_min(1e-6)
-        parts = zip(torch.split(images, _AT_ONCE), torch.split(u, _AT_ONCE), strict=True)
-        errors = torch.cat([self.errors(*part, some) for part in parts])
-        share: Tensor = errors.mean() / variance
+        variance = (_colors(images, some) - self.mean[some]).square().mean().clamp_min(1e-6)
+        share: Tensor = self.errors_of_many(images, u, some).mean() / variance
         return share
 
     def random_places(self, n: int, generator: torch.Generator) -> Tensor:
@@ -166,6 +180,11 @@ def _pixels(size: tuple[int, int]) -> Tensor:
     """Waves (H * W, 18) of the middle of each pixel, row by row; the longer side is 1."""
     y, x = ((torch.arange(side) + 0.5) / max(size) for side in size)
     return fourier(torch.cartesian_prod(y, x), torch.tensor([False, False])).flatten(1)
+
+
+def _colors(images: Tensor, places: Tensor) -> Tensor:
+    """Colors (B, P, 3) of images (B, 3, H, W) at places (P,)."""
+    return images.flatten(2)[:, :, places].transpose(1, 2)
 
 
 def _split(features: Tensor) -> Tensor:

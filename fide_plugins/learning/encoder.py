@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from fide_plugins.learning.trainable import mean_and_variance
+
 __all__ = ["Encoder"]
 
 _PLACES = 8  # on the longer side of the map, at most
@@ -62,9 +64,9 @@ class Encoder(nn.Module):
 
     def standardize(self, images: Tensor) -> None:
         """Take mean image and contrast from images (B, 3, H, W), on any device."""
-        mean = images.mean(dim=0)
+        mean, variance = mean_and_variance(images)
         self.mean.copy_(mean)
-        self.std.copy_((images - mean).square().mean().sqrt().clamp_min(1e-3))
+        self.std.copy_(variance.sqrt())
 
     def _map(self, images: Tensor) -> Tensor:
         """(B, 3, H, W) -> (B, channels, h, w)."""

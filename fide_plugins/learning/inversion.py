@@ -3,6 +3,7 @@
 Adam (Kingma and Ba 2015, arXiv:1412.6980) on the logits of the parameters, each step at other
 random places of the image.  First all points take large steps, then the best of them small ones at
 more places.  Most of the points end in local optima; what finds the picture is their number.
+Integers and choices are coordinates as in a search, and an emulator is smooth where they step.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from fide_plugins.learning.emulator import Emulator
 __all__ = ["inverted"]
 
 _INSIDE = 1e-3  # from a face of the cube, where logits end
-_AT_ONCE = 2**19  # points times pixels times blocks whose errors are computed at once
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,10 @@ def inverted(emulator: Emulator, image: Tensor, u: Tensor, generator: torch.Gene
     return _nearest_first(emulator, image, u)
 
 
-@torch.no_grad()
 def _nearest_first(emulator: Emulator, image: Tensor, u: Tensor) -> Tensor:
     """Points (n, d), those whose images (all pixels of them) are nearest first."""
     everywhere = torch.arange(emulator.size[0] * emulator.size[1])
-    points = max(1, _AT_ONCE // (len(everywhere) * len(emulator.blocks)))
-    errors = [emulator.errors(image, some, everywhere) for some in torch.split(u, points)]
-    return u[torch.argsort(torch.cat(errors), stable=True)]
+    return u[torch.argsort(emulator.errors_of_many(image, u, everywhere), stable=True)]
 
 
 @torch.enable_grad()

@@ -157,7 +157,8 @@ class Model:
         if not len(points):
             raise OptionError("X has no points: give at least one, where descents begin")
         generator = torch.Generator().manual_seed(whole_number("seed", seed, 0))
-        found = inverted(self.emulator, self._input(picture), points, generator)
+        with torch.autocast("cpu", enabled=False):  # whatever the caller's own is
+            found = inverted(self.emulator, self._input(picture), points, generator)
         return found.numpy().astype(np.float64)
 
     def knows(self, picture: object) -> bool:
@@ -240,6 +241,7 @@ class Model:
         checkpoint.write(path, _KIND, state)
 
     @classmethod
+    @torch.inference_mode(False)  # weights that are made in it have no gradients anywhere
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Model of the file `path` that `save` wrote.
 

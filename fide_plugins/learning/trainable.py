@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-__all__ = ["Trainable"]
+__all__ = ["Trainable", "mean_and_variance"]
 
 
 class Trainable(nn.Module, ABC):
@@ -35,3 +35,9 @@ class Trainable(nn.Module, ABC):
     @abstractmethod
     def judged(self, images: Tensor, u: Tensor, generator: torch.Generator) -> Tensor:
         """What held-out renders are judged by, a number; smaller is better."""
+
+
+def mean_and_variance(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (3, H, W) of images (B, 3, H, W), and their variance, a number that is not 0."""
+    mean = images.mean(dim=0)
+    return mean, (images - mean).square().mean().clamp_min(1e-6)

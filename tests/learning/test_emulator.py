@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
@@ -49,8 +49,7 @@ def tell_apart(emulator: Emulator) -> Emulator:
     return emulator
 
 
-def everywhere(emulator: Emulator) -> Tensor:
-    return torch.arange(SIDE * SIDE)
+EVERYWHERE = torch.arange(SIDE * SIDE)
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +68,9 @@ def test_no_order_of_blocks_counts() -> None:
     emulator = tell_apart(Emulator(SIZE, [False] * 7, BLOCKS))
     u = torch.rand(5, 7, generator=torch.Generator().manual_seed(0))
     swapped, other = u[:, [3, 4, 5, 0, 1, 2, 6]], u[:, [0, 4, 2, 3, 1, 5, 6]]
-    colors = emulator(u, everywhere(emulator))
-    torch.testing.assert_close(emulator(swapped, everywhere(emulator)), colors)
-    assert (emulator(other, everywhere(emulator)) - colors).abs().amax(dim=(1, 2)).min() > 1e-4
+    colors = emulator(u, EVERYWHERE)
+    torch.testing.assert_close(emulator(swapped, EVERYWHERE), colors)
+    assert (emulator(other, EVERYWHERE) - colors).abs().amax(dim=(1, 2)).min() > 1e-4
 
 
 @torch.no_grad()
@@ -79,7 +78,7 @@ def test_parameters_that_are_in_no_block_count_everywhere() -> None:
     emulator = tell_apart(Emulator(SIZE, [False] * 7, BLOCKS))
     u = torch.full((2, 7), 0.3)
     u[1, 6] = 0.9
-    first, second = emulator(u, everywhere(emulator))
+    first, second = emulator(u, EVERYWHERE)
     assert ((first - second).abs().amax(dim=1) > 0).all()
 
 
@@ -88,7 +87,7 @@ def test_both_ends_of_a_circle_are_one() -> None:
     emulator = Emulator(SIZE, [True, False, False] * 2 + [True], BLOCKS)
     u = torch.full((2, 7), 0.4)
     u[0, [0, 6]], u[1, [0, 6]] = 0.0, 1.0
-    first, second = emulator(u, everywhere(emulator))
+    first, second = emulator(u, EVERYWHERE)
     torch.testing.assert_close(first, second, atol=1e-5, rtol=0)
 
 
@@ -101,7 +100,7 @@ def test_the_loss_is_the_share_of_variance_that_is_left() -> None:
     emulator.standardize(images)
     for weight in list(emulator.color.parameters())[-2:]:  # of the last layer
         weight.zero_()
-    whole = emulator.errors(images, u, everywhere(emulator)).mean() / emulator.variance
+    whole = emulator.errors(images, u, EVERYWHERE).mean() / emulator.variance
     assert float(whole) == pytest.approx(1, abs=1e-4)
     generator = torch.Generator().manual_seed(0)
     parts = [float(emulator.loss(images, u, generator)) for _ in range(50)]
@@ -111,7 +110,9 @@ def test_the_loss_is_the_share_of_variance_that_is_left() -> None:
 def test_renders_that_are_all_the_same_are_no_division_by_zero() -> None:
     emulator = Emulator(SIZE, [False] * 6, BLOCKS)
     emulator.standardize(torch.full((4, 3, *SIZE), 0.5))
-    loss = emulator.loss(torch.full((4, 3, *SIZE), 0.5), torch.rand(4, 6), torch.Generator())
+    generator = torch.Generator().manual_seed(0)
+    u = torch.rand(4, 6, generator=generator)
+    loss = emulator.loss(torch.full((4, 3, *SIZE), 0.5), u, generator)
     assert torch.isfinite(loss)
 
 
@@ -119,21 +120,49 @@ def test_it_learns_renders_that_it_has_not_seen(trained: tuple[Emulator, float])
     assert trained[1] < 0.1  # other seeds: 0.006 to 0.02
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_descents_find_what_the_emulator_made(trained: tuple[Emulator, float], seed: int) -> None:
-    """An identity, whatever was learned: the picture is the emulator's own."""
-    emulator, _ = trained
-    generator = torch.Generator().manual_seed(seed)
-    truth = 0.1 + 0.8 * torch.rand(1, 6, generator=generator)
-    with torch.no_grad():
-        colors = emulator(truth, everywhere(emulator))
-        picture = colors.transpose(1, 2).reshape(1, 3, *SIZE)
-        found = inverted(emulator, picture, torch.rand(32, 6, generator=generator), generator)
-        errors = emulator.errors(picture, found, everywhere(emulator))
-    assert len(found) == 8
-    assert (errors.diff() >= 0).all()  # the best first
-    assert errors[0] < 1e-3 * emulator.variance
+def test_descents_find_what_the_emulator_made(trained: tuple[Emulator, float]) -> None:
+    """An identity, whatever was learned: the pictures are the emulator's own.
+
+    One in sixteen of them has no descent that comes so near.
+    """
+    emulator, least = trained[0], []
+    for seed in range(3):
+        generator = torch.Generator().manual_seed(seed)
+        truth = 0.1 + 0.8 * torch.rand(1, 6, generator=generator)
+        with torch.no_grad():
+            picture = emulator(truth, EVERYWHERE).transpose(1, 2).reshape(1, 3, *SIZE)
+            found = inverted(emulator, picture, torch.rand(32, 6, generator=generator), generator)
+            errors = emulator.errors(picture, found, EVERYWHERE)
+        assert len(found) == 8
+        assert (errors.diff() >= 0).all()  # the best first
+        least.append(float(errors[0] / emulator.variance))
+    assert np.median(least) < 1e-3
     assert all(weight.grad is None for weight in emulator.parameters())
+
+
+@pytest.mark.parametrize("n", [2, 40])
+@pytest.mark.parametrize("pictures", [1, 5])
+def test_errors_of_many_are_the_same_in_parts(
+    n: int, pictures: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parts of the points, and of the places of one point; with more blocks they are smaller."""
+    emulator = tell_apart(Emulator(SIZE, [False] * 2 * n, np.arange(2 * n).reshape(n, 2).tolist()))
+    generator, seen = torch.Generator().manual_seed(0), []
+    u = torch.rand(5, 2 * n, generator=generator)
+    images = torch.rand(pictures, 3, *SIZE, generator=generator)
+    with torch.no_grad():
+        whole = emulator.errors(images, u, EVERYWHERE)
+
+    def note(module: nn.Module, given: tuple[Tensor, Tensor], colors: Tensor) -> None:
+        seen.append(colors.shape[0] * colors.shape[1] * (500 + 64 * n))
+
+    emulator.register_forward_hook(note)
+    for numbers in (2**14, 2**18, 2**25):
+        monkeypatch.setattr("fide_plugins.learning.emulator._NUMBERS", numbers)
+        errors = emulator.errors_of_many(images, u, EVERYWHERE)
+        torch.testing.assert_close(errors, whole)
+        assert max(seen) <= numbers
+        seen.clear()
 
 
 def test_descents_go_around_circles_and_stay_in_the_box() -> None:
@@ -199,12 +228,23 @@ def test_without_an_emulator_nothing_is_refined(model: Model) -> None:
         without.refined(lights(np.full(6, 0.3)), np.full((1, 6), 0.5))
 
 
-def test_points_are_needed_and_gradients_are_there(model: Model) -> None:
-    picture = lights(np.full(6, 0.3))
+def test_points_are_needed(model: Model) -> None:
     with pytest.raises(OptionError, match="X has no points"):
-        model.refined(picture, np.empty((0, 6)))
+        model.refined(lights(np.full(6, 0.3)), np.empty((0, 6)))
+
+
+@pytest.mark.parametrize("loaded", ["outside", "inside"])
+def test_a_mode_of_the_caller_changes_nothing(model: Model, loaded: str, tmp_path: Path) -> None:
+    """Neither that of inference, which forbids gradients, nor that of low precision."""
+    picture, X = lights(np.full(6, 0.3)), np.full((1, 6), 0.5)
+    expected = model.refined(picture, X)
+    model.save(tmp_path / "m.fide")
     with torch.inference_mode():
-        assert model.refined(picture, np.full((1, 6), 0.5)).shape == (1, 6)
+        one = Model.load(tmp_path / "m.fide") if loaded == "inside" else model
+        np.testing.assert_array_equal(one.refined(picture, X), expected)
+    np.testing.assert_array_equal(one.refined(picture, X), expected)
+    with torch.autocast("cpu", torch.bfloat16):
+        np.testing.assert_array_equal(one.refined(picture, X), expected)
 
 
 def test_a_few_pixels_that_change_are_judged() -> None:
