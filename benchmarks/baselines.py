@@ -54,7 +54,7 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "CMA-ES, default k": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
     "dual annealing": ("dual-annealing", {}),
-    "ZeroGrads": ("zerograds", {}),
+    "ZeroGrads": ("zerograds", {"learning_rate": 2e-3, "proxy_rate": 3e-3}),  # its former defaults
     "ZeroGrads, naive": ("naive zerograds", {"learning_rate": 5e-4, "proxy_rate": 1e-3}),
     "DiBO": ("dibo", SMALL_DIBO),
     "DiBO, exact likelihood": ("dibo", {**SMALL_DIBO, "likelihood": "exact"}),
@@ -82,8 +82,7 @@ class NaiveZeroGrads(ZeroGrads):
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
-        super().__init__(dim, target, **options)
-        self._scale = 1.0
+        super().__init__(dim, target, **{**options, "scale": "none"})
 
     def _sample(self) -> Float64:
         points = super()._sample()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ import torch
 from fide_plugins.baselines.networks import make
 from fide_plugins.baselines.zerograds import Proxy, ZeroGrads
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
+from fide_plugins.validation import key_value
 
 
 def valley(X: Float64) -> Float64:
@@ -49,7 +52,7 @@ def test_its_gradient_is_that_of_finite_differences() -> None:
 
 
 def test_a_step_by_hand() -> None:
-    opt = ZeroGrads(3, seed=4, batch=3, smooth=False, learning_rate=0.01)
+    opt = ZeroGrads(3, seed=4, batch=3, smooth=False, learning_rate=0.01, proxy_rate=3e-3)
     network = make(lambda: Proxy(3), torch.Generator())
     network.load_state_dict(opt._proxy.state_dict())
     theta = torch.full((3,), 0.5)
@@ -93,6 +96,54 @@ def test_the_size_of_losses_does_not_matter() -> None:
         other.tell(Y, losses=4096.0 * valley(Y))
 
 
+def test_without_a_scale_losses_are_learned_as_they_are() -> None:
+    """The same as with losses whose first mean is 1, and the sizes of losses then matter."""
+    scaled, raw = ZeroGrads(3, seed=2), ZeroGrads(3, seed=2, scale="none")
+    X = raw.ask()
+    np.testing.assert_array_equal(scaled.ask(), X)
+    mean = valley(X[:-1]).mean()  # without the parameter itself
+    for _ in range(5):
+        scaled.tell(X, losses=valley(X))
+        raw.tell(X, losses=valley(X) / mean)
+        X = raw.ask()
+        np.testing.assert_array_equal(scaled.ask(), X)
+    raw.tell(X, losses=valley(X))
+    scaled.tell(X, losses=valley(X))
+    weights = [opt._proxy.state_dict()["layers.0.weight"] for opt in (raw, scaled)]
+    assert not torch.equal(*weights)
+
+
+@pytest.mark.parametrize("scale", ["first", "none"])
+def test_a_saved_scale_goes_on(scale: str, tmp_path: Path) -> None:
+    opt = ZeroGrads(3, seed=1, scale=scale)
+    for saved in range(3):  # before the first step, too
+        opt.save(tmp_path / str(saved))
+        X = opt.ask()
+        opt.tell(X, losses=9.0 * valley(X))
+    for saved in range(3):
+        again = ZeroGrads.load(tmp_path / str(saved))
+        assert again.scale == scale
+        while again.evaluations < opt.evaluations:
+            X = again.ask()
+            again.tell(X, losses=9.0 * valley(X))
+        np.testing.assert_array_equal(again.recommend(), opt.recommend())
+
+
+def test_a_run_from_before_the_choice_goes_on_as_it_was(tmp_path: Path) -> None:
+    ZeroGrads(2, seed=0).save(tmp_path / "now")
+    saved = checkpoint.read(tmp_path / "now", "zerograds")
+    del saved["settings"]["scale"]
+    saved["settings"] |= {"learning_rate": 2e-3, "proxy_rate": 3e-3}  # its defaults
+    checkpoint.write(tmp_path / "before", "zerograds", saved)
+    opt = ZeroGrads.load(tmp_path / "before")
+    assert (opt.scale, opt.learning_rate, opt.proxy_rate) == ("first", 2e-3, 3e-3)
+
+
+def test_the_command_line_says_none() -> None:
+    name, value = key_value.parse("scale=none")
+    assert ZeroGrads(2, **{name: value}).scale == "none"
+
+
 def test_it_goes_downhill_and_stays_in_the_box() -> None:
     opt = ZeroGrads(4, seed=0, learning_rate=5e-3)
     while opt.evaluations < 2000:
@@ -104,7 +155,15 @@ def test_it_goes_downhill_and_stays_in_the_box() -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"batch": 0}, {"learning_rate": 0.0}, {"proxy_rate": -1.0}, {"smooth": 1}, {"popsize": 20}],
+    [
+        {"batch": 0},
+        {"learning_rate": 0.0},
+        {"proxy_rate": -1.0},
+        {"smooth": 1},
+        {"scale": None},
+        {"scale": "last"},
+        {"popsize": 20},
+    ],
     ids=str,
 )
 def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
