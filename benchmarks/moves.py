@@ -89,6 +89,7 @@ def parse_arguments() -> argparse.Namespace:
         help="a name for the table, the optimizer, and its options as key=value",
     )
     parser.add_argument("--budget", type=int, default=None)
+    parser.add_argument("--size", type=int, default=None, help="pixels of a side")
     parser.add_argument("--out", type=Path, default=Path("runs/moves.jsonl"))
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
@@ -138,7 +139,7 @@ def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
                     "target": target,
                     "seed": seed,
                     "configuration": arguments.configuration,
-                    "size": SCENES[scene].size,
+                    "size": arguments.size or SCENES[scene].size,
                     "budget": arguments.budget or SCENES[scene].budget,
                 }
 
