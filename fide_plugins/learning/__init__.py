@@ -24,6 +24,8 @@ file               idea
 `axes`             densities on one axis: truncated and wrapped Gaussians
 `augmentation`     what separates a picture from a render
 `training`         of network and emulator, judged on held-out renders
+`resumable`        training that goes on from its checkpoint
+`finishing`        a trained network is calibrated and judged
 `report`           how good a model is: likelihood, hypotheses, calibration
 `familiarity`      how much a picture is like those that were learned
 `hypotheses`       what the search is given

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time as clock
@@ -14,33 +15,27 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.errors import (
-    CheckpointError,
-    DeviceMemoryError,
-    OptionError,
-    UnknownNameError,
-)
+from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
 from fide_plugins.learning.augmentation import AUGMENT
-from fide_plugins.learning.calibration import fitted_scale, shares
 from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.finishing import familiarity_of, report_of
 from fide_plugins.learning.head_choice import has_emulator, kind_of
 from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.network import HEADS, Network, as_input
+from fide_plugins.learning.network import HEADS, Network
 from fide_plugins.learning.renderer import Pixels, Renderer, as_renderer, small_size
 from fide_plugins.learning.rendering import check_workers, fill, too_few
-from fide_plugins.learning.report import Distance, Report, judge
+from fide_plugins.learning.report import Distance
+from fide_plugins.learning.resumable import Resumable
 from fide_plugins.learning.store import RenderStore, check_room
-from fide_plugins.learning.training import Progress, Training, held_out
+from fide_plugins.learning.training import Progress, Training
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
-from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.batch_size import is_out_of_gpu_memory, is_out_of_memory
+from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.files import check_writable
-from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.runtime.threads import user_threads
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import whole_number
@@ -50,10 +45,8 @@ __all__ = ["LearnProgress", "learn"]
 _RENDERING = 0.5  # of a time limit, at most
 _DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
 _EMULATOR_RATE = 2e-3
-_MOST_FEATURES = 4000  # renders by which the features of all are described
 _FEWEST = 100  # renders
 _AT_A_TIME = 8  # shards that an executor gets
-_KIND = "training"
 
 
 @dataclass(frozen=True)
@@ -280,24 +273,32 @@ class _Plan:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         with _enough_memory(self.device):
-            network, density = self._density(x, images, store.folder / "training")
-            emulator, emulated = self._emulator(x, images, store.folder / "emulator")
-        report = self._report(network, x, images, sum(failed.values()), density, emulated)
-        return self._made(network, x, images, report, emulator)
+            network, density = self._density(x, images, store.folder)
+            emulator, emulated = self._emulator(x, images, store.folder)
+        report = report_of(
+            network, density, Distance(np.array(self.periodic), self.blocks), self._names,
+            failed=sum(failed.values()), emulated=emulated,
+        )  # fmt: skip
+        return Model(
+            network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
+            self.periodic, self.blocks, familiarity_of(network, images), report,
+            fingerprint_of(self.renderer.source), emulator,
+        )  # fmt: skip
 
-    def _density(self, x: Float64, images: Pixels, file: Path) -> tuple[Network, Training]:
+    def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
         """Trained network, and its training."""
         network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
         left = self._left(_DENSITY if self.emulates else 1.0)
         training = Training(
             network.to(self.device), x, images, self.passes, self.seed, left, augment=self.augment
         )
-        self._train(training, "train", file, self.head)
+        over = self.emulates and self._resumable(folder, "emulator", len(x)).interrupted
+        self._resumable(folder, "training", len(x)).run(training, self._say("train"), over=over)
         network.to("cpu").eval()
         return network, training
 
     def _emulator(
-        self, x: Float64, images: Pixels, file: Path
+        self, x: Float64, images: Pixels, folder: Path
     ) -> tuple[Emulator | None, float | None]:
         """Learned renderer, and the share of variance that it explains; None, if there is none."""
         if not self.emulates:
@@ -307,8 +308,28 @@ class _Plan:
             emulator.to(self.device), x, images, self.passes, self.seed, self._left(),
             augment="none", learning_rate=_EMULATOR_RATE,
         )  # fmt: skip
-        self._train(training, "emulate", file, "emulator")
+        self._resumable(folder, "emulator", len(x)).run(training, self._say("emulate"))
+        if not math.isfinite(training.best):
+            warn_user(
+                "the training of the emulator has diverged, and the model has none: learn with "
+                "another seed, or with emulator=False"
+            )
+            return None, None
         return emulator.to("cpu").eval(), 1 - training.best
+
+    def _resumable(self, folder: Path, name: str, renders: int) -> Resumable:
+        """What a training is kept as, name: "training" (of the density) or "emulator"."""
+        own = name == "emulator"
+        plan = {
+            "renders": renders, "passes": self.passes, "head": name if own else self.head,
+            "seed": self.seed, "augment": "none" if own else self.augment,
+            "blocks": [list(block) for block in self.blocks],
+        }  # fmt: skip
+        return Resumable(folder / name, plan)
+
+    def _say(self, stage: str) -> Callable[[Progress], None]:
+        """What a training calls after each pass."""
+        return lambda at: self.on_progress(LearnProgress(stage, at.passed, at.passes, at.held_out))
 
     def _left(self, share: float = 1.0) -> float | None:
         """Seconds until a share of the time has passed since the beginning; None: no limit."""
@@ -316,70 +337,6 @@ class _Plan:
             return None
         left = share * self.seconds - (clock.monotonic() - self.start)
         return max(left, min(1e-3, share * self.seconds))
-
-    def _train(self, training: Training, stage: str, file: Path, kind: str) -> None:
-        """Train from the checkpoint `file`, if it is of this plan, and keep it up to date.
-
-        stage: of the progress.  kind: of what is trained.
-        """
-        plan = {
-            "renders": len(training.x), "passes": self.passes, "head": kind, "seed": self.seed,
-            "augment": training.augment, "blocks": [list(block) for block in self.blocks],
-        }  # fmt: skip
-        if file.exists():
-            _restore(training, file, plan)
-
-        def save(state: dict[str, Any]) -> None:
-            checkpoint.write(file, _KIND, {"plan": plan, "state": state})
-
-        def report(at: Progress) -> None:
-            self.on_progress(LearnProgress(stage, at.passed, at.passes, at.held_out))
-
-        training.run(report, save)
-
-    def _report(
-        self, network: Network, x: Float64, images: Pixels, failed: int, training: Training,
-        emulated: float | None,
-    ) -> Report:  # fmt: skip
-        """Calibrate the network, and judge it."""
-        aside = held_out(len(x))
-        distance = Distance(np.array(self.periodic), self.blocks)
-        fit, judges = shares(aside)
-        network.scale = fitted_scale(network, x[fit], images[fit], self.seed)
-        judgment = judge(network, x[judges], images[judges], self._names, distance, self.seed)
-        return Report(
-            renders=int((~aside).sum()),
-            failed=failed,
-            held_out=int(aside.sum()),
-            seconds=training.spent,
-            nll=judgment.nll,
-            within=judgment.within,
-            coverage=judgment.coverage,
-            ranks=judgment.ranks,
-            unseen=judgment.unseen,
-            curve=tuple((a, b, c) for a, b, c in training.curve),
-            augment=self.augment,
-            scale=network.scale,
-            fitted=int(fit.sum()),
-            parameters=len(set(self._names)),
-            emulated=emulated,
-        )
-
-    def _made(
-        self, network: Network, x: Float64, images: Pixels, report: Report,
-        emulator: Emulator | None,
-    ) -> Model:  # fmt: skip
-        """Put the model together."""
-        aside = held_out(len(x))
-        learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
-        familiarity = Familiarity.of(
-            _features(network, images[learned]), _features(network, images[aside])
-        )
-        return Model(
-            network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
-            self.periodic, self.blocks, familiarity, report, fingerprint_of(self.renderer.source),
-            emulator,
-        )  # fmt: skip
 
     @property
     def _names(self) -> list[str]:
@@ -426,30 +383,3 @@ def _check(
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:
         raise UnknownNameError.of("augment", augment, AUGMENT)
-
-
-def _restore(training: Training, file: Path, plan: dict[str, Any]) -> None:
-    """Go on from a checkpoint of the same plan, or of fewer passes; another plan begins again."""
-    saved = checkpoint.read(file, _KIND)
-    there = {"augment": "photograph", **saved.get("plan", {})}  # older plans do not name it
-    passes = there.get("passes")
-    if not isinstance(passes, int) or passes > plan["passes"]:
-        return
-    if {**there, "passes": plan["passes"]} != plan:
-        return
-    try:
-        training.load_state_dict(saved["state"])
-        ended = training.ended_at(passes)  # in files of earlier versions, which lack "over"
-        was_over, longer = saved["state"].get("over", ended), plan["passes"] > passes
-        training.extended |= was_over and (longer or not training.over)
-    except IMPOSSIBLE as error:
-        if is_out_of_memory(error):
-            raise
-        raise CheckpointError(f"{file}: impossible contents ({error!r}); delete it") from error
-
-
-def _features(network: Network, images: Pixels) -> Float64:
-    """Features (n, F) of images (n, H, W, 3)."""
-    parts = [network.vectors(as_input(images[i : i + 500])) for i in range(0, len(images), 500)]
-    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
-    return features

@@ -272,6 +272,21 @@ def test_where_it_is_learned() -> None:
         learn(lights, 6, groups=BLOCKS, emulator=1, **words)  # type: ignore[arg-type]
 
 
+def test_an_emulator_that_diverged_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """And the model is read back: a share that is no number was saved, and refused."""
+    test = Training.test
+
+    def diverged(training: Training) -> float:
+        return np.nan if isinstance(training.network, Emulator) else test(training)
+
+    monkeypatch.setattr(Training, "test", diverged)
+    words = {"renders": 100, "size": SIDE, "passes": 1, "groups": BLOCKS, "out": tmp_path / "m"}
+    with pytest.warns(RuntimeWarning, match="the training of the emulator has diverged"):
+        model = learn(lights, 6, **words)  # type: ignore[arg-type]
+    for one in (model, Model.load(tmp_path / "m")):
+        assert one.emulator is None and one.report.emulated is None
+
+
 class Stop(Exception):
     """Raised while the emulator is learned."""
 
