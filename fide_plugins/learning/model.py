@@ -45,7 +45,6 @@ from fide_plugins.validation.points import as_points, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
-_EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 _ASPECT = 0.02  # relative difference of height / width that is rounding
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
@@ -136,7 +135,7 @@ class Model:
     @property
     def emulates(self) -> bool:
         """Whether it has an emulator that explains nine tenths of the variance of renders."""
-        return self.emulator is not None and (self.report.emulated or 0.0) >= _EXPLAINED
+        return self.emulator is not None and self.report.emulates
 
     @torch.inference_mode(False)
     @one_thread
@@ -256,7 +255,7 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
-        earlier = {"fingerprint": None, "scale": 1.0, "emulator": None}  # versions have none
+        earlier = {"fingerprint": None, "scale": 1.0, "emulator": None}  # files lack these
         state = {**earlier, **state}
         check(state, _SCHEMA, {}, "model")
         check({"emulated": state["report"].get("emulated")}, _EMULATED, {}, "model['report']")

@@ -23,6 +23,7 @@ _HYPOTHESES = 64
 _PICTURES = 300
 _BINS = 4
 _BATCH = 500
+_EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 _UNSEEN = 0.05  # nats: what 99 samples of a uniform density seem to say is a third of it
 
 
@@ -33,7 +34,7 @@ class Report:
     renders: learned from.  failed: renders that failed.  held_out: renders not learned from.
     scale: by which all standard deviations of the density were multiplied, see `calibration`.
     fitted: how many held-out renders chose it; the other ones judge.
-    seconds: of training, in all calls together.
+    seconds: of training the density, in all calls together.
     nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
     within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
         cube in every parameter that the images show.
@@ -80,9 +81,22 @@ class Report:
                 f"{self.scale:.2f}"
             )
         if self.emulated is not None:
-            share = max(0.0, self.emulated)
-            lines.append(f"the emulator explains {share:.1%} of the variance of held-out renders")
+            used = "it refines hypotheses" if self.emulates else "too little to be used"
+            lines.append(
+                f"the emulator explains {self._explained:.1%} of the variance of held-out renders: "
+                f"{used}"
+            )
         return "\n".join(lines)
+
+    @property
+    def emulates(self) -> bool:
+        """Whether there is an emulator that is used: it explains nine tenths, as it is printed."""
+        return self._explained >= _EXPLAINED
+
+    @property
+    def _explained(self) -> float:
+        """Share of variance in whole tenths of a percent; 0 without an emulator."""
+        return round(max(0.0, self.emulated or 0.0), 3)
 
     @property
     def _found(self) -> list[str]:

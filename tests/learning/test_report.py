@@ -52,3 +52,23 @@ def test_there_is_no_share_where_nothing_was_learned() -> None:
 
 def test_a_model_below_the_prior_is_worse() -> None:
     assert "0.44 nats worse than the uniform prior" in str(replace(REPORT, nll=0.44))
+
+
+@pytest.mark.parametrize(
+    ("share", "said", "used"),
+    [
+        (0.997, "99.7%", True), (0.9, "90.0%", True), (0.8996, "90.0%", True),
+        (0.8994, "89.9%", False), (0.1, "10.0%", False), (-3.0, "0.0%", False),
+    ],
+)  # fmt: skip
+def test_a_report_says_whether_the_emulator_is_used(share: float, said: str, used: bool) -> None:
+    """By the number that it prints."""
+    report = replace(REPORT, emulated=share)
+    what = "it refines hypotheses" if used else "too little to be used"
+    line = f"the emulator explains {said} of the variance of held-out renders: {what}"
+    assert lines(report)[-1] == line
+    assert report.emulates == used
+
+
+def test_without_an_emulator_none_is_used() -> None:
+    assert not REPORT.emulates and "emulator" not in str(REPORT)
