@@ -118,25 +118,12 @@ class Rounds:
         end: float | None,
         **more: Any,
     ) -> Model:
-        """One round, by the clock until `end`; before: renders of the rounds before it.
-
-        A model that is there was finished before an interruption.
-        """
-        from fide_plugins.learning.hypotheses import model_for
+        """One round, by the clock until `end`; before: renders of the rounds before it."""
         from fide_plugins.learning.pipeline import learn
-        from fide_plugins.renderers.fingerprint import version_of
 
         file = folder / f"{name}.fide"
         if file.exists():
-            version_of(self.render)  # raises for one that is no text
-            try:
-                there: Model = model_for(file, self.render)
-            except OptionError as error:
-                raise OptionError(
-                    f"{folder} holds models of rounds with another version of the renderer "
-                    f"({error}); name another run directory, or delete this one"
-                ) from error
-            return there
+            return self._finished(file)
 
         def report(at: LearnProgress) -> None:
             if on_progress is not None and at.stage == "render":
@@ -159,6 +146,24 @@ class Rounds:
             on_progress=report,
             **more,
         )
+
+    def _finished(self, file: Path) -> Model:
+        """Model of a round that was finished before an interruption.
+
+        Raises OptionError if it is of another version of the renderer.
+        """
+        from fide_plugins.learning.hypotheses import model_for
+        from fide_plugins.renderers.fingerprint import version_of
+
+        version_of(self.render)  # raises for one that is no text
+        try:
+            model: Model = model_for(file, self.render)
+        except OptionError as error:
+            raise OptionError(
+                f"{file.parent} holds models of rounds with another version of the renderer "
+                f"({error}); name another run directory, or delete this one"
+            ) from error
+        return model
 
     def remove_renders(self) -> None:
         """Remove the renders, which nothing needs once the search has begun."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import FIDE, fit
+from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.learning import Model, rounds
@@ -132,6 +132,38 @@ def test_a_run_that_goes_on_with_another_version_is_told_which_folder(tmp_path: 
     with pytest.raises(OptionError, match="a text such as '2'") as raised:
         fitted(render, out=tmp_path, resume=True)
     assert "name another run directory" not in str(raised.value)
+
+
+LAMPS = Space(lamps=2 * Group(x=Float(0, 1), y=Float(0, 1)))
+
+
+def lamps(params: dict[str, Any]) -> Float64:
+    """Mean of two soft disks."""
+    image: Float64 = np.mean([disk({**lamp, "gray": 1}) for lamp in params["lamps"]], axis=0)
+    return image
+
+
+@pytest.mark.usefixtures("few")
+def test_only_the_second_model_has_an_emulator(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Model, "knows", lambda *_: True)  # of 200 renders it is a guess
+    picture = lamps({"lamps": [{"x": 0.3, "y": 0.3}, {"x": 0.7, "y": 0.6}]})
+    both = rounds.Rounds(lamps, LAMPS, picture, BUDGET, 0, tmp_path)
+    said: list[tuple[int, str]] = []
+    learned = both.learn(1, lambda n, doing: said.append((n, doing)))
+    assert Model.load(tmp_path / "first.fide").emulator is None
+    assert learned.model.emulator is not None
+    assert said == [
+        (100, "rendering for the first model"), (200, "rendering for the first model"),
+        (200, "first model, pass 1/2"), (200, "first model, pass 2/2"),
+        (300, "rendering for the second model"),
+        (300, "second model, pass 1/2"), (300, "second model, pass 2/2"),
+        (300, "second emulator, pass 1/2"), (300, "second emulator, pass 2/2"),
+    ]  # fmt: skip
+    said.clear()
+    again = both.learn(1, lambda n, doing: said.append((n, doing)))
+    assert again.model.emulator is not None and not said
 
 
 @pytest.mark.usefixtures("few")
