@@ -9,6 +9,7 @@ from textwrap import shorten
 from typing import Any
 
 from fide_plugins.errors import OptionError
+from fide_plugins.experiments.run.directory import is_saved
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks
 from fide_plugins.fitting.durations import seconds_of
@@ -171,7 +172,10 @@ def prepare(
     options = dict(options or {})
     if resume and out is not None and seed is None:
         seed = seed_there(out)
-    model = {"learned": model_for(options.get("learned"), render)}
+    learned = model_for(options.get("learned"), render)
+    if resume and out is not None and is_saved(out):
+        learned = None  # the state has its hypotheses
+    model = {"learned": learned}
     optimizer = FIDE(space, target, seed=seed, **{**search_options(options), **model})
     rounds = rounds_of(
         render,

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from fide_plugins import fit
 from fide_plugins.errors import OptionError
+from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
+from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
@@ -61,6 +66,53 @@ def test_a_saved_run_goes_on_without_the_model(model: Model, tmp_path: Path) -> 
         opt.save(tmp_path / "run")
         opt = FIDE.load(tmp_path / "run")
     np.testing.assert_array_equal(np.concatenate(whole), np.concatenate(again))
+
+
+class Scene:
+    """The disk as a task."""
+
+    name, dim, space = "disk", SPACE.dim, SPACE
+    target = np.repeat(PICTURE[..., None], 3, axis=2).astype(np.float32)
+
+    def render(self, X: Float64, seed: Any = None) -> Float64:
+        return np.stack([disk(SPACE.decode(x)) for x in X])
+
+
+def fitted(learned: Path, budget: int, out: Path | None, *, resume: bool = False) -> Float64:
+    arguments: dict[str, Any] = {"out": out, "resume": resume, "workers": 0, "seed": 1}
+    return fit(disk, PICTURE, SPACE, budget, learned=learned, **arguments).curve[:, 1]
+
+
+def run(learned: Path, budget: int, out: Path | None, *, resume: bool = False) -> Float64:
+    options = {"learned": str(learned)}
+    result = harness.run(Scene(), "fide", "mse", budget, 1, options=options, out=out, resume=resume)
+    return np.minimum.accumulate(result.losses)
+
+
+@pytest.mark.parametrize("run", [fitted, run])
+def test_hypotheses_are_made_only_where_no_state_is_saved(
+    run: Callable[..., Float64], learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They may take seconds. Until then a resumed run is one that begins."""
+    asked: list[bool] = []
+
+    def noted(learned: Any, *about: Any) -> Any:
+        asked.append(learned is not None)
+        return posterior_of(learned, *about)
+
+    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", noted)
+    whole = run(learned, 120, None)
+    assert any(asked)
+    asked.clear()
+    run(learned, 60, tmp_path, resume=True)  # nothing is there
+    assert any(asked)
+    asked.clear()
+    np.testing.assert_array_equal(run(learned, 120, tmp_path, resume=True), whole)
+    assert not any(asked)
+    asked.clear()
+    (tmp_path / "run.ckpt").unlink()
+    np.testing.assert_array_equal(run(learned, 120, tmp_path, resume=True), whole)
+    assert any(asked)
 
 
 def test_all_distinct_hypotheses_have_their_turn_before_other_moves(model: Model) -> None:

@@ -48,7 +48,15 @@ from fide_plugins.runtime.schema import IMPOSSIBLE
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
-__all__ = ["TABLES", "RunDirectory", "RunDirectoryError", "check_settings", "checksum", "read_run"]
+__all__ = [
+    "TABLES",
+    "RunDirectory",
+    "RunDirectoryError",
+    "check_settings",
+    "checksum",
+    "is_saved",
+    "read_run",
+]
 
 FORMAT = 2
 TABLES = ("curve.csv", "improvements.csv")
@@ -122,9 +130,9 @@ class RunDirectory:
 
         Raises CheckpointError (a ValueError) if it is damaged.
         """
-        path = self.path / "run.ckpt"
-        if not path.exists():
+        if not is_saved(self.path):
             return None
+        path = self.path / "run.ckpt"
         state = checkpoint.read(path, _KIND)
         try:
             name = state["optimizer"]
@@ -244,6 +252,11 @@ class RunDirectory:
         for path in [self.path / "run.ckpt", *self.path.glob("optimizer-*.ckpt")]:
             with suppress(OSError):
                 path.unlink()
+
+
+def is_saved(path: str | os.PathLike[str]) -> bool:
+    """Whether the folder `path` holds the state of a run, from which it can continue."""
+    return (Path(path) / "run.ckpt").exists()
 
 
 def read_run(path: Path) -> dict[str, Any] | None:

@@ -11,7 +11,7 @@ from typing import Any
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.experiments.run import renderer_task
-from fide_plugins.experiments.run.directory import RunDirectory
+from fide_plugins.experiments.run.directory import RunDirectory, is_saved
 from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
@@ -130,6 +130,8 @@ def prepare(
         out_there = None if out is None else Path(out)
         rounds = rounds_of(*about, budget=budget, seed=seed, out=out_there)
         options = search_options(options)
+        if resume and out_there is not None and is_saved(out_there):
+            options.pop("learned", None)  # the state has its hypotheses
     searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
     record, directory = Record(), None
     if out is not None:
