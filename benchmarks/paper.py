@@ -37,7 +37,10 @@ MARKS = ("1000", "5000", "10000", "25000")
 METRICS = ("mse", "perceptual")
 SIZE, SEED = 112, 0
 PUBLISHED, DIBO = "FIDE paper, 20 epochs", "DiBO, 600 renders"
-DIBO_OPTIONS = {"width": 128, "proxy_width": 64, "batch": 64, "proposals": 2, "precision": "single"}
+DIBO_OPTIONS = {
+    "width": 128, "proxy_width": 64, "batch": 64, "proposals": 2, "precision": "single",
+    "schedule": "authors",
+}  # fmt: skip
 RACERS: Configurations = {
     "FIDE": ("fide", {}),
     PUBLISHED: CONFIGURATIONS[PUBLISHED],
