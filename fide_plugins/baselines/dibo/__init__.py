@@ -21,8 +21,9 @@ Where this deviates from the authors' program
 - With schedule="paper" the variances of the noise are 30 numbers from 1e-4 to 0.02, as the paper
   says.  By default they are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples
   with all but the cleanest, so that candidates keep more noise.
-- With likelihood="exact" log p_prior is that of the model which is sampled (`diffusion.py`); with
-  alpha = 1e-4 it weighs next to nothing in the score.  By default it is the program's own number,
+- With likelihood="exact" log p_prior is that of the model which is sampled (`diffusion.py`), but for
+  the noise that schedule="authors" leaves in its points; with alpha = 1e-4 it weighs next to nothing
+  in the score.  By default it is the program's own number,
   see `likelihood.py`: its ODE goes the other way round and ends in N(0, 0.0276^2), so that it is no
   likelihood, but a strong pull to the mean of the buffer.  `docs/measurements/baselines.md` has a
   race of the two.
@@ -41,11 +42,10 @@ from torch import Tensor
 from fide_plugins.baselines.dibo.diffusion import Diffusion
 from fide_plugins.baselines.dibo.round import Round, RoundOptions
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.option_rules import one_of, positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["DiBO", "Diffusion", "Round", "RoundOptions"]
@@ -106,15 +106,9 @@ class DiBO(Stateful):
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
-        if precision not in ("double", "single"):
-            raise OptionError(f"precision must be 'double' or 'single', not {precision!r}")
-        if likelihood not in ("authors", "exact"):
-            raise OptionError(f"likelihood must be 'authors' or 'exact', not {likelihood!r}")
-        if schedule not in ("authors", "paper"):
-            raise OptionError(f"schedule must be 'authors' or 'paper', not {schedule!r}")
         self.initial = whole_number("initial", initial, 2)
         self.buffer = whole_number("buffer", buffer, 2)
-        self.precision = precision
+        self.precision = one_of("double", "single")("precision", precision)
         self.round_options = RoundOptions(
             proxy_epochs=whole_number("proxy_epochs", proxy_epochs, 1),
             prior_epochs=whole_number("prior_epochs", prior_epochs, 1),
@@ -127,8 +121,8 @@ class DiBO(Stateful):
             width=whole_number("width", width, 1),
             proxy_width=whole_number("proxy_width", proxy_width, 1),
             batch=whole_number("batch", batch, 1),
-            likelihood=likelihood,
-            schedule=schedule,
+            likelihood=one_of("authors", "exact")("likelihood", likelihood),
+            schedule=one_of("authors", "paper")("schedule", schedule),
         )
         self._rng = np.random.default_rng(self.seed)
         self._generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
