@@ -181,9 +181,9 @@ def rows_of(out: Path) -> list[Row]:
 def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
     """Medians over targets and seeds, in Markdown, with the lead over the best CMA-ES."""
     lines: list[str] = []
-    for task in dict.fromkeys(row["task"] for row in rows):
-        mine = [row for row in rows if row["task"] == task]
-        lines += [f"### {task}, {mine[0]['size']}x{mine[0]['size']}", ""]
+    for scene in dict.fromkeys(map(scene_of, rows)):
+        mine = [row for row in rows if scene_of(row) == scene]
+        lines += [f"### {scene}, {mine[0]['size']}x{mine[0]['size']}", ""]
         marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
         lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " |"]
         lines += ["|---" * (len(marks) + 2) + "|"]
@@ -208,6 +208,12 @@ def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
             lines.append(f"| FIDE / best CMA-ES | | {leads(medians, marks)} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def scene_of(row: Row) -> str:
+    """Task of a row, with its options."""
+    options = row.get("task_options", {}).items()
+    return ", ".join([row["task"], *(f"{name} = {value}" for name, value in options)])
 
 
 def medians_of(rows: list[Row], configuration: str, marks: list[str]) -> dict[str, Any]:
