@@ -21,12 +21,11 @@ Where this deviates from the authors' program
 - With schedule="paper" the variances of the noise are 30 numbers from 1e-4 to 0.02, as the paper
   says.  By default they are the program's: 31 from 7.6e-4 to 0.0207, of which it trains and samples
   with all but the cleanest, so that candidates keep more noise.
-- With likelihood="exact" log p_prior is that of the model which is sampled (`diffusion.py`), but for
-  the noise that schedule="authors" leaves in its points; with alpha = 1e-4 it weighs next to nothing
-  in the score.  By default it is the program's own number,
-  see `likelihood.py`: its ODE goes the other way round and ends in N(0, 0.0276^2), so that it is no
-  likelihood, but a strong pull to the mean of the buffer.  `docs/measurements/baselines.md` has a
-  race of the two.
+- With likelihood="exact" log p_prior is that of the model which is sampled (`diffusion.py`), but
+  for the noise that schedule="authors" leaves in its points; with alpha = 1e-4 it weighs next to
+  nothing in the score.  By default it is the program's own number, see `likelihood.py`: its ODE
+  goes the other way round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong
+  pull to the mean of the buffer.  `docs/measurements/baselines.md` has a race of the two.
 - The first points are the center of the box and uniform ones, like those of the others here.
 """
 
