@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Self
@@ -72,8 +73,10 @@ class Report:
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
             + ("" if self.augment is None else f", augment={self.augment!r}"),
             f"{against_prior(self.nll)} on {self.held_out - self.fitted:,} held-out renders",
+            *self._passes,
             *self._found,
             f"90 % regions hold the truth in {self.coverage:.0%}",
+            *self._single,
         ]
         if self.fitted:
             lines.append(
@@ -97,6 +100,25 @@ class Report:
     def _explained(self) -> float:
         """Share of variance in whole tenths of a percent; 0 without an emulator."""
         return round(max(0.0, self.emulated or 0.0), 3)
+
+    @property
+    def _passes(self) -> list[str]:
+        """Line of the training curve: held-out nats after each pass; it says whether more help."""
+        if len(self.curve) < 2:
+            return []
+        nats = ", ".join(f"{-held_out:.2f}" for _, _, held_out in self.curve)
+        return [f"nats after each pass: {nats}"]
+
+    @property
+    def _single(self) -> list[str]:
+        """Line on the calibration of single parameters, but for exchangeable blocks."""
+        known = [share for share in self.ranks if math.isfinite(share)]
+        if not known:
+            return []
+        return [
+            "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
+            f"{min(known):.0%} to {max(known):.0%} of pictures (90 % is right)"
+        ]
 
     @property
     def _found(self) -> list[str]:

@@ -13,6 +13,7 @@ REPORT = Report(
     ranks=(0.9,) * 4, unseen=(), curve=((1.0, -1.0, -1.0),), parameters=4,
 )  # fmt: skip
 NEAR = "one of 64 hypotheses is within 0.05 of the box in 40%, within 0.1 in 75% of pictures"
+SINGLE = "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
 WHY = "the images do not show them, or it takes more renders or passes"
 
 
@@ -25,7 +26,21 @@ def test_all_parameters_are_shown() -> None:
         "1.25 nats better than the uniform prior on 20 held-out renders",
         NEAR,
         "90 % regions hold the truth in 90%",
+        f"{SINGLE}90% to 90% of pictures (90 % is right)",
     ]
+
+
+def test_calibration_of_parameters_is_said_but_for_blocks() -> None:
+    some = replace(REPORT, ranks=(0.82, 0.95, float("nan"), 0.9))
+    assert f"{SINGLE}82% to 95% of pictures (90 % is right)" in lines(some)
+    blocks = replace(REPORT, ranks=(float("nan"),) * 4)
+    assert "quantile" not in str(blocks)
+
+
+def test_several_passes_are_a_curve() -> None:
+    curve = ((98.0, -1.0, -0.5), (196.0, -2.0, -1.25))
+    assert "nats after each pass: 0.50, 1.25" in lines(replace(REPORT, curve=curve))
+    assert "after each pass" not in str(REPORT)
 
 
 @pytest.mark.parametrize("counted", [True, False])
