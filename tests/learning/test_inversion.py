@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
 from fide_plugins import Float, Group, Int, Space
@@ -45,6 +46,7 @@ def trained(seed: int = 0) -> Emulator:
     return emulator
 
 
+@pytest.mark.slow
 def test_descents_find_angles_across_their_ends_and_numbers() -> None:
     """Six lamps of three pictures; other seeds: 5 or 6 numbers, a median of 1 to 4 degrees."""
     emulator, match = trained(), Distance(SPACE.periodic, SPACE.largest_family).matched
