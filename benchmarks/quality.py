@@ -131,7 +131,7 @@ def grid(arguments: argparse.Namespace) -> Iterator[Row]:
 def key(row: Row) -> tuple[Any, ...]:
     """What makes a cell; cells of mean squared error and of tasks without noise say no more."""
     names = ("task", "target", "configuration", "seed", "size", "budget")
-    options = tuple(sorted(row.get("task_options", {}).items()))
+    options = sorted((name, repr(value)) for name, value in row.get("task_options", {}).items())
     return (*(row[name] for name in names), row.get("loss", "mse"), row.get("spp"), *options)
 
 

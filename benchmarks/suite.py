@@ -176,8 +176,9 @@ def main() -> None:
     add("--performance", action="store_true", help="a performance profile as picture")
     arguments = parser.parse_args()
     rows, optimizers = rows_of(arguments.out), arguments.optimizers.split(",")
+    scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
     if arguments.table or arguments.picture:
-        chosen = [r for r in rows if r["problem"].rpartition("-")[0] in arguments.scenes.split(",")]
+        chosen = [r for r in rows if r["problem"].rpartition("-")[0] in scenes]
         found = scores(chosen, optimizers, arguments.budget)
         if arguments.picture:
             drawn = picture(found, performance=arguments.performance)
@@ -185,12 +186,12 @@ def main() -> None:
         else:
             print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
     elif arguments.folder:
-        done = {(row["problem"], row["optimizer"]) for row in rows}
+        whole = long_enough(rows, SUITE.budgets[-1])
+        done = {(row["problem"], row["optimizer"]) for row in whole}
         for row in taken_over(arguments.folder):
             if (row["problem"], row["optimizer"]) not in done:
                 append(arguments.out, row)
     else:
-        scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
         part, parts = map(int, arguments.part.split("/"))
         budget = arguments.budget
         for i, run in enumerate(missing(rows, scenes, optimizers, arguments.targets, budget)):

@@ -107,7 +107,8 @@ def learn(
         there, to the last one.
     time
         seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
-        result depends on the machine.
+        result depends on the machine.  A call that was interrupted in the emulator's part goes on
+        there: more time is the density's only in the call after it.
     workers
         processes that render; with more than one `render` must be picklable.  None: 1, or 8 with an
         executor.

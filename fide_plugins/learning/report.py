@@ -115,9 +115,10 @@ class Report:
         known = [share for share in self.ranks if math.isfinite(share)]
         if not known:
             return []
+        low, high = f"{min(known):.0%}", f"{max(known):.0%}"
         return [
             "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
-            f"{min(known):.0%} to {max(known):.0%} of pictures (90 % is right)"
+            f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right)"
         ]
 
     @property

@@ -26,7 +26,7 @@ def test_all_parameters_are_shown() -> None:
         "1.25 nats better than the uniform prior on 20 held-out renders",
         NEAR,
         "90 % regions hold the truth in 90%",
-        f"{SINGLE}90% to 90% of pictures (90 % is right)",
+        f"{SINGLE}90% of pictures (90 % is right)",
     ]
 
 
