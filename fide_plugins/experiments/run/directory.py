@@ -255,8 +255,11 @@ class RunDirectory:
 
 
 def is_saved(path: str | os.PathLike[str]) -> bool:
-    """Whether the folder `path` holds the state of a run, from which it can continue."""
-    return (Path(path) / "run.ckpt").exists()
+    """Whether the folder `path` holds the state of a run, from which it can continue.
+
+    False where it may not be read: whoever writes there says that.
+    """
+    return os.path.exists(Path(path) / "run.ckpt")
 
 
 def read_run(path: Path) -> dict[str, Any] | None:
