@@ -45,9 +45,8 @@ SUITE = read("image-fitting-v1")
 RESULTS = Path(__file__).parent / "results" / "suite.jsonl"
 OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
-    "zerograds:learning_rate=0.002:proxy_rate=0.003",
+    "zerograds",
 )  # fmt: skip
-"""The last with the rates that were its defaults when the others ran."""
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
 
