@@ -34,10 +34,10 @@ from quality import append, rows_of
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
-from fide_plugins.experiments.report import plots, svg
+from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
 from fide_plugins.experiments.run.machine import machine
-from fide_plugins.experiments.suite import profiles, read
+from fide_plugins.experiments.suite import figures, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, totals
 
@@ -147,14 +147,8 @@ def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
 def picture(found: Scores, *, performance: bool) -> bytes:
     """Data profile, or performance profile at the last budget, as PNG."""
     if performance:
-        ratios = profiles.performance_ratios(found.t)
-        at = np.unique([1.0, *ratios[np.isfinite(ratios)]])
-        at = np.append(at, max(2.0, 1.3 * at[-1]))
-        shares, axis = profiles.performance_profile(found.t, at), "renders / those of the fastest"
-        return svg.png(plots.profile(at, shares, found.labels, axis))
-    at = np.unique([100.0, *found.t[np.isfinite(found.t)], float(found.budgets[-1])])
-    shares = profiles.data_profile(found.t, at)
-    return svg.png(plots.profile(at, shares, found.labels, "renders", True, found.budgets))
+        return svg.png(figures.performance_profile(found, found.labels, found.budgets[-1]))
+    return svg.png(figures.data_profile(found, found.labels))
 
 
 def main() -> None:

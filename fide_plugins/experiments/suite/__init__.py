@@ -8,7 +8,9 @@
 `profiles`    data profiles and performance profiles
 `scores`      renders to solve each problem, of a comparison's results
 `remarks`     what is said of failed runs and of problems that are left out
-`page`        the page, its figures and tables
+`figures`     both profiles, drawn
+`tables`      counts of solved problems
+`page`        the page
 ============  ====================================================================
 """
 

@@ -16,12 +16,11 @@ from fide_plugins.experiments.report import (
     companion,
     page as report_page,
     page_path,
-    plots,
     sentences,
     svg,
 )
 from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
-from fide_plugins.experiments.suite import profiles
+from fide_plugins.experiments.suite import figures
 from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores, scores
 from fide_plugins.experiments.suite.tables import by_scene, totals
@@ -96,32 +95,15 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
 
 def _figures(found: Scores, names: list[str], legend: bool) -> list[tuple[str, str, Any]]:
     """File name, title and figure of the data profile, and of a performance profile a budget."""
-    t = found.t
-    solved = t[np.isfinite(t)].tolist()
-    begin = 0.5 * min([*solved, found.budgets[0]])
-    at = np.unique([begin, *solved, float(found.budgets[-1])])
-    figures = [
-        (
-            "data-profile",
-            "Share of problems solved within so many renders",
-            plots.profile(at, profiles.data_profile(t, at), names, "renders", legend,
-                          found.budgets),
-        )
-    ]  # fmt: skip
+    title = "Share of problems solved within so many renders"
+    drawn = [("data-profile", title, figures.data_profile(found, names, legend))]
     for budget in found.budgets:
-        limited = profiles.within(t, budget)
-        ratios = profiles.performance_ratios(limited)
-        tau = np.unique([1.0, *ratios[np.isfinite(ratios)]])
-        tau = np.append(tau, max(2.0, 1.3 * tau[-1]))
-        shares = profiles.performance_profile(limited, tau)
         title = (
             f"Share solved within tau times the renders of the fastest, {number(budget)} renders"
         )
-        axis = "tau, renders over those of the fastest"
-        figures.append(
-            (f"performance-{budget}", title, plots.profile(tau, shares, names, axis, legend))
-        )
-    return figures
+        figure = figures.performance_profile(found, names, budget, legend)
+        drawn.append((f"performance-{budget}", title, figure))
+    return drawn
 
 
 def _thresholds(found: Scores) -> Table:
