@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -70,9 +71,16 @@ _SCHEMA: Schema = {
 _EMULATED: Schema = {"emulated": maybe(real())}
 
 
+@contextmanager
+def _full_precision() -> Iterator[None]:
+    """Float32, whatever autocast the caller's thread is in; begun anew by every call."""
+    with torch.autocast("cpu", enabled=False):
+        yield
+
+
 @dataclass(frozen=True)
 class Model:
-    """What `learn` returns.
+    """What `learn` returns.  An autocast of the caller changes no result.
 
     network: made of `size`, `head`, `periodic` and `blocks`, its density calibrated.
     space: names of the parameters; None: they have none.
@@ -113,6 +121,7 @@ class Model:
         """Of points of the cube, exchangeable blocks matched."""
         return Distance(np.array(self.periodic), self.blocks)
 
+    @_full_precision()
     def sample(self, picture: object, n: int = 64, seed: int = 0) -> Float64:
         """Hypotheses (n, dim) in [0, 1] of the parameters of a picture, drawn from the posterior.
 
@@ -124,6 +133,7 @@ class Model:
         return self.network.sample(self._input(picture), n, generator).numpy().astype(np.float64)
 
     @torch.no_grad()
+    @_full_precision()
     def log_prob(self, picture: object, X: object) -> Float64:
         """Logarithm of the posterior's density (n,), given a picture, at points X (n, dim).
 
@@ -139,6 +149,7 @@ class Model:
 
     @torch.inference_mode(False)
     @one_thread
+    @_full_precision()
     def refined(self, picture: object, X: object, seed: int = 0) -> Float64:
         """Hypotheses (at most 8, dim) of a picture, found by descents through the emulator.
 
@@ -156,8 +167,7 @@ class Model:
         if not len(points):
             raise OptionError("X has no points: give at least one, where descents begin")
         generator = torch.Generator().manual_seed(whole_number("seed", seed, 0))
-        with torch.autocast("cpu", enabled=False):  # whatever the caller's own is
-            found = inverted(self.emulator, self._input(picture), points, generator)
+        found = inverted(self.emulator, self._input(picture), points, generator)
         return found.numpy().astype(np.float64)
 
     def knows(self, picture: object) -> bool:
@@ -169,6 +179,7 @@ class Model:
         distance = self.familiarity.distances(self._vector(picture)[None])[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
 
+    @_full_precision()
     def _vector(self, picture: object) -> Float64:
         vector: Float64 = self.network.vectors(self._input(picture))[0].numpy().astype(np.float64)
         return vector

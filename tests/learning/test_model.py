@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from scipy.stats import gaussian_kde
 
@@ -55,6 +56,18 @@ def test_same_seed_same_hypotheses(model: Model) -> None:
     picture = disk(PARAMS)
     np.testing.assert_array_equal(model.sample(picture, 8, 3), model.sample(picture, 8, 3))
     assert not np.array_equal(model.sample(picture, 8, 3), model.sample(picture, 8, 4))
+
+
+def test_an_autocast_of_the_caller_changes_nothing(model: Model) -> None:
+    def results() -> list[object]:
+        picture = disk(PARAMS)
+        X = model.sample(picture, 8)
+        return [X, model.log_prob(picture, X), model.unfamiliarity(picture)]
+
+    expected = results()
+    with torch.autocast("cpu", torch.bfloat16):
+        for result, value in zip(results(), expected, strict=True):
+            np.testing.assert_array_equal(result, value)
 
 
 def test_other_sizes_are_resized(model: Model, tmp_path: Path) -> None:
