@@ -23,7 +23,7 @@ from moves import SCENES, make, span
 
 from fide_plugins import optimizers
 
-MARKS = (50, 100, 200, 300, 500)
+MARKS = (50, 100, 200, 300, 500, 1000)
 SIZE = 64
 
 Row = dict[str, Any]
@@ -35,10 +35,11 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "lq-cma-es, sigma0 = 0.3": ("lq-cma-es", {"sigma0": 0.3}),
 }
 CONFIGURATIONS |= {
-    f"{name}, k = {k}": (name, {"popsize": k})
+    f"{name}, k = {k}": (name, {"popsize": k, "smallest": 0.5**7})
     for name in ("turbo", "composite-bo")
     for k in (4, 10, 20)
 }
+CONFIGURATIONS["composite-bo, smallest = 0.5^12"] = ("composite-bo", {"smallest": 0.5**12})
 
 
 def main() -> None:

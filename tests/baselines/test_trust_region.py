@@ -57,9 +57,9 @@ def test_the_region_grows_with_progress_and_shrinks_without() -> None:
     for _ in range(4):  # two rounds of four points are as many as there are parameters
         region.judge(1.0, 0.9995, dim=8, popsize=4)  # less than a thousandth is no progress
     assert region.length == FIRST / 2
-    while not region.over:
+    for _ in range(4):
         region.judge(1.0, np.inf, dim=8, popsize=4)
-    assert SMALLEST / 2 <= region.length < SMALLEST
+    assert region.length == FIRST / 8
 
 
 def test_candidates_lie_in_the_box_and_change_some_parameters() -> None:
@@ -169,12 +169,15 @@ def test_images_that_are_all_equal_teach_nothing_and_do_no_harm(botorch: Any) ->
     assert len(np.unique(X, axis=0)) == 4
 
 
-def test_a_small_region_is_followed_by_a_new_start(botorch: Any) -> None:
-    opt = TuRBO(2, popsize=4, initial=4, candidates=16, steps=1, seed=0)
+@pytest.mark.parametrize(("smallest", "halvings"), [(SMALLEST, 7), (0.3, 2), (1e-3, 10)])
+def test_a_small_region_is_followed_by_a_new_start(
+    botorch: Any, smallest: float, halvings: int
+) -> None:
+    opt = TuRBO(2, popsize=4, initial=4, candidates=16, steps=1, smallest=smallest, seed=0)
     while opt.starts == 1:
         X = opt.ask()
-        opt.tell(X, losses=np.ones(4))  # no progress at all
-        assert opt.evaluations < 80
+        opt.tell(X, losses=np.ones(4))  # no progress at all: each round halves the side
+    assert opt.evaluations == 4 + 4 * halvings
     design = opt.ask()
     assert design.std() > 0.2 and len(opt._values) == 0
 
@@ -194,7 +197,14 @@ def test_without_botorch_its_extra_is_named(
 
 @pytest.mark.parametrize(
     "options",
-    [{"initial": 1}, {"candidates": 0}, {"steps": 0}, {"popsize": 0}],
+    [
+        {"initial": 1},
+        {"candidates": 0},
+        {"steps": 0},
+        {"popsize": 0},
+        {"smallest": 0.0},
+        {"smallest": 0.8},
+    ],
     ids=str,
 )
 def test_options_out_of_range_are_named(botorch: Any, options: dict[str, Any]) -> None:

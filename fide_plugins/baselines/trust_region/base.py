@@ -11,10 +11,11 @@ from torch import Tensor
 
 from fide_plugins.baselines.penalty import quietly
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.baselines.trust_region.region import REGION, Region, candidates
-from fide_plugins.errors import DependencyError
+from fide_plugins.baselines.trust_region.region import FIRST, REGION, SMALLEST, Region, candidates
+from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, whole
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.option_rules import positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Surrogate", "TrustRegion"]
@@ -40,6 +41,8 @@ class TrustRegion(Stateful):
     initial: points of a Latin hypercube at every start; None: 2 d.  The very first is the center.
     candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
     steps: of L-BFGS, by which the processes are fitted.
+    smallest: side of the region, in (0, 0.8), below which a new search begins.  The default is
+        that of the authors' program; a smaller side finds more digits and fewer basins.
 
     The other options are those of `Baseline`; `sigma0` is not used.
     """
@@ -63,6 +66,7 @@ class TrustRegion(Stateful):
         initial: int | None = None,
         candidates: int | None = None,
         steps: int = 50,
+        smallest: float = SMALLEST,
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
@@ -71,6 +75,11 @@ class TrustRegion(Stateful):
         most = min(100 * self.dim, MOST_CANDIDATES) if candidates is None else candidates
         self.candidates = whole_number("candidates", most, 2)
         self.steps = whole_number("steps", steps, 1)
+        self.smallest = positive("smallest", smallest)
+        if self.smallest >= FIRST:
+            raise OptionError(
+                f"smallest must be less than {FIRST}, the first side of the region, not {smallest}"
+            )
         self._rng = np.random.default_rng(self.seed)
         self.starts = 0  # searches begun so far
         self._start()
@@ -125,7 +134,7 @@ class TrustRegion(Stateful):
         if not designed:
             now = float(np.min(values[good], initial=np.inf))
             self._region.judge(before, now, self.dim, self.popsize)
-            if self._region.over:
+            if self._region.length < self.smallest:
                 self._start()
 
     def _propose(self) -> Float64:
@@ -148,7 +157,12 @@ class TrustRegion(Stateful):
         return 4
 
     def _own_settings(self) -> dict[str, Any]:
-        own = {"initial": self.initial, "candidates": self.candidates, "steps": self.steps}
+        own = {
+            "initial": self.initial,
+            "candidates": self.candidates,
+            "steps": self.steps,
+            "smallest": self.smallest,
+        }
         return {**super()._own_settings(), **own}
 
     def _own_state(self) -> dict[str, Any]:

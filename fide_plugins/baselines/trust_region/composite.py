@@ -39,6 +39,8 @@ class CompositeBO(ImageBased, TrustRegion):
     """Trust-region Bayesian optimization of the image; extra `botorch`.
 
     popsize, initial, candidates, steps: as of `TuRBO`.
+    smallest: side of the region, in (0, 0.8), below which a new search begins.  That of `TuRBO`,
+        0.5**7, ends searches in the right basin before they have found it.
     components: principal components that are modelled; fewer while there are fewer images.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
 
@@ -55,10 +57,11 @@ class CompositeBO(ImageBased, TrustRegion):
         *,
         components: int = 24,
         channels: int | None = 3,
+        smallest: float = 0.5**12,
         **options: Any,
     ) -> None:
         self.components = whole_number("components", components, 1)
-        super().__init__(dim, target, channels=channels, **options)
+        super().__init__(dim, target, channels=channels, smallest=smallest, **options)
 
     def _outputs(self, losses: Float64, features: Float32 | None) -> tuple[Float64, Float64]:
         assert features is not None

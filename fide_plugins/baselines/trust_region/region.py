@@ -13,7 +13,8 @@ from fide_plugins.runtime.schema import Schema, real, whole
 
 __all__ = ["REGION", "Region", "candidates"]
 
-FIRST, LARGEST, SMALLEST = 0.8, 1.6, 0.5**7  # side of the box, before the lengthscales
+FIRST, LARGEST = 0.8, 1.6  # side of the box, before the lengthscales
+SMALLEST = 0.5**7  # that of the authors' program
 SUCCESSES = 3  # rounds with progress in a row, after which it doubles
 PROGRESS = 1e-3  # of the best value, which a round must at least bring
 CHANGED = 20  # parameters of a candidate that differ from the best point's, on average
@@ -26,11 +27,6 @@ class Region:
     length: float = FIRST
     successes: int = 0
     failures: int = 0
-
-    @property
-    def over(self) -> bool:
-        """Whether the box is so small that a new search begins."""
-        return self.length < SMALLEST
 
     def judge(self, before: float, now: float, dim: int, popsize: int) -> None:
         """Adapt the side to the best value `before` a round of `popsize` points, and in it."""

@@ -26,6 +26,7 @@ class TuRBO(TrustRegion):
     initial: points of a Latin hypercube at every start; None: 2 d.
     candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
     steps: of L-BFGS, by which the process is fitted.
+    smallest: side of the region, in (0, 0.8), below which a new search begins; 0.5**7.
 
     The other options are those of `Baseline`; `sigma0` is not used.
     """
