@@ -17,14 +17,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from paper import FAST, METRICS, OLDER, RACERS, RENDERED, RESULTS, loss_of, with_older
+from paper import FAST, METRICS, OLDER, RACERS, RENDERED, RESULTS, end, loss_of, with_older
 from quality import MARKS, Row, rows_of
 
 from fide_plugins.experiments.report import plots
@@ -44,32 +40,29 @@ def lines(rows: Sequence[Row]) -> Iterator[tuple[Any, ...]]:
 
 
 def curves(rows: Sequence[Row], metric: str) -> tuple[Float64, Float64]:
-    """Marks, shape (m,), and a metric there, (m, runs), where every run has it."""
-    marks = [
-        mark for mark in MARKS if all(metric in row["cross"].get(str(mark), {}) for row in rows)
-    ]
+    """Marks (m,) that all runs have reached, and a metric there, (m, runs)."""
+    marks = [mark for mark in MARKS if all(str(mark) in row["cross"] for row in rows)]
     values = [[row["cross"][str(mark)][metric] for row in rows] for mark in marks]
     return np.array(marks, float), np.array(values)
 
 
-def picture(rows: Sequence[Row]) -> Any:
+def picture(rows: Sequence[Row]) -> Figure:
     """Figure of all scenes."""
     scenes = [task for task in (*FAST, *RENDERED) if any(row["task"] == task for row in rows)]
-    figure, grid = plt.subplots(
-        len(scenes), 4, figsize=(11, 2.1 * len(scenes)), squeeze=False, layout="constrained"
-    )
+    columns = [(loss, metric) for loss in METRICS for metric in METRICS]
+    figure = Figure(figsize=(11, 2.1 * len(scenes)), layout="constrained")
+    grid = figure.subplots(len(scenes), len(columns), squeeze=False)
     for task, line in zip(scenes, grid, strict=True):
-        columns = [(loss, metric) for loss in METRICS for metric in METRICS]
         for axes, (loss, metric) in zip(line, columns, strict=True):
             mine = [row for row in rows if (row["task"], loss_of(row)) == (task, loss)]
             draw(axes, mine, metric)
-            if axes in grid[0]:
-                axes.set_title(f"minimized {loss}:\n{metric}", fontsize=9)
-            if axes in grid[-1]:
-                axes.set_xlabel("renders", fontsize=9)
         line[0].annotate(
             task, (-0.34, 0.5), xycoords="axes fraction", rotation=90, va="center", fontsize=10
         )
+    for axes, (loss, metric) in zip(grid[0], columns, strict=True):
+        axes.set_title(f"minimized {loss}:\n{metric}", fontsize=9)
+    for axes in grid[-1]:
+        axes.set_xlabel("renders", fontsize=9)
     handles = [
         Line2D([], [], color=plots.style(i).color, label=name) for i, name in enumerate(RACERS)
     ]
@@ -90,13 +83,14 @@ def draw(axes: Any, rows: Sequence[Row], metric: str) -> None:
     axes.tick_params(which="both", labelsize=7)
     axes.grid(color=plots.MUTED, alpha=0.2)
     for i, name in enumerate(RACERS):
-        group = [row for row in rows if row["configuration"] == name]
-        renders, values = curves(group, metric) if group else (np.zeros(0), np.zeros((0, 0)))
-        if len(renders):
-            color = plots.style(i).color
-            marker = "o" if len(renders) == 1 else ""
-            axes.plot(renders, np.median(values, axis=1), color=color, marker=marker, markersize=4)
-            axes.fill_between(renders, values.min(1), values.max(1), color=color, alpha=0.15, lw=0)
+        group = [row for row in rows if row["configuration"] == name and metric in end(row)]
+        if not group:
+            continue
+        renders, values = curves(group, metric)
+        color = plots.style(i).color
+        marker = "o" if len(renders) == 1 else ""
+        axes.plot(renders, np.median(values, axis=1), color=color, marker=marker, markersize=4)
+        axes.fill_between(renders, values.min(1), values.max(1), color=color, alpha=0.15, lw=0)
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fide_plugins.denoiser.precision import autocast
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.learning.calibration import LARGEST
 from fide_plugins.learning.emulator import Emulator
@@ -74,7 +75,7 @@ _EMULATED: Schema = {"emulated": maybe(real())}
 @contextmanager
 def _full_precision() -> Iterator[None]:
     """Float32, whatever autocast the caller's thread is in; begun anew by every call."""
-    with torch.autocast("cpu", enabled=False):
+    with autocast("float32", torch.device("cpu")):
         yield
 
 

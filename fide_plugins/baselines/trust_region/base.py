@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -41,7 +42,7 @@ class TrustRegion(Stateful):
     initial: points of a Latin hypercube at every start; None: 2 d.  The very first is the center.
     candidates: points that are drawn from each round; None: 100 d, but at most 5,000.
     steps: of L-BFGS, by which the processes are fitted.
-    smallest: side of the region, in (0, 0.8), below which a new search begins.  The default is
+    smallest: side of the region, in (0, 0.8), below which a new search begins.  0.5**7 is
         that of the authors' program; a smaller side finds more digits and fewer basins.
 
     The other options are those of `Baseline`; `sigma0` is not used.
@@ -152,6 +153,14 @@ class TrustRegion(Stateful):
             chosen = surrogate.choose(points, self.popsize, generator)
         proposed: Float64 = chosen.clamp(0.0, 1.0).numpy()
         return proposed
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor from the `settings` of a checkpoint.
+
+        A run from before the option `smallest` existed keeps what it had then.
+        """
+        return {"smallest": SMALLEST, **super().arguments(settings)}
 
     def _default_popsize(self) -> int:
         return 4
