@@ -21,6 +21,7 @@ from unittest import mock
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import moves
+from rows import Row, read
 
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move
@@ -94,7 +95,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(moves.read(arguments.table)))
+        print(table(read(arguments.table)))
         return
     moves.run_missing(planned_runs(arguments), run, arguments.out)
 
@@ -116,7 +117,7 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def planned_runs(arguments: argparse.Namespace) -> Iterator[moves.Row]:
+def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
     """All runs, configurations outermost."""
     for name in arguments.configurations:
         for scene in arguments.scenes:
@@ -131,7 +132,7 @@ def planned_runs(arguments: argparse.Namespace) -> Iterator[moves.Row]:
                 }
 
 
-def run(planned_run: moves.Row) -> moves.Row:
+def run(planned_run: Row) -> Row:
     """One run of FIDE with that change."""
     change = CONFIGURATIONS[planned_run["configuration"]]
     with moves_left_out(change.without):
@@ -151,7 +152,7 @@ def moves_left_out(kinds: tuple[type[Move], ...]) -> Iterator[None]:
         yield
 
 
-def table(rows: list[moves.Row]) -> str:
+def table(rows: list[Row]) -> str:
     """Runs solved by each mark, median loss at it, and time of the optimizer, in Markdown."""
     lines = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
@@ -172,7 +173,7 @@ def table(rows: list[moves.Row]) -> str:
     return "\n".join(lines)
 
 
-def line_of(name: str, group: list[moves.Row]) -> str:
+def line_of(name: str, group: list[Row]) -> str:
     """The table's line of one configuration of one scene."""
     known = [mark for mark in MARKS if int(mark) <= group[0]["budget"]]
     solved = " / ".join(
@@ -191,7 +192,7 @@ def line_of(name: str, group: list[moves.Row]) -> str:
     return f"| {name} | {len(group)} | {solved} | {' | '.join(losses)} | {ms:.2f} |"
 
 
-def time_of(row: moves.Row) -> float:
+def time_of(row: Row) -> float:
     """Milliseconds of the optimizer for a candidate."""
     return float(sum(row["overhead_ms"].values()))
 

@@ -35,7 +35,6 @@ import contextlib
 import functools
 import importlib
 import io
-import json
 import os
 import runpy
 import sys
@@ -52,11 +51,10 @@ import numpy as np
 import torch
 from authors_zerograds import BEST, EVALUATIONS, OFFSETS, zerograds
 from baselines import SMALL_DIBO, in_the_unit_cube
-from quality import append, rows_of
+from rows import Row, append, missing, read, report
 from scipy.stats import binomtest
 
 from fide_plugins import optimizers
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"
@@ -72,7 +70,7 @@ RATES = {
 FORMER_RAW = "zerograds:rates=0.002,0.003:scale=none"
 FUNCTIONS = {
     "turbo": ("ackley", "rosenbrock", "levy"),
-    "dibo": ("ackley", "rosenbrock"),
+    "dibo": ("ackley", "rosenbrock", "levy", "rastrigin"),
     PAPER: ("ackley", "rosenbrock"),
     "zerograds": tuple(BEST),
     RAW: tuple(BEST),
@@ -117,7 +115,7 @@ def method(baseline: str) -> str:
     return baseline.partition(":")[0]
 
 
-def pairs(baseline: str) -> Iterator[dict[str, Any]]:
+def pairs(baseline: str) -> Iterator[Row]:
     """All of a baseline, seeds outermost."""
     for seed in FRESH if baseline in ("zerograds", RAW, SAME, BOX) else range(SEEDS):
         for dim in DIMS[method(baseline)]:
@@ -125,7 +123,12 @@ def pairs(baseline: str) -> Iterator[dict[str, Any]]:
                 yield {"baseline": baseline, "f": f, "dim": dim, "seed": seed}
 
 
-def options_of(cell: dict[str, Any]) -> dict[str, Any]:
+def key(pair: Row) -> tuple[Any, ...]:
+    """What makes a pair."""
+    return pair["baseline"], pair["f"], pair["dim"], pair["seed"]
+
+
+def options_of(cell: Row) -> dict[str, Any]:
     """Of our optimizer."""
     if cell["baseline"] not in (SAME, BOX):
         return OPTIONS[cell["baseline"]]
@@ -133,7 +136,7 @@ def options_of(cell: dict[str, Any]) -> dict[str, Any]:
     return {"scale": "none", "learning_rate": learning_rate, "proxy_rate": proxy_rate}
 
 
-def ours(cell: dict[str, Any], function: Function) -> tuple[Float64, Float64]:
+def ours(cell: Row, function: Function) -> tuple[Float64, Float64]:
     """Points and losses in the order of their evaluation."""
     baseline, dim, seed = cell["baseline"], cell["dim"], cell["seed"]
     name = method(baseline)
@@ -149,7 +152,7 @@ def ours(cell: dict[str, Any], function: Function) -> tuple[Float64, Float64]:
     return np.array(points), np.array(losses)
 
 
-def turbo(root: Path, function: Function, dim: int, seed: int, _: Float64) -> Float64:
+def turbo(root: Path, function: Function, dim: int) -> Float64:
     """Losses of TuRBO's program."""
     sys.path.insert(0, str(root))
     program: Any = importlib.import_module("turbo").Turbo1(
@@ -168,9 +171,30 @@ def turbo(root: Path, function: Function, dim: int, seed: int, _: Float64) -> Fl
 
 def dibo(root: Path, function: Function, dim: int, seed: int, design: Float64) -> Float64:
     """Losses of DiBO's program, which begins at a design (DESIGN, dim)."""
+    make_importable(root, test_function(function, design))
+    settings = {
+        "dim": dim,
+        "seed": seed,
+        "n_init": DESIGN,
+        "max_evals": evaluations("dibo", dim),
+        "batch_size": BATCH["dibo"],
+        "train_batch_size": SMALL_DIBO["batch"],
+        "proxy_hidden_dim": SMALL_DIBO["proxy_width"],
+        "num_proposals": SMALL_DIBO["proposals"],
+        "buffer_size": 300,
+        "local_search_epochs": SEARCH_EPOCHS,
+    }
+    words = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
+    found = run_script(root / "baselines" / "algorithms" / "dibo.py", words)
+    losses: Float64 = -found["Y_total"].ravel()
+    return losses
+
+
+def test_function(function: Function, design: Float64) -> type:
+    """Class of a function in place of DiBO's own; a search of it begins at the design."""
 
     class TestFunction(torch.utils.data.Dataset[Any]):
-        """In place of the program's own; it maximizes."""
+        """The program maximizes."""
 
         def __init__(self, **_: Any) -> None:
             self.X = torch.tensor(design)
@@ -185,6 +209,11 @@ def dibo(root: Path, function: Function, dim: int, seed: int, design: Float64) -
         def __getitem__(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
             return self.X[i], self.Y[i]
 
+    return TestFunction
+
+
+def make_importable(root: Path, of_test: type) -> None:
+    """Find DiBO's modules, with our class of a function, without reports, with a small network."""
     for name in [name for name in sys.modules if name.split(".")[0] == "baselines"]:
         del sys.modules[name]  # of FIDE's benchmarks, or of the last run
     sys.path.insert(0, str(root))
@@ -192,33 +221,22 @@ def dibo(root: Path, function: Function, dim: int, seed: int, design: Float64) -
     log: Any = ModuleType("wandb")  # reports to a server
     log.init = log.log = log.Histogram = lambda *_, **__: None
     sys.modules.update({module.__name__: module, "wandb": log})
-    module.TestFunction = TestFunction  # type: ignore[attr-defined]
+    module.TestFunction = of_test  # type: ignore[attr-defined]
     models: Any = importlib.import_module("baselines.models.diffusion")
     of_prior = models.DiffusionModel
     of_prior.__init__ = functools.partialmethod(of_prior.__init__, hidden_dim=SMALL_DIBO["width"])
-    settings = {
-        "dim": dim,
-        "seed": seed,
-        "n_init": DESIGN,
-        "max_evals": evaluations("dibo", dim),
-        "batch_size": BATCH["dibo"],
-        "train_batch_size": SMALL_DIBO["batch"],
-        "proxy_hidden_dim": SMALL_DIBO["proxy_width"],
-        "num_proposals": SMALL_DIBO["proposals"],
-        "buffer_size": 300,
-        "local_search_epochs": SEARCH_EPOCHS,
-    }
-    words = [word for name, value in settings.items() for word in (f"--{name}", str(value))]
-    script = root.resolve() / "baselines" / "algorithms" / "dibo.py"
+
+
+def run_script(path: Path, words: list[str]) -> dict[str, Any]:
+    """Globals of a script after a silent run in an empty folder, which is then deleted."""
+    script = str(path.resolve())
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        before, sys.argv = sys.argv, ["dibo.py", *words]
+        before, sys.argv = sys.argv, [path.name, *words]
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                found = runpy.run_path(str(script), run_name="__main__")
+                return runpy.run_path(script, run_name="__main__")
         finally:
             sys.argv = before
-    losses: Float64 = -found["Y_total"].ravel()
-    return losses
 
 
 def in_the_box(function: Function) -> Function:
@@ -226,7 +244,7 @@ def in_the_box(function: Function) -> Function:
     return lambda X: function(np.clip(X, 0.0, 1.0))
 
 
-def program(cell: dict[str, Any], root: Path, function: Function, design: Float64) -> Float64:
+def program(cell: Row, root: Path, function: Function, design: Float64) -> Float64:
     """Losses of the authors' program."""
     baseline, dim, seed = cell["baseline"], cell["dim"], cell["seed"]
     np.random.seed(seed)
@@ -235,10 +253,12 @@ def program(cell: dict[str, Any], root: Path, function: Function, design: Float6
         if baseline == BOX:
             return zerograds(root, in_the_box(function), dim, seed, BEST[cell["f"]])
         return zerograds(root, function, dim, seed, BEST[cell["f"]])
-    return (turbo if baseline == "turbo" else dibo)(root, function, dim, seed, design)
+    if baseline == "turbo":
+        return turbo(root, function, dim)
+    return dibo(root, function, dim, seed, design)
 
 
-def measure(cell: dict[str, Any], root: Path) -> dict[str, Any]:
+def measure(cell: Row, root: Path) -> Row:
     """One pair."""
     baseline, dim, seed = cell["baseline"], cell["dim"], cell["seed"]
     function = in_the_unit_cube(cell["f"], dim, seed)
@@ -249,16 +269,15 @@ def measure(cell: dict[str, Any], root: Path) -> dict[str, Any]:
     cpu = [round(middle - start, 1), round(time.process_time() - middle, 1)]
     n = evaluations(baseline, dim)
     lowest = {"ours": float(mine[:n].min()), "theirs": float(theirs[:n].min())}
-    return {**cell, "evaluations": n, **lowest, "cpu": cpu, "machine": machine()}
+    return {**cell, "evaluations": n, **lowest, "cpu": cpu}
 
 
-def table(out: Path) -> str:
+def table(rows: list[Row]) -> str:
     """Of all pairs, in Markdown: lower in, medians of the ratio, exact sign test."""
     lines = [
         "| baseline | function | parameters | lower than authors' | median of ours / theirs | p |",
         "|---|---|---:|---:|---:|---:|",
     ]
-    rows = rows_of(out)
     for baseline, functions in FUNCTIONS.items():
         mine = [row for row in rows if row["baseline"] == baseline]
         for f in functions:
@@ -273,7 +292,7 @@ def table(out: Path) -> str:
     return "\n".join(lines)
 
 
-def line(head: str, rows: list[dict[str, Any]], test: bool = True) -> list[str]:
+def line(head: str, rows: list[Row], test: bool = True) -> list[str]:
     """Of some pairs; none if there are no pairs."""
     if not rows:
         return []
@@ -291,17 +310,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     if arguments.what == "table":
-        print(table(arguments.out))
+        print(table(read(arguments.out)))
         return
     if arguments.program is None:
         parser.error("--program is needed: the folder of the authors' program")
-    keys = ("baseline", "f", "dim", "seed")
-    done = {tuple(row[k] for k in keys) for row in rows_of(arguments.out)}
-    for cell in pairs(arguments.what):
-        if tuple(cell.values()) not in done:
-            row = measure(cell, arguments.program)
-            append(arguments.out, row)
-            print(json.dumps(row), flush=True)
+    for cell in missing(pairs(arguments.what), arguments.out, key):
+        row = measure(cell, arguments.program)
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

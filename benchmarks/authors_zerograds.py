@@ -21,7 +21,7 @@ import itertools
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,9 +31,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 from baselines import in_the_unit_cube
-from quality import append, rows_of
+from rows import Row, append, missing, read, report
 
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.types import Float64
 
 EVALUATIONS = 5000
@@ -46,7 +45,9 @@ BEST = {
     "rastrigin": (5e-4, 3e-2),
 }
 """Learning rates of the parameter and of the network: the best of these on each function."""
-TRIED = tuple(itertools.product((1e-4, 5e-4, 2e-3, 5e-3), (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)))
+TRIED = tuple(
+    itertools.product((1e-4, 5e-4, 2e-3, 5e-3, 1e-2, 2e-2), (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1))
+)
 SEEDS = (100, 101)
 RESULTS = Path(__file__).parent / "results" / "authors_zerograds.jsonl"
 
@@ -114,28 +115,35 @@ def settings(defaults: dict[str, Any], dim: int, rates: tuple[float, float]) -> 
     }
 
 
-def measure(root: Path, out: Path) -> None:
-    """All runs that the file does not have yet."""
-    done = {(row["f"], row["dim"], row["seed"], *row["rates"]) for row in rows_of(out)}
+def cells() -> Iterator[Row]:
+    """All runs, seeds outermost."""
     for seed, f, dim, rates in itertools.product(SEEDS, BEST, DIMS, TRIED):
-        if (f, dim, seed, *rates) not in done:
-            losses = zerograds(root, in_the_unit_cube(f, dim, seed), dim, seed, rates)
-            row = {"f": f, "dim": dim, "seed": seed, "rates": rates, "evaluations": EVALUATIONS}
-            lowest = float(losses[:EVALUATIONS].min())
-            append(out, {**row, "theirs": lowest, "machine": machine()})
+        yield {"f": f, "dim": dim, "seed": seed, "rates": rates}
 
 
-def table(out: Path) -> str:
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["f"], row["dim"], row["seed"], *row["rates"]
+
+
+def measure(cell: Row, root: Path) -> Row:
+    """One run."""
+    f, dim, seed = cell["f"], cell["dim"], cell["seed"]
+    losses = zerograds(root, in_the_unit_cube(f, dim, seed), dim, seed, cell["rates"])
+    lowest = float(losses[:EVALUATIONS].min())
+    return {**cell, "evaluations": EVALUATIONS, "theirs": lowest}
+
+
+def table(rows: list[Row]) -> str:
     """Geometric means over dimensions and seeds, in Markdown."""
     lines = [f"| rate of the parameter, of the network | {' | '.join(BEST)} |"]
     lines.append("|---" + "|---:" * len(BEST) + "|")
-    rows = rows_of(out)
     for rates in TRIED:
-        cells = []
+        means = []
         for f in BEST:
             mine = [r["theirs"] for r in rows if (r["f"], *r["rates"]) == (f, *rates)]
-            cells.append(f"{np.exp(np.log(mine).mean()):.3g}" if mine else "")
-        lines.append(f"| {rates[0]:g}, {rates[1]:g} | {' | '.join(cells)} |")
+            means.append(f"{np.exp(np.log(mine).mean()):.3g}" if mine else "")
+        lines.append(f"| {rates[0]:g}, {rates[1]:g} | {' | '.join(means)} |")
     return "\n".join(lines)
 
 
@@ -149,8 +157,11 @@ def main() -> None:
     if not arguments.table:
         if arguments.program is None:
             parser.error("--program is needed: the folder of the authors' program")
-        measure(arguments.program, arguments.out)
-    print(table(arguments.out))
+        for cell in missing(cells(), arguments.out, key):
+            row = measure(cell, arguments.program)
+            append(arguments.out, row)
+            report(row)
+    print(table(read(arguments.out)))
 
 
 if __name__ == "__main__":

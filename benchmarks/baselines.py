@@ -25,12 +25,12 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import Row, read, run_missing
+from quality import run_missing
+from rows import Row, read
 
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.zerograds import ZeroGrads
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
@@ -141,7 +141,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(read(arguments.table)))
+        print(table(read(*arguments.table)))
         return
 
     def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
@@ -206,8 +206,6 @@ def measure(cell: Row, name: str, options: dict[str, Any], parts: Path) -> Row:
         **cell,
         "best": {str(m): float(best[m - 1]) for m in sorted(marks)},
         "cpu_s": round(seconds, 2),
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": machine(),
     }
 
 

@@ -21,9 +21,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cma
 import cmaes
 import numpy as np
-from quality import append, read
+from rows import Row, append, missing, read, report
 
 from fide_plugins.fide import FIDE
 from fide_plugins.search import boundary
@@ -96,18 +95,37 @@ def search(name: str, dim: int, seed: int, loss: Watch, budget: int) -> None:
             other.tell(list(zip(X, loss(X).tolist(), strict=True)))
 
 
-def run(name: str, function: int, dim: int, instance: int) -> dict[str, Any]:
+def planned(dims: list[int], instances: int) -> Iterator[Row]:
+    """All runs, instances outermost."""
+    for instance in range(1, instances + 1):
+        for dim in dims:
+            for function in range(1, 25):
+                for name in OPTIMIZERS:
+                    yield {
+                        "function": function, "dim": dim, "instance": instance, "optimizer": name
+                    }  # fmt: skip
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["function"], row["dim"], row["instance"], row["optimizer"]
+
+
+def run(cell: Row) -> Row:
     """One row."""
-    loss, start = Watch(function, dim, instance), time.process_time()
-    search(name, dim, instance, loss, EVALUATIONS * dim)
+    dim, instance = cell["dim"], cell["instance"]
+    loss, start = Watch(cell["function"], dim, instance), time.process_time()
+    search(cell["optimizer"], dim, instance, loss, EVALUATIONS * dim)
     return {
-        "function": function, "dim": dim, "instance": instance, "optimizer": name,
-        "popsize": default_popsize(dim), "evaluations": loss.evaluations, "reached": loss.reached,
+        **cell,
+        "popsize": default_popsize(dim),
+        "evaluations": loss.evaluations,
+        "reached": loss.reached,
         "cpu_s": round(time.process_time() - start, 2),
-    }  # fmt: skip
+    }
 
 
-def evaluations(rows: list[dict[str, Any]], dim: int, name: str) -> Float64:
+def evaluations(rows: list[Row], dim: int, name: str) -> Float64:
     """Evaluations to each precision (24 functions, instances, precisions); infinite for never."""
     runs = {
         (row["function"], row["instance"]): row["reached"]
@@ -155,7 +173,7 @@ def compared(a: Float64, b: Float64, rng: np.random.Generator, paired: bool = Tr
     return f"{np.exp(log_ratio(medians(a), medians(b))):.2f} ({low:.2f} to {high:.2f})"
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """One line an optimizer and dimension."""
     rng = np.random.default_rng(0)
     lines = [
@@ -176,7 +194,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def by_function(rows: list[dict[str, Any]], dim: int) -> str:
+def by_function(rows: list[Row], dim: int) -> str:
     """Ratio of FIDE's evaluations to those of the others, function by function."""
     of = {name: medians(evaluations(rows, dim, name)) for name in OPTIMIZERS}
     lines = ["| function | / `cma` | precisions | / `cmaes` | precisions |", "|---" * 5 + "|"]
@@ -234,24 +252,16 @@ def main() -> None:
     if arguments.walls:
         print(walls(arguments.walls, arguments.instances))
         return
-    out = arguments.table or arguments.out
-    rows = read(out) if out.exists() else []
     if arguments.table:
+        rows = read(arguments.table)
         print(table(rows))
         for dim in arguments.by_function:
             print(by_function(rows, dim))
         return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(r["function"], r["dim"], r["instance"], r["optimizer"]) for r in rows}
-    for instance in range(1, arguments.instances + 1):
-        for dim in arguments.dims:
-            for function in range(1, 25):
-                for name in OPTIMIZERS:
-                    if (function, dim, instance, name) in done:
-                        continue
-                    row = run(name, function, dim, instance)
-                    append(out, row)
-        print(f"instance {instance} done", file=sys.stderr, flush=True)
+    for cell in missing(planned(arguments.dims, arguments.instances), arguments.out, key):
+        row = run(cell)
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

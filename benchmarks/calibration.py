@@ -14,9 +14,7 @@ one line of the output file; a second call does what is missing.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -25,8 +23,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import literal, read
+from moves import literal
 from numpy.typing import NDArray
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins.learning.model import Model
@@ -37,9 +36,6 @@ RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"
 SHARES = (0.5, 0.8, 0.9, 0.95)
 GOAL = (0.85, 0.95)  # of the region of 90 %
 _SEED, _HYPOTHESES, _TOGETHER = 777_002, 99, 100
-_KEY = ("scene", "model", "scaled", "pictures")
-
-Row = dict[str, Any]
 
 
 def pictures(model: Model, scene: str, options: Row, n: int) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -66,6 +62,11 @@ def above(network: Network, x: NDArray[Any], images: NDArray[Any]) -> tuple[list
         found.append(float((density[1:] > density[0]).mean()))
         nats.append(float(density[0]))
     return found, float(np.mean(nats))
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a judgment."""
+    return row["scene"], row["model"], row["scaled"], row["pictures"]
 
 
 def measure(row: Row, model: Model, x: NDArray[Any], images: NDArray[Any]) -> Row:
@@ -129,23 +130,17 @@ def main() -> None:
     torch.set_num_threads(1)
     model = Model.load(arguments.model)
     name = arguments.name or Path(arguments.model).stem
-    done = {tuple(row[k] for k in _KEY) for row in read(arguments.out)}
     kinds = [False, True] if model.report.fitted else [False]
     about = {"scene": arguments.scene, "model": name, "pictures": arguments.pictures}
-    missing = [
-        row
-        for row in ({**about, "scaled": scaled} for scaled in kinds)
-        if tuple(row[k] for k in _KEY) not in done
-    ]
-    if not missing:
+    left = list(missing(({**about, "scaled": scaled} for scaled in kinds), arguments.out, key))
+    if not left:
         return
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in arguments.task_set)}
     x, images = pictures(model, arguments.scene, options, arguments.pictures)
-    for row in missing:
+    for row in left:
         found = measure(row, model, x, images)
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(found) + "\n")
-        print(found, file=sys.stderr, flush=True)
+        append(arguments.out, found)
+        report(found)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,8 @@ import torch
 import torch.nn.functional as F
 from encoder_noise import measured, of_encoder
 from encoders import measure
-from quality import Row, read, run_missing
+from quality import run_missing
+from rows import Row, read
 from torch import Tensor
 
 from fide_plugins import encoders

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from quality import Row
+from rows import Row
 from scipy.stats import wilcoxon
 
 LOSSES = ("mse", "loi", "perceptual", "lpips")

@@ -35,14 +35,14 @@ import numpy as np
 import torch
 from encoder_tables import LOSSES, STEP, TRACED, paired_table, tables
 from numpy.typing import NDArray
-from quality import Row, read, run_missing
+from quality import run_missing
+from rows import Row, read
 
 import fide_tasks
 from fide_plugins import encoders, losses
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.machine import machine
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"
 RUNS = Path("runs/encoders")
@@ -116,8 +116,6 @@ def measure(cell: Row, loss: str, options: dict[str, Any]) -> Row:
         },
         **({} if cell["task"] in TRACED else {"ms": round(own / cell["budget"] * 1e3, 3)}),
         "encoder": encoders.make(options.get("encoder", "dense")).version,
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": machine(),
     }
 
 

@@ -15,10 +15,10 @@ second call does the missing runs.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import time
+from collections.abc import Iterator
 from fractions import Fraction
 from math import isqrt
 from pathlib import Path
@@ -27,11 +27,10 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE, losses
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.experiments.run.pixel_samples import PixelSamples
 
 RESULTS = Path(__file__).parent / "results" / "fidelity.jsonl"
@@ -50,7 +49,7 @@ REST = 2**30  # begins the seeds of second renders
 class Run:
     """One optimizer at work, until its time is over."""
 
-    def __init__(self, cell: dict[str, Any]) -> None:
+    def __init__(self, cell: Row) -> None:
         self.cell = cell
         self.tasks = {
             by: fide_tasks.make(
@@ -67,7 +66,7 @@ class Run:
         self.best = np.inf, np.full(self.task.dim, 0.5)
         self.marks: list[dict[str, Any]] = []
 
-    def go(self) -> dict[str, Any]:
+    def go(self) -> Row:
         for task in self.tasks.values():
             task.render(self.optimizer.x0[None], seed=[0])  # loads and compiles
         total = self.cell["seconds"]
@@ -83,7 +82,7 @@ class Run:
                 "level": str(self.level),
                 "judged": self.judged(self.best[1]),
             })  # fmt: skip
-        return {**self.cell, "marks": self.marks, "machine": machine()}
+        return {**self.cell, "marks": self.marks}
 
     def number(self) -> Fraction:
         if self.rule is not None:
@@ -129,11 +128,26 @@ def rule(configuration: str) -> PixelSamples | None:
     return PixelSamples(int(Fraction(least) * FINEST**2), int(most) * FINEST**2)
 
 
-def read(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+def cells(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    for seed in range(arguments.seeds):
+        for task in arguments.tasks:
+            for configuration in arguments.configurations:
+                yield {
+                    "task": task,
+                    "configuration": configuration,
+                    "seed": seed,
+                    "size": arguments.size,
+                    "seconds": arguments.seconds,
+                }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return tuple(row[name] for name in ("task", "configuration", "seed", "size", "seconds"))
+
+
+def table(rows: list[Row]) -> str:
     """Medians of the judged losses, in thousandths, and the range of the runs."""
     lines: list[str] = []
     for kind in dict.fromkeys((r["task"], r["size"], r["seconds"]) for r in rows):
@@ -180,20 +194,14 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="CPU time of a run (60)")
     parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--table", action="store_true")
-    a = parser.parse_args()
-    if a.table:
-        print(table(read(a.out)))
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(table(read(arguments.out)))
         return
-    for seed in range(a.seeds):
-        for task in a.tasks:
-            for configuration in a.configurations:
-                cell = {"task": task, "configuration": configuration, "seed": seed, "size": a.size}
-                cell["seconds"] = a.seconds
-                if any(all(row[k] == v for k, v in cell.items()) for row in read(a.out)):
-                    continue
-                row = Run(cell).go()
-                append(a.out, row)
-                print(cell, [round(m["judged"], 5) for m in row["marks"]], flush=True)
+    for cell in missing(cells(arguments), arguments.out, key):
+        row = Run(cell).go()
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import heapq
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, rows_of
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE, fit
@@ -52,13 +52,16 @@ def main() -> None:
     if arguments.what == "loss":
         first, last = map(int, arguments.seeds.split("-"))
         kind = arguments.scene + (" cma" if arguments.cma else "")
-        measure_losses(range(first, last + 1), kind, arguments.out)
+        for cell in missing(cells(range(first, last + 1), kind), arguments.out, key):
+            row = {**cell, "losses": losses(**cell)}
+            append(arguments.out, row)
+            report(row)
     elif arguments.what == "busy":
         busy()
     elif arguments.what == "cost":
         cost()
     else:
-        print(tables(rows_of(arguments.out)))
+        print(tables(read(arguments.out)))
 
 
 # -- loss ------------------------------------------------------------------------------------------
@@ -95,20 +98,21 @@ class SimulatedWorkers(Executor):
             future.set_result(result)
 
 
-def measure_losses(seeds: range, kind: str, out: Path) -> None:
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(kind_of(row), row["seed"], row["workers"]) for row in rows_of(out)}
+def cells(seeds: range, kind: str) -> Iterator[Row]:
     for seed in seeds:
         for workers in (1, WORKERS, GENERATIONS):
-            if (kind, seed, workers) not in done:
-                append(out, {"kind": kind, **losses(kind, seed, workers)})
+            yield {"kind": kind, "seed": seed, "workers": workers}
 
 
-def kind_of(row: dict[str, Any]) -> str:
+def key(row: Row) -> tuple[Any, ...]:
+    return kind_of(row), row["seed"], row["workers"]
+
+
+def kind_of(row: Row) -> str:
     return str(row.get("kind", "voronoi"))
 
 
-def losses(kind: str, seed: int, workers: int) -> dict[str, Any]:
+def losses(kind: str, seed: int, workers: int) -> dict[str, float]:
     """Best losses of one run; target and optimizer have the same seed."""
     scene, *cma = kind.split()
     task = fide_tasks.make(scene, size=64, seed=seed)
@@ -128,11 +132,10 @@ def losses(kind: str, seed: int, workers: int) -> dict[str, Any]:
         options |= {"workers": 0} if workers == 1 else several
         result = fit(render, task.target, task.dim, BUDGET, seed=seed, progress=False, **options)
         curve = result.curve[:, 1]
-    found = {str(mark): float(curve[mark - 1]) for mark in MARKS}
-    return {"seed": seed, "workers": workers, "losses": found}
+    return {str(mark): float(curve[mark - 1]) for mark in MARKS}
 
 
-def tables(rows: list[dict[str, Any]]) -> str:
+def tables(rows: list[Row]) -> str:
     """Eight workers, then whole generations, beside one worker, for each kind of run."""
     parts = []
     for kind in sorted({kind_of(row) for row in rows}):
@@ -141,7 +144,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
     return "\n\n".join(parts)
 
 
-def table(rows: list[dict[str, Any]], others: int) -> str:
+def table(rows: list[Row], others: int) -> str:
     by = {(row["seed"], row["workers"]): row["losses"] for row in rows}
     seeds = sorted({s for s, w in by if w == 1} & {s for s, w in by if w == others})
     if len(seeds) < 2:

@@ -26,6 +26,7 @@ import numpy as np
 from forward_scenes import SCENES, SmoothScene
 from moves import span
 from numpy.typing import NDArray
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import optimizers
@@ -43,7 +44,6 @@ PROPOSERS: dict[str, dict[str, Any]] = {
 }
 TASKS: dict[str, dict[str, Any]] = {"spline": {"target": "random"}, "voronoi": {}, "robot": {}}
 
-Row: TypeAlias = dict[str, Any]
 Floats: TypeAlias = NDArray[np.float64]
 
 
@@ -51,7 +51,10 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if not arguments.table:
-        run_missing(list(grid(arguments)), arguments)
+        for cell in missing(grid(arguments), arguments.out, key):
+            row = run(cell, arguments.budget, arguments)
+            append(arguments.out, row)
+            report(row)
     print(table(read(arguments.out), arguments))
 
 
@@ -83,18 +86,9 @@ def grid(arguments: argparse.Namespace) -> Iterator[Row]:
                     yield {"task": task, "target": target, "configuration": name, "seed": seed}
 
 
-def run_missing(cells: list[Row], arguments: argparse.Namespace) -> None:
-    """Run what the file does not have."""
-    done = [
-        {key: row[key] for key in ("task", "target", "configuration", "seed")}
-        for row in read(arguments.out)
-    ]
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    for cell in cells:
-        if cell not in done:
-            row = run(cell, arguments.budget, arguments)
-            with arguments.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["task"], row["target"], row["configuration"], row["seed"]
 
 
 def run(cell: Row, budget: int, arguments: argparse.Namespace) -> Row:
@@ -102,7 +96,7 @@ def run(cell: Row, budget: int, arguments: argparse.Namespace) -> Row:
     task = make_task(cell["task"], cell["target"])
     name, _, asked = cell["configuration"].removesuffix(arguments.label).partition("/")
     settings = dict(pair.split("=", 1) for pair in arguments.set)
-    options = {key: json.loads(value) for key, value in settings.items()}
+    options = {option: json.loads(value) for option, value in settings.items()}
     if name in PROPOSERS:
         options = {**PROPOSERS[name], **options}
         optimizer = optimizers.make("fide", task.dim, task.target, seed=cell["seed"], **options)
@@ -130,11 +124,6 @@ def make_task(name: str, target: int) -> Any:
     if name in SCENES:
         return SmoothScene(name, target)
     return fide_tasks.make(name, size=112, seed=target, **TASKS[name])
-
-
-def read(path: Path) -> list[Row]:
-    """Rows of the file."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def table(rows: list[Row], arguments: argparse.Namespace) -> str:

@@ -21,7 +21,8 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import matplotlib
-from quality import CONFIGURATIONS, Row, measured, read, run_missing
+from quality import CONFIGURATIONS, measured, run_missing
+from rows import Row, read
 
 import fide_tasks
 from fide_plugins.experiments import run as harness
@@ -45,7 +46,7 @@ def main() -> None:
     parser.add_argument("--table", type=Path, nargs="+")
     arguments = parser.parse_args()
     if arguments.table:
-        print(table(read(arguments.table)))
+        print(table(read(*arguments.table)))
         return
     run_missing(
         grid(),

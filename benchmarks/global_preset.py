@@ -11,10 +11,9 @@ are those of moves.py. Times are CPU times of this process, renders included.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import SCENES, read, span
+from moves import SCENES, span
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins.experiments import run as harness
@@ -30,25 +30,37 @@ from fide_plugins.experiments import run as harness
 RESULTS = Path(__file__).parent / "results" / "global_preset.jsonl"
 
 
-def measure(scene_name: str, target: int, preset: str, budget: int) -> dict[str, Any]:
+def cells(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, targets outermost."""
+    for target in arguments.targets:
+        for scene in arguments.scenes:
+            for preset in arguments.presets:
+                yield {
+                    "scene": scene, "target": target, "preset": preset, "budget": arguments.budget
+                }  # fmt: skip
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["scene"], row["target"], row["preset"], row["budget"]
+
+
+def measure(cell: Row) -> Row:
     """One run: when it was solved, its best loss, and what it took."""
-    scene = SCENES[scene_name]
-    task = fide_tasks.make(scene.task, scene.size, target, **scene.options)
+    scene = SCENES[cell["scene"]]
+    task = fide_tasks.make(scene.task, scene.size, cell["target"], **scene.options)
     start = time.process_time()
-    result = harness.run(task, "fide", "mse", budget, 0, options={"preset": preset})
+    result = harness.run(task, "fide", "mse", cell["budget"], 0, options={"preset": cell["preset"]})
     solved = np.flatnonzero(result.losses <= scene.solved)
     return {
-        "scene": scene_name,
-        "target": target,
-        "preset": preset,
-        "budget": budget,
+        **cell,
         "solved_at": int(solved[0]) + 1 if len(solved) else None,
         "best": result.best_loss,
         "cpu_s": round(time.process_time() - start, 1),
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Runs solved, losses and times, in Markdown."""
     lines = ["| scene | preset | renders | solved | median of the best loss | CPU time |"]
     lines.append("|---|---|---:|---:|---:|---:|")
@@ -76,18 +88,10 @@ def main() -> None:
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for target in arguments.targets:
-        for scene in arguments.scenes:
-            for preset in arguments.presets:
-                done = [
-                    (r["scene"], r["target"], r["preset"], r["budget"]) for r in read(arguments.out)
-                ]
-                if (scene, target, preset, arguments.budget) in done:
-                    continue
-                row = measure(scene, target, preset, arguments.budget)
-                with arguments.out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
-                print(row, file=sys.stderr, flush=True)
+    for cell in missing(cells(arguments), arguments.out, key):
+        row = measure(cell)
+        append(arguments.out, row)
+        report(row)
     if arguments.table:
         print(table(read(arguments.out)))
 

@@ -25,9 +25,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import os
-import sys
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -38,8 +36,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 from learned_beads import apart
-from moves import read, span
+from moves import span
 from numpy.typing import NDArray
+from rows import Row, append, missing, read, report
 
 from fide_plugins import FIDE
 from fide_tasks.beads import _RADIUS as RADIUS, Beads
@@ -52,10 +51,8 @@ RATES = {"glass": 0.003, "diffuse": 0.01}
 """Of Adam: the best of three on target 200, by the picture that it ends with."""
 NEAR = 0.05
 MATERIALS = ("glass", "diffuse")
-_KEY = ("optimizer", "material", "start", "target", "rate")
 _KIND = ("material", "optimizer", "start", "rate")
 
-Row = dict[str, Any]
 Point = NDArray[np.float64]
 
 
@@ -251,6 +248,11 @@ def cells(
         }  # fmt: skip
 
 
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return tuple(row[name] for name in ("optimizer", "material", "start", "target", "rate"))
+
+
 def main() -> None:
     """Do what is asked."""
     parser = argparse.ArgumentParser(
@@ -271,20 +273,11 @@ def main() -> None:
         for material in MATERIALS:
             print(check(material), flush=True)
     else:
-        run(cells(arguments.targets, arguments.starts, arguments.rates), arguments.out)
-
-
-def run(wanted: Iterable[Row], out: Path) -> None:
-    """Do what is missing."""
-    done = {tuple(row[k] for k in _KEY) for row in read(out)}
-    out.parent.mkdir(parents=True, exist_ok=True)
-    for cell in wanted:
-        if tuple(cell[k] for k in _KEY) in done:
-            continue
-        row = search(cell) if cell["optimizer"] == "fide" else descend(cell)
-        with out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(row, file=sys.stderr, flush=True)
+        planned = cells(arguments.targets, arguments.starts, arguments.rates)
+        for cell in missing(planned, arguments.out, key):
+            row = search(cell) if cell["optimizer"] == "fide" else descend(cell)
+            append(arguments.out, row)
+            report(row)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
-import sys
-import time
+from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, read
+from rows import Row, append, missing, read, report
 
 from fide_plugins.experiments import run as harness
 
@@ -31,27 +30,39 @@ MARKS = (1000, 2000, 4000)
 SMALLEST = 1e-9  # loss; below, runs have found the answer
 
 
-def run(task: str, loss: str, seed: int, guard: bool, size: int) -> dict[str, Any]:
+def planned(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    cells = product(range(arguments.seeds), arguments.losses, arguments.tasks, (True, False))
+    for seed, loss, task, guard in cells:
+        yield {"task": task, "loss": loss, "seed": seed, "guard": guard, "size": arguments.size}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["task"], row["loss"], row["seed"], row["guard"], row["size"]
+
+
+def run(cell: Row) -> Row:
     """One row; the seed also chooses the target."""
     result = harness.run(
-        task,
+        cell["task"],
         "fide",
-        loss,
+        cell["loss"],
         MARKS[-1],
-        seed,
-        size=size,
-        task_seed=seed % 4,
-        options={"guard_images": guard},
+        cell["seed"],
+        size=cell["size"],
+        task_seed=cell["seed"] % 4,
+        options={"guard_images": cell["guard"]},
     )
     best = np.minimum.accumulate(result.losses)
     return {
-        "task": task, "loss": loss, "seed": seed, "guard": guard, "size": size,
+        **cell,
         "best": {str(mark): float(best[mark - 1]) for mark in MARKS},
-        "wall_s": round(result.wall_s, 1), "date": time.strftime("%Y-%m-%d"),
-    }  # fmt: skip
+        "wall_s": round(result.wall_s, 1),
+    }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """One line a task, loss and mark."""
     lines = [
         "| task | loss | pairs | renders | guarded | not guarded | ratio |",
@@ -94,19 +105,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/guard.jsonl"))
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
-    out = arguments.table or arguments.out
-    rows = read(out) if out.exists() else []
     if arguments.table:
-        print(table(rows))
+        print(table(read(arguments.table)))
         return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(row["task"], row["loss"], row["seed"], row["guard"], row["size"]) for row in rows}
-    cells = product(range(arguments.seeds), arguments.losses, arguments.tasks, (True, False))
-    for seed, loss, task, guard in cells:
-        if (task, loss, seed, guard, arguments.size) not in done:
-            row = run(task, loss, seed, guard, arguments.size)
-            append(out, row)
-            print(row, file=sys.stderr, flush=True)
+    for cell in missing(planned(arguments), arguments.out, key):
+        row = run(cell)
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

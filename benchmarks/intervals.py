@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -31,6 +30,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rows import Row, append, missing, read, report
 from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
@@ -60,9 +60,24 @@ SCENES = {
 }
 
 
-def run(name: str, seed: int) -> dict[str, Any]:
+def cells(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs."""
+    first = TUNING if arguments.tuning else REPORTING
+    for name in arguments.scenes or SCENES:
+        scene = SCENES[name]
+        number = arguments.runs or (scene.tuning if arguments.tuning else scene.runs)
+        for seed in range(first, first + number):
+            yield {"scene": name, "seed": seed}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["scene"], row["seed"]
+
+
+def run(cell: Row) -> Row:
     """One row."""
-    scene = SCENES[name]
+    scene, seed = SCENES[cell["scene"]], cell["seed"]
     task = fide_tasks.make(scene.task, SIZE, seed, **scene.options)
     truth, rng = task.x_star, np.random.default_rng((seed, 77))
     assert truth is not None
@@ -85,8 +100,7 @@ def run(name: str, seed: int) -> dict[str, Any]:
     error = best.x - min(equals(task, truth, best.x), key=lambda x: float(np.abs(best.x - x).max()))
     missed = float(np.square(task.render(best.x[None]) - exact).mean())
     return {
-        "scene": name,
-        "seed": seed,
+        **cell,
         "found": missed < NOISE**2,
         "mse": missed,
         "loss": best.loss,
@@ -114,7 +128,7 @@ def equals(task: Any, truth: Float64, x: Float64) -> Iterator[Float64]:
             yield flipped
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Coverage of each scene, of runs that found the truth and of all of them."""
     columns = (
         "scene",
@@ -131,7 +145,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             known = [row for row in some if row["std"] is not None]
             if not known:
                 continue
-            error, std = (np.abs([row[key] for row in known]) for key in ("error", "std"))
+            error, std = (np.abs([row[what] for row in known]) for what in ("error", "std"))
             inside = error <= QUANTILE * std
             by_axis = inside.mean(axis=0)
             held = f"{inside.mean():.1%} ({by_axis.min():.0%} to {by_axis.max():.0%})"
@@ -149,27 +163,16 @@ def main() -> None:
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--runs", type=int, help="of each scene")
-    args = parser.parse_args()
-    rows = [] if args.tuning or not RESULTS.exists() else read()
-    if not args.table:
-        done = {(row["scene"], row["seed"]) for row in rows}
-        for name in args.scenes or SCENES:
-            scene = SCENES[name]
-            number = args.runs or (scene.tuning if args.tuning else scene.runs)
-            first = TUNING if args.tuning else REPORTING
-            for seed in range(first, first + number):
-                if (name, seed) not in done:
-                    rows.append(run(name, seed))
-                    if not args.tuning:
-                        with RESULTS.open("a") as file:
-                            file.write(json.dumps(rows[-1]) + "\n")
-    print(table(rows))
-
-
-def read() -> list[dict[str, Any]]:
-    """All rows; a last line that was cut off is left out."""
-    lines = RESULTS.read_text().split("\n")[:-1]
-    return [json.loads(line) for line in lines]
+    arguments = parser.parse_args()
+    if arguments.tuning:
+        print(table([run(cell) for cell in cells(arguments)]))
+        return
+    if not arguments.table:
+        for cell in missing(cells(arguments), RESULTS, key):
+            row = run(cell)
+            append(RESULTS, row)
+            report(row)
+    print(table(read(RESULTS)))
 
 
 if __name__ == "__main__":

@@ -16,10 +16,9 @@ and a picture if all six are.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import literal, read, span
+from moves import literal, span
 from numpy.typing import NDArray
+from rows import Row, append, missing, read, report
 from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
@@ -38,9 +38,22 @@ RESULTS = Path(__file__).parent / "results" / "learned_beads.jsonl"
 MARKS = (500, 1000, 3000)
 NEAR = (0.02, 0.05, 0.1)
 _AXES = 3
-_KEY = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
 
-Row = dict[str, Any]
+
+def cells(arguments: argparse.Namespace, configuration: str) -> Iterator[Row]:
+    """All runs."""
+    for target in arguments.targets:
+        yield {
+            "scene": arguments.scene, "target": target, "seed": arguments.seed,
+            "configuration": configuration, "size": arguments.size, "spp": arguments.spp,
+            "budget": arguments.budget,
+        }  # fmt: skip
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    names = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
+    return tuple(row[name] for name in names)
 
 
 def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
@@ -125,19 +138,10 @@ def main() -> None:
     if name == "learned" and not arguments.model:
         parser.error("the configuration 'learned' needs --model; without one name it otherwise")
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
-    done = {tuple(row[k] for k in _KEY) for row in read(arguments.out)}
-    for target in arguments.targets:
-        row = {
-            "scene": arguments.scene, "target": target, "seed": arguments.seed,
-            "configuration": name, "size": arguments.size, "spp": arguments.spp,
-            "budget": arguments.budget,
-        }  # fmt: skip
-        if tuple(row[k] for k in _KEY) in done:
-            continue
-        row = measure(row, arguments.model, arguments.loss, options)
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(target, row["marks"], f"{row['cpu_s']} s", file=sys.stderr, flush=True)
+    for cell in missing(cells(arguments, name), arguments.out, key):
+        row = measure(cell, arguments.model, arguments.loss, options)
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +30,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import literal, read, span
+from learned_beads import cells, key
+from moves import literal, span
 from numpy.typing import NDArray
-from quality import append
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE
 
 RESULTS = Path(__file__).parent / "results" / "learned_camera.jsonl"
 NEAR = (0.005, 0.01, 0.02, 0.05)
-_KEY = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
-
-Row = dict[str, Any]
 
 
 def judge(directory: Path) -> Row:
@@ -148,32 +146,20 @@ def main() -> None:
         print(table(read(arguments.out)))
         return
     if arguments.runs:
-        for row in map(judge, arguments.runs):
-            if not there(row, arguments.out):
-                add(row, arguments.out)
+        add(missing(map(judge, arguments.runs), arguments.out, key), arguments.out)
         return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
-    for target in arguments.targets:
-        row = {
-            "scene": arguments.scene, "target": target, "seed": arguments.seed,
-            "configuration": name, "size": arguments.size, "spp": arguments.spp,
-            "budget": arguments.budget,
-        }  # fmt: skip
-        if not there(row, arguments.out):
-            add(measure(row, arguments.model, arguments.loss, options), arguments.out)
+    left = missing(cells(arguments, name), arguments.out, key)
+    add((measure(row, arguments.model, arguments.loss, options) for row in left), arguments.out)
 
 
-def there(row: Row, out: Path) -> bool:
-    """Whether the file has a row of the same run."""
-    return any(all(row[k] == other[k] for k in _KEY) for other in read(out))
-
-
-def add(row: Row, out: Path) -> None:
-    """Add a row to the file, and say so."""
-    append(out, row)
-    print(f"{row['target']}: camera {row['camera']:.4f}, loss {row['best']:.3g}", file=sys.stderr)
+def add(rows: Iterable[Row], out: Path) -> None:
+    """Add rows to the file as they come, and show them."""
+    for row in rows:
+        append(out, row)
+        report(row)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ on 500 more renders. Renders come from the store --store, with what is missing t
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -27,8 +26,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import read
 from numpy.typing import NDArray
+from rows import Row, append, read, report, rows_of
 
 import fide_tasks
 from fide_plugins.learning.head_choice import kind_of
@@ -48,7 +47,6 @@ _HYPOTHESES, _PICTURES = 50, 10  # whose time is taken
 _SHOWN = {"robot": (0, 1, 3), "san_miguel": (0, 1, 2, 3, 4)}
 """Axes by which hypotheses of any head are judged: what images show most, other scenes: all."""
 
-Row = dict[str, Any]
 Renders = tuple[Space, NDArray[np.float64], NDArray[np.uint8]]
 
 
@@ -216,20 +214,19 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     planned = plan(arguments)
-    done = read(arguments.out)
-    missing = [row for row in planned if not any(_same(row, there) for there in done)]
-    if not missing:
+    done = rows_of(arguments.out)
+    left = [row for row in planned if not any(_same(row, there) for there in done)]
+    if not left:
         return
     number = arguments.renders + (0 if arguments.cpu_seconds is None else _JUDGES)
     if arguments.store is None:
         made = rendered(arguments.scene, arguments.size, number)
     else:
         made = stored(arguments.store, arguments.size, number)
-    for row in missing:
+    for row in left:
         found = measure(row, made)
-        with arguments.out.open("a") as file:
-            file.write(json.dumps(found) + "\n")
-        print(found, file=sys.stderr, flush=True)
+        append(arguments.out, found)
+        report(found)
 
 
 def plan(arguments: argparse.Namespace) -> list[Row]:

@@ -15,16 +15,15 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, read
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins.fide import FIDE
@@ -107,9 +106,25 @@ def shown(configuration: str, rendered: Float32, problem: Problem, rng: np.rando
     return rendered
 
 
-def run(name: str, configuration: str, seed: int) -> dict[str, Any]:
+def planned(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    for seed in range(arguments.seeds):
+        for name in arguments.problems:
+            for configuration in arguments.configurations:
+                needless = name.endswith("target") and configuration == "unreachable"
+                if not needless:
+                    yield {"problem": name, "configuration": configuration, "seed": seed}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["problem"], row["configuration"], row["seed"]
+
+
+def run(planned_run: Row) -> Row:
     """One run, to the goal or to the end of its budget."""
-    problem, rng = PROBLEMS[name](), np.random.default_rng(seed)
+    configuration, seed = planned_run["configuration"], planned_run["seed"]
+    problem, rng = PROBLEMS[planned_run["problem"]](), np.random.default_rng(seed)
     target = problem.target
     if configuration == "unreachable":
         target = np.random.default_rng(5).random(target.shape, np.float32)
@@ -124,13 +139,16 @@ def run(name: str, configuration: str, seed: int) -> dict[str, Any]:
     reached = opt.best.evaluation + 1 if opt.best is not None and best <= problem.goal else None
     seconds = time.process_time() - start
     return {
-        "problem": name, "configuration": configuration, "seed": seed, "goal": problem.goal,
-        "reached": reached, "best": best, "searches": opt.state.searches,
+        **planned_run,
+        "goal": problem.goal,
+        "reached": reached,
+        "best": best,
+        "searches": opt.state.searches,
         "cpu_s": round(seconds, 2),
-    }  # fmt: skip
+    }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Median evaluations to the goal, and the median ratio to the same seed without images."""
     lines = [
         "| | goal | seeds | " + " | ".join(CONFIGURATIONS) + " |",
@@ -147,7 +165,7 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def reached(rows: list[dict[str, Any]], name: str, configuration: str) -> dict[int, float]:
+def reached(rows: list[Row], name: str, configuration: str) -> dict[int, float]:
     """Evaluations to the goal of each seed; infinite where it was not reached."""
     mine = [row for row in rows if (row["problem"], row["configuration"]) == (name, configuration)]
     return {row["seed"]: row["reached"] or np.inf for row in mine}
@@ -170,22 +188,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/lying.jsonl"))
     parser.add_argument("--table", type=Path)
     arguments = parser.parse_args()
-    out = arguments.table or arguments.out
-    rows = read(out) if out.exists() else []
     if arguments.table:
-        print(table(rows))
+        print(table(read(arguments.table)))
         return
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done = {(row["problem"], row["configuration"], row["seed"]) for row in rows}
-    for seed in range(arguments.seeds):
-        for name in arguments.problems:
-            for configuration in arguments.configurations:
-                needless = name.endswith("target") and configuration == "unreachable"
-                if needless or (name, configuration, seed) in done:
-                    continue
-                row = run(name, configuration, seed)
-                append(out, row)
-                print(row, file=sys.stderr, flush=True)
+    for planned_run in missing(planned(arguments), arguments.out, key):
+        row = run(planned_run)
+        append(arguments.out, row)
+        report(row)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
-import json
 import os
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -25,13 +23,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import optimizers
 
 MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)
 
-Row = dict[str, Any]
 Render = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 
 
@@ -118,15 +116,10 @@ def literal(text: str) -> Any:
 
 def run_missing(planned: Iterable[Row], measured: Callable[[Row], Row], out: Path) -> None:
     """Measure those planned runs that the file does not have yet, and add them to it."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    done = {key(row) for row in read(out)}
-    for planned_run in planned:
-        if key(planned_run) in done:
-            continue
+    for planned_run in missing(planned, out, key):
         row = measured(planned_run)
-        with out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(f"{key(row)}: {row['solved_at']} {row['best']:.2g}", file=sys.stderr, flush=True)
+        append(out, row)
+        report(row)
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -162,7 +155,8 @@ def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
         X = opt.ask()
         images = render(X)
         losses = np.square(images - target, dtype=np.float64).mean(axis=(1, 2, 3))
-        for i, loss in enumerate(losses.tolist(), opt.evaluations + 1):
+        left = planned_run["budget"] - opt.evaluations  # the last generation may go beyond it
+        for i, loss in enumerate(losses[:left].tolist(), opt.evaluations + 1):
             best = min(best, loss)
             marks |= {str(i): best} if i in MARKS else {}
             solved_at = i if solved_at is None and best <= scene.solved else solved_at
@@ -214,11 +208,6 @@ def _sheet(things: NDArray[np.float64], size: int) -> NDArray[np.float32]:
         alpha = (mask / np.float32(255) * np.float32(0.5 + 0.5 * opacity))[:, :, None]
         frame += alpha * (np.array(color, np.float32) - frame)
     return frame
-
-
-def read(path: Path) -> list[Row]:
-    """Rows of a file; none if there is no such file."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
 def table(rows: list[Row]) -> str:

@@ -8,20 +8,21 @@ The loss is that of eight Voronoi cells (40 parameters).  The image is the true 
 image for all candidates, or new noise.  CMA-ES is FIDE with the same losses and no images.  Seeds
 are paired: a search and its comparison start with the same candidates.  The table shows the ratio
 of the best loss after the budget to that of CMA-ES: its geometric mean over seeds, and the value
-that 95 % of resamplings of the seeds stay below.
+that 95 % of resamplings of the seeds stay below.  Every search is one line of the output file; a
+second call does the missing ones.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import nevergrad as ng
 import numpy as np
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
@@ -52,6 +53,18 @@ def run(kind: str, seed: int, budget: int, size: int) -> float:
         return float(optimizer.minimize(objective).loss)
 
 
+def cells(seeds: int, budget: int, size: int) -> Iterator[Row]:
+    """All searches, seeds outermost."""
+    for seed in range(seeds):
+        for kind in KINDS:
+            yield {"kind": kind, "seed": seed, "budget": budget, "size": size}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a search."""
+    return row["kind"], row["seed"], row["budget"], row["size"]
+
+
 def compare(ratios: Any) -> tuple[float, float]:
     """Geometric mean, and its upper bound at 95 %, of paired ratios (n,)."""
     logs = np.log(ratios)
@@ -64,26 +77,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--budget", type=int, default=1500)
     parser.add_argument("--size", type=int, default=32)
-    parser.add_argument("--out", help="file of results: read, and appended to")
+    parser.add_argument("--out", type=Path, default=Path("runs/nevergrad_uninformative.jsonl"))
     options = parser.parse_args()
-    known: dict[tuple[str, int], float] = {}
-    if options.out and os.path.exists(options.out):
-        with open(options.out) as file:
-            for row in map(json.loads, file):
-                if (row["budget"], row["size"]) == (options.budget, options.size):
-                    known[row["kind"], row["seed"]] = row["loss"]
-    for seed in range(options.seeds):
-        for kind in KINDS:
-            if (kind, seed) in known:
-                continue
-            known[kind, seed] = run(kind, seed, options.budget, options.size)
-            row = {"kind": kind, "seed": seed, "budget": options.budget, "size": options.size}
-            if options.out:
-                with open(options.out, "a") as file:
-                    file.write(json.dumps({**row, "loss": known[kind, seed]}) + "\n")
+    settings = options.budget, options.size
+    for cell in missing(cells(options.seeds, *settings), options.out, key):
+        row = {**cell, "loss": run(**cell)}
+        append(options.out, row)
+        report(row)
+    known = {key(row): row["loss"] for row in read(options.out)}
     for kind in KINDS[1:]:
-        ratios = [known[kind, seed] / known["none", seed] for seed in range(options.seeds)]
-        mean, bound = compare(ratios)
+        losses, others = (
+            np.array([known[each, seed, *settings] for seed in range(options.seeds)])
+            for each in (kind, "none")
+        )
+        mean, bound = compare(losses / others)
         print(f"{kind:8} loss over that of CMA-ES: {mean:.2f}, at most {bound:.2f} (95 %)")
 
 

@@ -10,9 +10,8 @@ storage, with the same targets and seeds.  A second call does the missing runs.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_adapters.optuna.features import ImageEvaluator
@@ -30,10 +30,23 @@ SIZE = 112
 CONFIGURATIONS = ("full", "stored")
 
 
-def run(configuration: str, task_seed: int, seed: int) -> dict[str, Any]:
-    """Best losses at the marks."""
-    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
-    optimizer = FIDE(task.dim, task.target, seed=seed)
+def cells(seeds: int, targets: int) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    for seed in range(seeds):
+        for target in range(targets):
+            for configuration in CONFIGURATIONS:
+                yield {"configuration": configuration, "target": target, "seed": seed}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["configuration"], row["target"], row["seed"]
+
+
+def run(cell: Row) -> Row:
+    """One run; its best losses at the marks."""
+    task = fide_tasks.make("voronoi", size=SIZE, seed=cell["target"])
+    optimizer = FIDE(task.dim, task.target, seed=cell["seed"])
     evaluator = ImageEvaluator(lambda: optimizer.evaluator)
     losses: list[float] = []
     while optimizer.evaluations < MARKS[-1]:
@@ -41,19 +54,19 @@ def run(configuration: str, task_seed: int, seed: int) -> dict[str, Any]:
         images = task.render(X)
         told = [evaluator.loss(image[None]) for image in images]
         features = torch.stack([evaluator.tokens(image[None]) for image in images])
-        if configuration == "stored":
+        if cell["configuration"] == "stored":
             stored = [evaluator.codec.unpack(evaluator.codec.pack(f)) for f in features]
             features = torch.stack([f for f in stored if f is not None])
         optimizer.tell(X, losses=told, features=features)
         losses += told
     best = np.minimum.accumulate(losses)
-    return {str(mark): float(best[mark - 1]) for mark in MARKS}
+    return {**cell, **{str(mark): float(best[mark - 1]) for mark in MARKS}}
 
 
 def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("runs/optuna_codec.jsonl"))
     parser.add_argument("--table", type=Path)
     parser.add_argument("--targets", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=5)
@@ -61,31 +74,17 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    done = {(line["configuration"], line["target"], line["seed"]) for line in read(arguments.out)}
-    for seed in range(arguments.seeds):
-        for target in range(arguments.targets):
-            for configuration in CONFIGURATIONS:
-                if (configuration, target, seed) not in done:
-                    line = {
-                        "configuration": configuration,
-                        "target": target,
-                        "seed": seed,
-                        **run(configuration, target, seed),
-                    }
-                    with arguments.out.open("a") as file:
-                        file.write(json.dumps(line | {"date": time.strftime("%Y-%m-%d")}) + "\n")
+    for cell in missing(cells(arguments.seeds, arguments.targets), arguments.out, key):
+        row = run(cell)
+        append(arguments.out, row)
+        report(row)
 
 
-def read(path: Path) -> list[dict[str, Any]]:
-    """Lines of a result file, if there is one."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
-def table(lines: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Medians, and the mean ratio of pairs with its standard error, as Markdown."""
-    found = {(line["configuration"], line["target"], line["seed"]): line for line in lines}
-    pairs = [key[1:] for key in found if key[0] == "full" and ("stored", *key[1:]) in found]
-    rows = ["| trials | pairs | full | stored | stored / full |", "|---|---|---|---|---|"]
+    found = {key(row): row for row in rows}
+    pairs = [pair for name, *pair in found if name == "full" and ("stored", *pair) in found]
+    lines = ["| trials | pairs | full | stored | stored / full |", "|---|---|---|---|---|"]
     for mark in map(str, MARKS):
         full, stored = (
             np.array([found[configuration, *pair][mark] for pair in pairs])
@@ -94,11 +93,11 @@ def table(lines: list[dict[str, Any]]) -> str:
         ratio = np.log((stored + 1e-4) / (full + 1e-4))
         error = ratio.std(ddof=1) / np.sqrt(len(ratio))
         low, high = np.exp(ratio.mean() - error), np.exp(ratio.mean() + error)
-        rows.append(
+        lines.append(
             f"| {mark} | {len(pairs)} | {np.median(full):.5f} | {np.median(stored):.5f} | "
             f"{np.exp(ratio.mean()):.2f} ({low:.2f} to {high:.2f}) |"
         )
-    return "\n".join(rows)
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

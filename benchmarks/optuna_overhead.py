@@ -12,7 +12,6 @@ numbers are medians over blocks, so that other programs affect all of them alike
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable
@@ -26,6 +25,7 @@ import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.samplers import CmaEsSampler, RandomSampler
+from rows import append
 
 from fide_adapters.optuna import FIDESampler
 from fide_plugins import FIDE
@@ -153,8 +153,7 @@ def main() -> None:
     found = measure()
     print(table(found))
     if arguments.out:
-        with arguments.out.open("a") as file:
-            file.write(json.dumps({"date": time.strftime("%Y-%m-%d"), **found}) + "\n")
+        append(arguments.out, found)
 
 
 if __name__ == "__main__":

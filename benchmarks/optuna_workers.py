@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import argparse
 import heapq
-import json
 import os
-import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -27,6 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import optuna
+from rows import Row, append, missing, read, report
 from torch import Tensor
 
 import fide_tasks
@@ -45,10 +45,23 @@ Runs: TypeAlias = dict[int, list[Any]]
 """Curves of several runs, by target."""
 
 
-def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
+def cells(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, seeds outermost."""
+    for seed in range(arguments.seeds):
+        for target in range(arguments.targets):
+            for workers in arguments.workers:
+                yield {"workers": workers, "target": target, "seed": seed}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["workers"], row["target"], row["seed"]
+
+
+def run(workers: int, target: int, seed: int) -> Row:
     """Best loss after every 25 completed trials, and what the trials counted as."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
+    task = fide_tasks.make("voronoi", size=SIZE, seed=target)
     storage = optuna.storages.InMemoryStorage()
     optuna.create_study(study_name="workers", storage=storage)
     samplers = [FIDESampler(task.target, seed=seed) for _ in range(workers)]
@@ -79,9 +92,9 @@ def run(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
     return {"curve": curve.tolist(), "counts": samplers[0].counts(studies[0])}
 
 
-def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
+def run_direct(workers: int, target: int, seed: int) -> Row:
     """As `run`, by what every sampler does with what it reads."""
-    task = fide_tasks.make("voronoi", size=SIZE, seed=task_seed)
+    task = fide_tasks.make("voronoi", size=SIZE, seed=target)
     replica = Replica(FIDE(task.dim, task.target, seed=seed))
     evaluator = ImageEvaluator(lambda: replica.optimizer.evaluator)
     clock = np.random.default_rng([seed, workers])
@@ -126,7 +139,7 @@ def run_direct(workers: int, task_seed: int, seed: int) -> dict[str, Any]:
 def main() -> None:
     """Run what is missing, or print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("runs/optuna_workers.jsonl"))
     parser.add_argument("--table", type=Path)
     parser.add_argument("--direct", action="store_true")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 4])
@@ -136,24 +149,13 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    done = {(line["workers"], line["target"], line["seed"]) for line in read(arguments.out)}
-    for seed in range(arguments.seeds):
-        for target in range(arguments.targets):
-            for workers in arguments.workers:
-                if (workers, target, seed) not in done:
-                    line = {"workers": workers, "target": target, "seed": seed}
-                    line |= (run_direct if arguments.direct else run)(workers, target, seed)
-                    line |= {"date": time.strftime("%Y-%m-%d")}
-                    with arguments.out.open("a") as file:
-                        file.write(json.dumps(line) + "\n")
+    for cell in missing(cells(arguments), arguments.out, key):
+        row = {**cell, **(run_direct if arguments.direct else run)(**cell)}
+        append(arguments.out, row)
+        report(row)
 
 
-def read(path: Path) -> list[dict[str, Any]]:
-    """Lines of a result file, if there is one."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-
-
-def table(lines: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Trials to the loss that one worker has after n trials, over those of one worker.
 
     That loss is the median of one worker's runs for the same target.  Geometric means over runs and
@@ -161,17 +163,17 @@ def table(lines: list[dict[str, Any]]) -> str:
     drawing the seeds of both again.
     """
     runs: dict[int, Runs] = {}
-    for line in lines:
-        by_target = runs.setdefault(line["workers"], {})
-        by_target.setdefault(line["target"], []).append(np.array(line["curve"]))
+    for row in rows:
+        by_target = runs.setdefault(row["workers"], {})
+        by_target.setdefault(row["target"], []).append(np.array(row["curve"]))
     head = " | ".join(f"to the loss of {n} trials alone" for n in LEVELS)
-    rows = [f"| workers | runs | {head} | late |", "|---|---|" + "---|" * (len(LEVELS) + 1)]
+    lines = [f"| workers | runs | {head} | late |", "|---|---|" + "---|" * (len(LEVELS) + 1)]
     for workers in sorted(set(runs) - {1}):
         texts = [interval(runs[workers], runs[1], n) for n in LEVELS]
-        counts = [line["counts"] for line in lines if line["workers"] == workers]
+        counts = [row["counts"] for row in rows if row["workers"] == workers]
         late = np.mean([c.get("late", 0) / sum_of(c) for c in counts])
-        rows.append(f"| {workers} | {len(counts)} | {' | '.join(texts)} | {late:.0%} |")
-    return "\n".join(rows)
+        lines.append(f"| {workers} | {len(counts)} | {' | '.join(texts)} | {late:.0%} |")
+    return "\n".join(lines)
 
 
 def interval(runs: Runs, alone: Runs, n: int) -> str:

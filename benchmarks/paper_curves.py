@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from paper import FAST, METRICS, OLDER, RACERS, RENDERED, RESULTS, end, loss_of, with_older
-from quality import MARKS, Row, rows_of
+from paper import FAST, METRICS, RACERS, RENDERED, RESULTS
+from paper_tables import end, longest
+from quality import MARKS
+from rows import Row, read
 
 from fide_plugins.experiments.report import plots
 from fide_plugins.types import Float64
@@ -35,7 +37,7 @@ def lines(rows: Sequence[Row]) -> Iterator[tuple[Any, ...]]:
         for mark, metrics in row["cross"].items():
             values = (f"{metrics[name]:.6g}" if name in metrics else "" for name in METRICS)
             yield (
-                row["task"], loss_of(row), row["configuration"], row["target"], int(mark), *values,
+                row["task"], row["loss"], row["configuration"], row["target"], int(mark), *values,
             )  # fmt: skip
 
 
@@ -54,7 +56,7 @@ def picture(rows: Sequence[Row]) -> Figure:
     grid = figure.subplots(len(scenes), len(columns), squeeze=False)
     for task, line in zip(scenes, grid, strict=True):
         for axes, (loss, metric) in zip(line, columns, strict=True):
-            mine = [row for row in rows if (row["task"], loss_of(row)) == (task, loss)]
+            mine = [row for row in rows if (row["task"], row["loss"]) == (task, loss)]
             draw(axes, mine, metric)
         line[0].annotate(
             task, (-0.34, 0.5), xycoords="axes fraction", rotation=90, va="center", fontsize=10
@@ -102,7 +104,7 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE")
     parser.add_argument("--picture", type=Path, metavar="PNG")
     arguments = parser.parse_args()
-    rows = with_older(rows_of(arguments.rows), rows_of(OLDER))
+    rows = longest(read(arguments.rows))
     if arguments.csv:
         with arguments.csv.open("w", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")

@@ -19,15 +19,16 @@ import statistics
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import cv2
 import matplotlib
 import numpy as np
-from moves import Row, read, span
+from moves import span
 from PIL import Image
-from quality import append
+from rows import Row, append, missing, read, report
 
 from fide_plugins.cli import main as fide
 from fide_plugins.types import Float32
@@ -74,10 +75,10 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    for planned in runs(arguments.seeds):
-        if not any(planned.items() <= row.items() for row in read(arguments.out)):
-            append(arguments.out, measure(planned))
+    for planned in missing(runs(arguments.seeds), arguments.out, key):
+        row = measure(planned)
+        append(arguments.out, row)
+        report(row)
 
 
 def runs(seeds: range) -> Iterator[Row]:
@@ -86,6 +87,11 @@ def runs(seeds: range) -> Iterator[Row]:
         for photo in PHOTOS:
             for configuration in CONFIGURATIONS:
                 yield {"photo": photo, "configuration": configuration, "seed": seed}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a run."""
+    return row["photo"], row["configuration"], row["seed"]
 
 
 def measure(planned: Row) -> Row:

@@ -23,7 +23,8 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, rows_of
+from moves import span
+from rows import Row, append, missing, read, report
 
 from fide_plugins import FIDE, Space
 from fide_plugins.renderers import CommandRenderer
@@ -39,20 +40,20 @@ TRUTH: dict[str, Any] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="0-9")
+    parser.add_argument("--seeds", type=span, default=range(10), metavar="A-B")
     parser.add_argument("--out", type=Path, default=Path("runs/povray.jsonl"))
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     out = arguments.out.resolve()
     if arguments.table:
-        print(table(rows_of(out)))
+        print(table(read(out)))
         return
-    first, last = map(int, arguments.seeds.split("-"))
-    out.parent.mkdir(parents=True, exist_ok=True)
     os.chdir(ROOT / "examples" / "povray")  # where scene.pov is
-    for seed in range(first, last + 1):
-        if seed not in {row["seed"] for row in rows_of(out)}:
-            append(out, one_run(seed))
+    planned = ({"seed": seed} for seed in arguments.seeds)
+    for run in missing(planned, out, lambda row: row["seed"]):
+        row = one_run(run["seed"])
+        append(out, row)
+        report(row)
 
 
 def renderer() -> CommandRenderer:
@@ -67,7 +68,7 @@ def renderer() -> CommandRenderer:
     )
 
 
-def one_run(seed: int) -> dict[str, Any]:
+def one_run(seed: int) -> Row:
     """The best parameters of one run, and the renders after which they were right for good."""
     render = renderer()
     opt = FIDE(render.space, render(TRUTH), seed=seed)
@@ -88,7 +89,7 @@ def is_right(params: Any) -> bool:
     return all(params[name] == TRUTH[name] for name in ("columns", "floor"))
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     rows = sorted(rows, key=lambda row: row["seed"])
     lines = ["| seed | loss | columns | floor | right since |", "|---|---|---|---|---|"]
     for row in rows:

@@ -13,7 +13,6 @@ excludes the parts that it calls.  Every measurement is a line of the file `--ou
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,12 +25,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from quality import append
+from rows import Row, append, read
 from torch.utils.flop_counter import FlopCounterMode
 
 import fide_tasks
 from fide_plugins import FIDE
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.search.cma_es import CMAES
 
@@ -241,16 +239,16 @@ def walls(epoch: Callable[[], object]) -> dict[str, float]:
     return {"first, s": seconds[0], "later, s": min(seconds[1:])}
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """All tables, in Markdown; of the same cell the last."""
-    last: dict[str, dict[str, dict[str, Any]]] = {}
+    last: dict[str, Cells] = {}
     for row in rows:
         last.setdefault(row["kind"], {})[row["cell"]] = row
     makers = {"parts": of_parts, "training": of_training, "kernels": of_kernels, "ways": of_ways}
     return "\n\n".join(as_table(*makers[kind](cells)) for kind, cells in last.items())
 
 
-Cells = dict[str, dict[str, Any]]
+Cells = dict[str, Row]
 Columns = tuple[Sequence[str], list[list[str]]]  # names, and rows with the name of the cell first
 
 
@@ -293,10 +291,6 @@ def overhead(ms: dict[str, float]) -> float:
     return sum(ms.values()) - ms["render"]
 
 
-def keep(out: Path, row: dict[str, Any]) -> None:
-    append(out, {**row, "machine": machine()})
-
-
 def run_parts(arguments: argparse.Namespace) -> None:
     for task in arguments.tasks:
         for preset in arguments.presets:
@@ -309,7 +303,7 @@ def run_parts(arguments: argparse.Namespace) -> None:
                 said = f", {arguments.epochs} epochs" if preset == "paper" else ""
                 cell = f"{task}, {preset}{said}, {size} px"
                 print(f"{cell:42} {overhead(ms):.3f} ms", flush=True)
-                keep(arguments.out, {"kind": "parts", "cell": cell, "ms": ms})
+                append(arguments.out, {"kind": "parts", "cell": cell, "ms": ms})
 
 
 def run_training(arguments: argparse.Namespace) -> None:
@@ -318,7 +312,7 @@ def run_training(arguments: argparse.Namespace) -> None:
     for name, settings in TRAINING.items():
         found = training(**settings)
         print(f"{name:32} {found}", flush=True)
-        keep(arguments.out, {"kind": "training", "cell": name, "found": found, "peak": peaks})
+        append(arguments.out, {"kind": "training", "cell": name, "found": found, "peak": peaks})
 
 
 def main() -> None:
@@ -326,7 +320,7 @@ def main() -> None:
     arguments = parse_arguments()
     torch.set_num_threads(1)
     if arguments.what == "table":
-        print(table([json.loads(line) for line in arguments.out.read_text().splitlines()]))
+        print(table(read(arguments.out)))
     elif arguments.what == "parts":
         run_parts(arguments)
     elif arguments.what == "training":
@@ -335,11 +329,11 @@ def main() -> None:
         for name, settings in TRAINING.items():
             shares = kernels(**settings)
             print(name, {kind: round(share, 3) for kind, share in shares.items()}, flush=True)
-            keep(arguments.out, {"kind": "kernels", "cell": name, "found": shares})
+            append(arguments.out, {"kind": "kernels", "cell": name, "found": shares})
     else:
         for name, found in ways():
             print(name, found, flush=True)
-            keep(arguments.out, {"kind": "ways", "cell": name, "found": found})
+            append(arguments.out, {"kind": "ways", "cell": name, "found": found})
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -11,11 +11,8 @@ processes.  All optimizers have the same targets and seeds.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
-import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,15 +21,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from moves import literal
+from rows import Row, append, missing, read, report
 
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.machine import machine
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
 RIVAL = "CMA-ES"
 BUDGET = {"voronoi": 25_000, "spline": 15_000}
 
-Row: TypeAlias = dict[str, Any]
 Configurations: TypeAlias = dict[str, tuple[str, dict[str, Any]]]
 
 NETWORK = {"preset": "paper", "popsize": 100, "epochs": 4}
@@ -58,7 +54,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(read(arguments.table)))
+        print(table(read(*arguments.table)))
         return
     run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part)
 
@@ -91,21 +87,10 @@ def run_missing(
     run: Callable[[Row, str, dict[str, Any]], Row] | None = None,
 ) -> None:
     """Run those of a share "i/n" of the cells that are not in the file yet; by `measure`."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    part, parts = (int(number) for number in share.split("/"))
-    for i, cell in enumerate(cells):
-        done = {key(row) for row in read(out)} if out.exists() else set()
-        if i % parts != part or key(cell) in done:
-            continue
+    for cell in missing(cells, out, key, share):
         row = (run or measure)(cell, *configurations[cell["configuration"]])
         append(out, row)
-        print(f"{key(row)}: {row['best']}", file=sys.stderr, flush=True)
-
-
-def append(out: Path, row: Row) -> None:
-    """Add a row to a file, in a folder that is there."""
-    with out.open("a") as file:
-        file.write(json.dumps(row) + "\n")
+        report({**cell, "best": row["best"]})
 
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -162,20 +147,7 @@ def measured(cell: Row, result: harness.RunResult) -> Row:
         "best": marks,
         "overhead_ms": round(overhead, 3),
         "wall_s": round(result.wall_s, 1),
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": machine(),
     }
-
-
-def read(paths: Path | list[Path]) -> list[Row]:
-    """Rows of one or several files."""
-    several = paths if isinstance(paths, list) else [paths]
-    return [json.loads(line) for path in several for line in path.read_text().splitlines()]
-
-
-def rows_of(out: Path) -> list[Row]:
-    """Rows of a file; none if it is not there yet."""
-    return read(out) if out.exists() else []
 
 
 def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:

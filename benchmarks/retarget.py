@@ -15,7 +15,6 @@ already is not done again.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -23,12 +22,11 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append
+from rows import Row, append, read, rows_of
 
 import fide_tasks
 from fide_plugins import FIDE
-from fide_plugins.experiments.run.machine import machine
-from fide_plugins.experiments.suite import read
+from fide_plugins.experiments import suite
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "retarget.jsonl"
@@ -63,19 +61,19 @@ def search(opt: FIDE, task: fide_tasks.Task, most: int, goal: float = 0.0) -> tu
 def run(arguments: argparse.Namespace) -> None:
     """All frames of one video."""
     task = fide_tasks.make(arguments.task, size=arguments.size, seed=arguments.seed)
-    solved = read("image-fitting-v1").problem(f"{arguments.task}-0")[0].solved
+    solved = suite.read("image-fitting-v1").problem(f"{arguments.task}-0")[0].solved
     frames = frames_of(task, arguments.frames, arguments.seed)
     names = ("task", "size", "seed", "frames", "fresh", "preset", "proposer")
     cell = {name: getattr(arguments, name) for name in names}
-    known = {row["frame"]: row for row in rows(arguments.out, cell) if row["kind"] == "fresh"}
+    known = {row["frame"]: row for row in of_video(arguments.out, cell) if row["kind"] == "fresh"}
     options = {"preset": arguments.preset, "seed": arguments.seed, "proposer": arguments.proposer}
     for t in range(0, arguments.frames, EVERY):
         if t not in known:
             n, loss = search(FIDE(task.dim, frames[t], **options), task, arguments.fresh, solved)
             known[t] = {"renders": n, "loss": loss}
-            append(arguments.out, {**cell, "kind": "fresh", "frame": t, **known[t], **here()})
+            append(arguments.out, {**cell, "kind": "fresh", "frame": t, **known[t]})
     goal = max(solved, float(np.median([row["loss"] for row in known.values()])))
-    done = len([row for row in rows(arguments.out, cell) if row["kind"] == "retarget"])
+    done = len([row for row in of_video(arguments.out, cell) if row["kind"] == "retarget"])
     # without its checkpoint a video begins again; of the same frame the last line counts
     saved = arguments.out.with_suffix(f".{arguments.task}.{arguments.seed}.checkpoint")
     done = done if saved.exists() else 0
@@ -87,33 +85,25 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"frame {t}: {n} renders, loss {loss:.3g}, goal {goal:.3g}", flush=True)
         opt.save(saved)
         found = {"kind": "retarget", "frame": t, "renders": n, "loss": loss, "goal": goal}
-        append(arguments.out, {**cell, **found, **here()})
+        append(arguments.out, {**cell, **found})
     saved.unlink(missing_ok=True)
 
 
-def here() -> dict[str, Any]:
-    return {"machine": machine()}
+def of_video(path: Path, cell: Row) -> list[Row]:
+    """Rows of the file that belong to one video."""
+    return [row for row in rows_of(path) if all(row[name] == cell[name] for name in cell)]
 
 
-def rows(path: Path, cell: dict[str, Any]) -> list[dict[str, Any]]:
-    """Lines of the file that belong to one video."""
-    if not path.exists():
-        return []
-    every = [json.loads(line) for line in path.read_text().splitlines()]
-    return [row for row in every if all(row[name] == cell[name] for name in cell)]
-
-
-def table(path: Path) -> str:
+def table(rows: list[Row]) -> str:
     """Of all videos, in Markdown."""
     lines = [
         "| scene | frames | goal: loss of a fresh search | its renders, mean | renders a frame: "
         "median, mean, 90 % | means, ratio | reached it |",
         "|---|---:|---:|---:|---|---:|---:|",
     ]
-    videos: dict[tuple[Any, ...], dict[int, dict[str, Any]]] = {}
+    videos: dict[tuple[Any, ...], dict[int, Row]] = {}
     fresh: dict[tuple[Any, ...], dict[int, int]] = {}
-    for line in path.read_text().splitlines():
-        row = json.loads(line)
+    for row in rows:
         key = (row["task"], row["size"], row["seed"], row["proposer"])
         if row["kind"] == "retarget":
             videos.setdefault(key, {})[row["frame"]] = row
@@ -151,7 +141,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     if arguments.what == "table":
-        print(table(arguments.out))
+        print(table(read(arguments.out)))
     else:
         run(arguments)
 

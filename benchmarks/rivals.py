@@ -10,9 +10,9 @@ run is one line of the output file; a second call does what is missing.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from moves import SCENES, make, span
+from rows import Row, append, missing, read, report
 
 from fide_plugins import optimizers
 
 MARKS = (50, 100, 200, 300, 500, 1000)
 SIZE = 64
-
-Row = dict[str, Any]
 
 CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "bipop-cma-es": ("bipop-cma-es", {}),
@@ -48,17 +47,10 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    done = {key(row) for row in read(arguments.out)} if arguments.out.exists() else set()
-    for configuration in arguments.configurations:
-        for scene in arguments.scenes:
-            for target in arguments.targets:
-                row = {"configuration": configuration, "scene": scene, "target": target}
-                if key(row) in done:
-                    continue
-                row |= run(row, arguments.budget)
-                with arguments.out.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
+    for cell in missing(planned(arguments), arguments.out, key):
+        row = {**cell, **run(cell, arguments.budget)}
+        append(arguments.out, row)
+        report(row)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -73,6 +65,14 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("runs/rivals.jsonl"))
     parser.add_argument("--table", type=Path)
     return parser.parse_args()
+
+
+def planned(arguments: argparse.Namespace) -> Iterator[Row]:
+    """All runs, configurations outermost."""
+    for configuration in arguments.configurations:
+        for scene in arguments.scenes:
+            for target in arguments.targets:
+                yield {"configuration": configuration, "scene": scene, "target": target}
 
 
 def run(cell: Row, budget: int) -> Row:
@@ -91,11 +91,6 @@ def run(cell: Row, budget: int) -> Row:
     best = np.minimum.accumulate(losses)
     marks = {str(mark): float(best[mark - 1]) for mark in MARKS if mark <= budget}
     return {"best": marks, "cpu_s": round(time.process_time() - start, 1)}
-
-
-def read(path: Path) -> list[Row]:
-    """All rows of a file."""
-    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def key(row: Row) -> tuple[Any, ...]:

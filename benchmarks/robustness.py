@@ -28,12 +28,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 import torch
-from quality import Row, append, rows_of
+from rows import Row, append, read, report, rows_of
 from torch import Tensor
 from torch.nn import functional as F
 
 import fide_tasks
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.learning import training
 from fide_plugins.learning.augmentation import augmented
 from fide_plugins.learning.network import Network, as_input
@@ -156,13 +155,12 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
                 "pictures": kind,
                 **judged(network, truth, pictures(kind, clean), seen),
                 "seconds": round(seconds, 1),
-                "machine": machine(),
             }
             for kind in PICTURES
         ]
         for row in rows:  # at once, so that a model is either judged or not
             append(out, row)
-            print(row["learned"], row["pictures"], row["nats"], row["near"], flush=True)
+            report(row)
 
 
 def _changed(change: Callable[..., Any], images: Any, generator: Any, augment: str) -> Any:
@@ -229,7 +227,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     if arguments.task == "table":
-        print(table(rows_of(arguments.out)))
+        print(table(read(arguments.out)))
         return
     for seed in range(arguments.seeds):
         measure(arguments.task, arguments.renders, arguments.passes, seed, arguments.out)

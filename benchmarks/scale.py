@@ -19,13 +19,15 @@ import os
 import resource
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from profile_generation import PARTS, Stopwatch, keep, overhead, watched
+from profile_generation import PARTS, Stopwatch, overhead, watched
+from rows import Row, append, missing, read, report
 
 RESULTS = Path(__file__).parent / "results" / "scale.jsonl"
 BASE = {"dim": 40, "popsize": 50, "size": 112}
@@ -59,7 +61,7 @@ class Patchwork:
         return squares[:, : self.size, : self.size]
 
 
-def measure(cell: dict[str, Any]) -> dict[str, Any]:
+def measure(cell: Row) -> Row:
     """Milliseconds of a generation by part, and the largest resident set, MB."""
     import torch
 
@@ -96,27 +98,25 @@ def generation(opt: Any, task: Patchwork, watch: Stopwatch) -> None:
             opt.tell(some, images)
 
 
-def run_missing(rows: list[str]) -> None:
-    done = [row["cell"] for row in read()]
+def planned(rows: list[str]) -> Iterator[Row]:
     for name in rows:
         for cell in ROWS[name]:
-            named = {"row": name, **cell}
-            if named in done:
-                continue
-            words = [sys.executable, __file__, "cell", json.dumps(cell)]
-            answer = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-            found = json.loads(answer.splitlines()[-1])
-            print(named, f"{overhead(found['ms']):.1f} ms, {found['MB']:.0f} MB", flush=True)
-            keep(RESULTS, {"cell": named, **found})
+            yield {"cell": {"row": name, **cell}}
 
 
-def read() -> list[dict[str, Any]]:
-    if not RESULTS.exists():
-        return []
-    return [json.loads(line) for line in RESULTS.read_text("utf-8").splitlines()]
+def key(row: Row) -> frozenset[Any]:
+    return frozenset(row["cell"].items())
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def measure_apart(planned_run: Row) -> Row:
+    """A measurement in a process of its own."""
+    cell = {name: value for name, value in planned_run["cell"].items() if name != "row"}
+    words = [sys.executable, __file__, "cell", json.dumps(cell)]
+    answer = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    return {**planned_run, **json.loads(answer.splitlines()[-1])}
+
+
+def table(rows: list[Row]) -> str:
     """A line a cell, and the exponent from the cell before."""
     parts = [part for part in PARTS if part != "render"]
     lines = [f"| | {' | '.join(parts)} | ms a generation | exponent | MB |"]
@@ -125,9 +125,9 @@ def table(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         cell, ms = dict(row["cell"]), row["ms"]
         name = cell.pop("row")
-        key = {"network": "dim", "tokens": "size"}.get(name, name)
+        size = {"network": "dim", "tokens": "size"}.get(name, name)
         kind = (name, cell.get("parameter_tokens"))
-        x, total = cell[key], overhead(ms)
+        x, total = cell[size], overhead(ms)
         if name == "tokens":  # of 16 x 16 pixels each
             x = (x // 16) ** 2
         slope = ""
@@ -149,9 +149,12 @@ def main() -> None:
     if what[0] == "cell":
         print(json.dumps(measure(json.loads(what[1]))))
     elif what == ["table"]:
-        print(table(read()))
+        print(table(read(RESULTS)))
     elif set(what) <= set(ROWS):
-        run_missing(what)
+        for planned_run in missing(planned(what), RESULTS, key):
+            row = measure_apart(planned_run)
+            append(RESULTS, row)
+            report(row)
     else:
         parser.error(f"rows are {', '.join(ROWS)}; or table")
 

@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from quality import CONFIGURATIONS, Configurations, Row, measured, read, run_missing
+from quality import CONFIGURATIONS, Configurations, measured, run_missing
+from rows import Row, read
 from task_pictures import save
 
 import fide_tasks
@@ -59,10 +60,10 @@ def main() -> None:
     """Run what is missing, or show what was found."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(rows_of(arguments)))
+        print(table(chosen(arguments)))
     elif arguments.pictures:
         for name in arguments.tasks or SCENES:
-            rows = [row for row in rows_of(arguments) if row["task"] == name]
+            rows = [row for row in chosen(arguments) if row["task"] == name]
             if rows:
                 path = arguments.images / f"scenes_{name}.png"
                 save(picture(rows), path)
@@ -108,7 +109,7 @@ def parse_arguments() -> argparse.Namespace:
     return arguments
 
 
-def rows_of(arguments: argparse.Namespace) -> list[Row]:
+def chosen(arguments: argparse.Namespace) -> list[Row]:
     """Rows of the tasks and configurations that were asked for, in the order of the latter."""
     rows = [row for row in read(arguments.out) if row["task"] in (arguments.tasks or SCENES)]
     order = {configuration: i for i, configuration in enumerate(arguments.configurations)}

@@ -18,25 +18,22 @@ make the page of a suite.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
-import time
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import append, rows_of
+from rows import Row, append, missing, report, rows_of
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.run.machine import machine
 from fide_plugins.experiments.suite import figures, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, totals
@@ -50,24 +47,23 @@ OPTIMIZERS = (
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
 
-Row = dict[str, Any]
 
-
-def missing(
-    rows: list[Row], scenes: Sequence[str], optimizers: Sequence[str], targets: int, budget: int
-) -> Iterator[tuple[str, str]]:
-    """Problem and optimizer of each run that is missing, targets outermost."""
-    done = {(row["problem"], row["optimizer"]) for row in long_enough(rows, budget)}
+def planned(scenes: Sequence[str], optimizers: Sequence[str], targets: int) -> Iterator[Row]:
+    """All runs, targets outermost."""
     for number in range(targets):
         for scene in scenes:
             for optimizer in optimizers:
-                if (f"{scene}-{number}", optimizer) not in done:
-                    yield f"{scene}-{number}", optimizer
+                yield {"problem": f"{scene}-{number}", "optimizer": optimizer}
 
 
-def long_enough(rows: list[Row], budget: int) -> list[Row]:
-    """Rows of runs that had so many renders."""
-    return [row for row in rows if str(budget) in row["losses"]]
+def key(row: Row) -> tuple[str, str]:
+    """What makes a run; it may have any budget of the suite."""
+    return row["problem"], row["optimizer"]
+
+
+def long_enough(budget: int) -> Callable[[Row], bool]:
+    """Whether a run had so many renders."""
+    return lambda row: str(budget) in row["losses"]
 
 
 def measure(problem: str, optimizer: str, budget: int) -> Row:
@@ -121,15 +117,16 @@ def row_of(
         "solved_at": solved_at,
         "losses": losses,
         "seconds": round(seconds, 1),
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": machine(),
     }
 
 
 def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
     """Of the problems that all of these optimizers have finished, up to the budget."""
-    rows = long_enough(rows, budget)
-    found = {(row["problem"], row["optimizer"]): row for row in rows}
+    rows = list(filter(long_enough(budget), rows))
+    found = {key(row): row for row in rows}
+    twice = {p for p, n in Counter((*key(row), *row["losses"]) for row in rows).items() if n > 1}
+    if twice:
+        sys.exit(f"two rows of one run: {twice}; keep one of them")
     budgets = tuple(b for b in SUITE.budgets if b <= budget)
     there = dict.fromkeys(row["problem"] for row in rows)
     problems = [p for p in there if all((p, label) in found for label in optimizers)]
@@ -153,6 +150,31 @@ def picture(found: Scores, *, performance: bool) -> bytes:
 
 def main() -> None:
     """Run what is missing, or show what was found."""
+    arguments = parse_arguments()
+    scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
+    optimizers, out, budget = arguments.optimizers.split(","), arguments.out, arguments.budget
+    if arguments.table or arguments.picture:
+        chosen = [row for row in rows_of(out) if row["problem"].rpartition("-")[0] in scenes]
+        found = scores(chosen, optimizers, budget)
+        if arguments.picture:
+            drawn = picture(found, performance=arguments.performance)
+            arguments.picture.write_bytes(drawn)
+        else:
+            print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
+    elif arguments.folder:
+        found_there = taken_over(arguments.folder)
+        for row in missing(found_there, out, key, counts=long_enough(SUITE.budgets[-1])):
+            append(out, row)
+    else:
+        runs = planned(scenes, optimizers, arguments.targets)
+        for run in missing(runs, out, key, arguments.part, long_enough(budget)):
+            row = measure(**run, budget=budget)
+            append(out, row)
+            report(row)
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -160,38 +182,14 @@ def main() -> None:
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help=f"of {', '.join(SUITE.scenes)}")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
     add("--targets", type=int, default=len(SUITE.targets), metavar="N", help="the first N")
-    add("--part", default="0/1", metavar="I/N", help="the runs of this process")
+    add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
     add("--budget", type=int, default=SUITE.budgets[-1], choices=SUITE.budgets, help="renders")
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
     add("--performance", action="store_true", help="a performance profile as picture")
-    arguments = parser.parse_args()
-    rows, optimizers = rows_of(arguments.out), arguments.optimizers.split(",")
-    scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
-    if arguments.table or arguments.picture:
-        chosen = [r for r in rows if r["problem"].rpartition("-")[0] in scenes]
-        found = scores(chosen, optimizers, arguments.budget)
-        if arguments.picture:
-            drawn = picture(found, performance=arguments.performance)
-            arguments.picture.write_bytes(drawn)
-        else:
-            print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
-    elif arguments.folder:
-        whole = long_enough(rows, SUITE.budgets[-1])
-        done = {(row["problem"], row["optimizer"]) for row in whole}
-        for row in taken_over(arguments.folder):
-            if (row["problem"], row["optimizer"]) not in done:
-                append(arguments.out, row)
-    else:
-        part, parts = map(int, arguments.part.split("/"))
-        budget = arguments.budget
-        for i, run in enumerate(missing(rows, scenes, optimizers, arguments.targets, budget)):
-            if i % parts == part:
-                row = measure(*run, budget)
-                append(arguments.out, row)
-                print(json.dumps(row), file=sys.stderr, flush=True)
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

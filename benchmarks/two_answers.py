@@ -23,9 +23,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import Row, read, span
+from moves import span
 from numpy.typing import NDArray
-from quality import append
+from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE, learn
@@ -47,15 +47,15 @@ def main() -> None:
         print(table(read(arguments.table)))
         return
     torch.set_num_threads(1)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         file, start = f"{folder}/cells.fide", time.process_time()
         learn(render, make(0).dim, renders=RENDERS, passes=PASSES, size=SIZE, out=file, seed=0)
         seconds = round(time.process_time() - start, 1)
-        done = {row["target"] for row in read(arguments.out)}
-        for target in (one for one in arguments.targets if one not in done):
-            row = {"target": target, "learning_cpu_s": seconds, **measure(target, file)}
+        planned = ({"target": target} for target in arguments.targets)
+        for picture in missing(planned, arguments.out, lambda row: row["target"]):
+            row = {**picture, "learning_cpu_s": seconds, **measure(picture["target"], file)}
             append(arguments.out, row)
+            report(row)
 
 
 def render(x: NDArray[np.float64]) -> NDArray[np.float32]:

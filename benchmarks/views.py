@@ -1,7 +1,7 @@
 """Compares two views with each view alone, and a masked picture with one that needs no mask.
 
-    python benchmarks/views.py > benchmarks/results/views.jsonl
-    python benchmarks/views.py --table < benchmarks/results/views.jsonl
+    python benchmarks/views.py
+    python benchmarks/views.py --table
 
 Scene: three colored balls in a box, (x, y, z) each, seen in parallel projection from the front and
 from the side, 48 pixels each.  A view does not show its own depth, but for which ball hides which.
@@ -11,21 +11,25 @@ mean absolute difference of the nine parameters from the truth.
 
 "masked" is the front view with a second half beside it, 48 x 96 pixels, in which stripes differ
 from render to render; the mask hides that half.  Its loss should be that of "front".
+
+Every fit is a line of benchmarks/results/views.jsonl for each number of renders; a second call does
+the missing fits.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rows import Row, append, missing, read, report
 
 from fide_plugins import FIDE
 from fide_plugins.types import Float32, Float64
 
+RESULTS = Path(__file__).parent / "results" / "views.jsonl"
 SIZE = 48
 TARGETS = 12
 RADIUS = 0.16
@@ -79,7 +83,19 @@ MASK = np.ones((SIZE, 2 * SIZE), np.float32)
 MASK[:, SIZE:] = 0
 
 
-def run(name: str, seed: int, renders: list[int]) -> list[dict[str, Any]]:
+def fits(targets: int, renders: int) -> Iterator[Row]:
+    """The last row of every fit, without its results."""
+    for seed in range(targets):
+        for name in SCENES:
+            yield {"name": name, "seed": seed, "renders": renders}
+
+
+def key(row: Row) -> tuple[Any, ...]:
+    """What makes a row."""
+    return row["name"], row["seed"], row["renders"]
+
+
+def run(name: str, seed: int, renders: list[int]) -> list[Row]:
     """One fit of one target, seen after so many renders."""
     truth = np.random.default_rng(1000 + seed).uniform(0.05, 0.95, 9)
     images_of = SCENES[name]
@@ -98,14 +114,14 @@ def run(name: str, seed: int, renders: list[int]) -> list[dict[str, Any]]:
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Row]) -> str:
     """Median error, fits that found the truth, and median loss of each configuration."""
     columns = ("renders", "target", "median error", "error < 0.01", "median loss")
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     for renders in sorted({row["renders"] for row in rows}):
         for name in SCENES:
             own = [row for row in rows if (row["name"], row["renders"]) == (name, renders)]
-            errors, losses = (np.array([row[key] for row in own]) for key in ("error", "loss"))
+            errors, losses = (np.array([row[what] for row in own]) for what in ("error", "loss"))
             found = f"{int((errors < 0.01).sum())} of {len(errors)}"
             values = f"{np.median(errors):.4f} | {found} | {np.median(losses):.2g}"
             lines.append(f"| {renders} | {name} | {values} |")
@@ -113,19 +129,20 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    """Print one line of JSON for each run, or the table of such lines."""
+    """Do the fits that are missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--table", action="store_true", help="of the lines on standard input")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--table", action="store_true")
     parser.add_argument("--renders", type=int, nargs="+", default=[300, 1500])
     parser.add_argument("--targets", type=int, default=TARGETS)
     args = parser.parse_args()
     if args.table:
-        print(table([json.loads(line) for line in sys.stdin]))
+        print(table(read(args.out)))
         return
-    for seed in range(args.targets):
-        for name in SCENES:
-            for row in run(name, seed, args.renders):
-                print(json.dumps(row), flush=True)
+    for fit in missing(fits(args.targets, args.renders[-1]), args.out, key):
+        for row in run(fit["name"], fit["seed"], args.renders):
+            append(args.out, row)
+            report(row)
 
 
 if __name__ == "__main__":

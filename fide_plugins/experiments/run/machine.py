@@ -50,9 +50,12 @@ def versions() -> dict[str, str]:
 
 
 def machine() -> dict[str, Any]:
-    """System, CPU, cores of this process, threads, and the GPU if PyTorch is imported."""
+    """System and its version, CPU, cores of this process, threads; the GPU if PyTorch is imported.
+
+    The version is without what a distribution or a cloud adds to it.
+    """
     facts: dict[str, Any] = {
-        "system": f"{platform.system()} {platform.release()}",
+        "system": f"{platform.system()} {platform.release().partition('-')[0]}",
         "cpu": cpu_name(),
         "cores": cores(),
         "threads": os.environ.get("OMP_NUM_THREADS"),

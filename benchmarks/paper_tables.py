@@ -1,0 +1,168 @@
+"""Tables and the picture of the paper's main comparison, from the rows of paper.py.
+
+python benchmarks/paper_tables.py
+python benchmarks/paper_tables.py --picture docs/images/paper.png
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from paper import (
+    AFFORDABLE,
+    FAST,
+    METRICS,
+    RACERS,
+    RENDERED,
+    RESULTS,
+    TASK_OPTIONS,
+    grid,
+    make_task,
+)
+from rows import Row, read
+from scenes import joined
+from task_pictures import save
+
+MARKS = ("1000", "5000", "10000", "25000")
+SOLVED = {"voronoi": 1e-3, "robot": 2e-5}  # mean squared errors, as in docs/measurements/moves.md
+
+
+def main() -> None:
+    """Print the tables, or draw the picture."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rows", type=Path, default=RESULTS, metavar="FILE", help="of paper.py")
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the results of target 0")
+    parser.add_argument("--loss", default="perceptual", choices=METRICS, help="of the picture")
+    arguments = parser.parse_args()
+    rows = longest(read(arguments.rows))
+    if arguments.picture:
+        save(picture(rows, arguments.loss), arguments.picture)
+    else:
+        print(table(rows))
+
+
+def table(rows: list[Row]) -> str:
+    """Medians over targets, in Markdown: one table for each scene and each minimized loss."""
+    lines: list[str] = []
+    without: list[str] = []
+    for task in (*FAST, *RENDERED):
+        for loss in (*METRICS, "loi"):
+            mine = [row for row in rows if (row["task"], row["loss"]) == (task, loss)]
+            planned = {
+                cell["configuration"]
+                for cell in grid()
+                if (cell["task"], cell["loss"]) == (task, loss)
+            }
+            if mine:
+                lines += section(task, loss, mine, [name for name in RACERS if name in planned])
+            else:
+                without.append(f"{task} `{loss}`")
+    if without:
+        lines += [f"No run yet: {', '.join(without)}.", ""]
+    return "\n".join(lines)
+
+
+def longest(rows: list[Row]) -> list[Row]:
+    """Of the runs that differ in nothing but their renders, those with the most."""
+    found: dict[tuple[Any, ...], Row] = {}
+    for row in sorted(rows, key=lambda row: row["budget"]):
+        found[row["task"], row["target"], row["loss"], row["configuration"]] = row
+    return list(found.values())
+
+
+def section(task: str, loss: str, rows: list[Row], configurations: list[str]) -> list[str]:
+    """One table, a row for each configuration, with "-" for what is missing."""
+    paths = f", {TASK_OPTIONS[task]['spp']} paths a pixel" if task in TASK_OPTIONS else ""
+    most = max(row["budget"] for row in rows)
+    marks = [m for m in MARKS if int(m) <= most]
+    columns = ["", "targets", *(f"{name}, {int(m):,}" for name in METRICS for m in marks)]
+    columns += ["lowest", "solved"]
+    lines = [f"### {task}, minimized `{loss}`{paths}", "", "| " + " | ".join(columns) + " |"]
+    lines.append("|---" + "|---:" * (len(columns) - 1) + "|")
+    for configuration in configurations:
+        group = [row for row in rows if row["configuration"] == configuration]
+        fewer = "" if configuration in AFFORDABLE else shorter(group, most)
+        cells = [configuration + fewer, str(len(group)), *values(group, marks)]
+        cells += [lowest(group, rows), solved(group, task)] if group else ["-", "-"]
+        lines.append("| " + " | ".join(cells) + " |")
+    return [*lines, ""]
+
+
+def shorter(rows: list[Row], most: int) -> str:
+    """Says so if runs have fewer renders than others."""
+    budgets = {row["budget"] for row in rows} - {most}
+    return f", {min(budgets):,} renders" if budgets else ""
+
+
+def values(rows: list[Row], marks: list[str]) -> list[str]:
+    """Medians of both metrics at the marks, at the last one after all renders that a row has.
+
+    (n): only n of the rows have a value.
+    """
+    cells = []
+    for name in METRICS:
+        for mark in marks:
+            at = [end(row) if mark == marks[-1] else row["cross"].get(mark, {}) for row in rows]
+            numbers = [metrics[name] for metrics in at if name in metrics]
+            fewer = f" ({len(numbers)})" if len(numbers) < len(rows) else ""
+            cells.append(f"{statistics.median(numbers):.3g}{fewer}" if numbers else "-")
+    return cells
+
+
+def end(row: Row) -> dict[str, float]:
+    """Metrics after the last render."""
+    metrics: dict[str, float] = row["cross"][max(row["cross"], key=int)]
+    return metrics
+
+
+def lowest(group: list[Row], rows: list[Row]) -> str:
+    """On how many targets a group has the lowest minimized loss of all rows, where others ran."""
+    won = [row for row in group if final(row) == min(final(r) for r in rows if same(r, row))]
+    raced = [row for row in group if sum(same(r, row) for r in rows) > 1]
+    return f"{len([row for row in won if row in raced])} of {len(raced)}" if raced else "-"
+
+
+def final(row: Row) -> float:
+    """Minimized loss after the last render."""
+    return float(row["best"][max(row["best"], key=int)])
+
+
+def same(a: Row, b: Row) -> bool:
+    """Whether two rows are about the same picture."""
+    return bool(a["target"] == b["target"])
+
+
+def solved(group: list[Row], task: str) -> str:
+    """How many runs have found the parameters."""
+    if task not in SOLVED:
+        return "-"
+    return f"{sum(end(row)['mse'] <= SOLVED[task] for row in group)} of {len(group)}"
+
+
+def picture(rows: list[Row], loss: str) -> NDArray[np.float32]:
+    """Results of target 0: a row for each scene; each optimizer that has a run, then the target."""
+    mine = [row for row in rows if (row["target"], row["loss"]) == (0, loss) and row["x"]]
+    found = {(row["task"], row["configuration"]): row for row in mine}
+    racers = [name for name in RACERS if any(racer == name for _, racer in found)]
+    lines = []
+    for task in dict.fromkeys(row["task"] for row in mine):
+        scene = make_task(next(row for row in mine if row["task"] == task))
+        drawn = [
+            scene.reference(np.array(found[task, name]["x"]))
+            if (task, name) in found
+            else np.ones_like(scene.target)
+            for name in racers
+        ]
+        lines.append(joined([*drawn, scene.target], axis=1))
+    return joined(lines, axis=0)
+
+
+if __name__ == "__main__":
+    main()
