@@ -1,7 +1,8 @@
 """The build fails where the reference lacks a public name: one in the `__all__` of a public module.
 
 So it does where the docstring of a public function or method is missing, does not name a parameter,
-or does not say that it raises the errors that are raised in its own lines.
+or does not say that it raises the errors that are raised in its own lines.  The docstring of a
+class must also say that it raises errors if that of one of its bases says so.
 """
 
 from __future__ import annotations
@@ -70,8 +71,10 @@ def _gaps(name: str, obj: Any, text: str) -> Iterator[str]:
     for parameter in undocumented(obj, text):
         yield f"the docstring of {name} does not name its parameter {parameter!r}"
     errors = raised(obj)
-    if errors and not re.search(r"\w*Error|[Rr]aise|refuse", text):
+    if errors and not _says_errors(text):
         yield f"the docstring of {name} does not say that it raises {' or '.join(sorted(errors))}"
+    elif _hides_errors(obj):
+        yield f"the docstring of {name} does not say that it raises the errors of its bases"
 
 
 def public() -> Iterator[tuple[str, Any]]:
@@ -98,6 +101,19 @@ def _text(obj: Any) -> str:
     """Docstring of a function; of a class, with those of its bases."""
     where = inspect.getmro(obj) if inspect.isclass(obj) else (obj,)
     return " ".join(one.__doc__ or "" for one in where)
+
+
+def _says_errors(text: str) -> bool:
+    return bool(re.search(r"\w*Error|[Rr]aise|refuse", text))
+
+
+def _hides_errors(obj: Any) -> bool:
+    """Whether only the bases of a class, and not its own docstring, say that it raises errors."""
+    if not inspect.isclass(obj) or issubclass(obj, Exception):
+        return False
+    bases = [one for one in obj.__mro__[1:] if one.__module__.startswith("fide_")]
+    inherited = any(_says_errors(one.__doc__ or "") for one in bases)
+    return inherited and not _says_errors(obj.__doc__ or "")
 
 
 def undocumented(obj: Any, text: str) -> list[str]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fide_plugins.baselines.inverse import Inverse as Inverse
     from fide_plugins.baselines.lq_cma import LQCMA as LQCMA
     from fide_plugins.baselines.npe.search import NPE as NPE
+    from fide_plugins.baselines.pgpe import PGPE as PGPE
     from fide_plugins.baselines.random import Random as Random
     from fide_plugins.baselines.trust_region.composite import CompositeBO as CompositeBO
     from fide_plugins.baselines.trust_region.turbo import TuRBO as TuRBO
@@ -46,6 +47,7 @@ _MODULES = {
     "Inverse": "inverse",
     "LQCMA": "lq_cma",
     "NPE": "npe.search",
+    "PGPE": "pgpe",
     "Random": "random",
     "TuRBO": "trust_region.turbo",
     "ZeroGrads": "zerograds",
@@ -60,6 +62,7 @@ __all__ = [
     "EKI",
     "LQCMA",
     "NPE",
+    "PGPE",
     "Baseline",
     "CompositeBO",
     "DiBO",

@@ -34,6 +34,8 @@ class BIPOP(CalledBack):
 
     Evaluations of the mean at the end of a search are the library's, and count.  If more than a
     generation is asked for, its candidates are given again; the first result of each is used.
+
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "bipop-cma-es"

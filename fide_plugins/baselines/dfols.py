@@ -46,7 +46,8 @@ class DFOLS(ImageBased, Sequential):
     search does not use the loss, which only decides which point is `best`.  The other options are
     those of `ImageBased` and `Baseline`; popsize is 1.
 
-    Raises OptionError (a ValueError), and DependencyError (an ImportError) without DFO-LS.
+    Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
+    ImportError) without DFO-LS.
     """
 
     name: ClassVar[str] = "dfols"

@@ -32,6 +32,8 @@ class DualAnnealing(Sequential):
 
     Without a step the points are those that SciPy evaluates with ``x0=np.full(dim, 0.5)`` and
     ``rng=np.random.default_rng(seed)``.  `sigma0` is not used.
+
+    Raises OptionError (a ValueError), also if popsize is not 1.
     """
 
     name: ClassVar[str] = "dual-annealing"

@@ -47,6 +47,8 @@ class EKI(ImageBased, Stateful):
 
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
+
+    Raises OptionError, and ImageError without a target (ValueErrors).
     """
 
     name: ClassVar[str] = "eki"

@@ -76,6 +76,8 @@ class FIDEAnnealing(ImageBased, Sequential):
     step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
     The other options are those of `Baseline`; popsize is 1, and `sigma0` is not used.
+
+    Raises OptionError, also if popsize is not 1, and ImageError without a target (ValueErrors).
     """
 
     name: ClassVar[str] = "fide-annealing"

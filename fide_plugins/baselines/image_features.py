@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.baselines.base import Baseline
-from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.baselines.images_needed import needed_images, needed_target
+from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float32
 from fide_plugins.validation.points import whole_number
@@ -26,6 +27,9 @@ class ImageBased(Baseline):
     encoder: name in `fide_plugins.encoders`.
     channels: number of leading channels of its tokens that are used; None: all.  The first three of
         "dense" are the mean colors of (at most) 14 x 14 patches.
+
+    Raises OptionError, ImageError without a target (ValueErrors), or what
+    `fide_plugins.encoders.make` raises.
     """
 
     def __init__(
@@ -38,19 +42,18 @@ class ImageBased(Baseline):
         **options: Any,
     ) -> None:
         super().__init__(dim, target, **options)
-        if self.target is None:
-            raise ImageError(f"{self.name} learns from images and needs a target; got none")
+        image = needed_target(self.name, self.target)  # (H, W, 3)
         from fide_plugins import encoders  # PyTorch takes a second
         from fide_plugins.runtime.devices import resolve_device
 
         self.encoder = encoder
         where = resolve_device(self.device, for_network=encoders.uses_network(encoder))
         self._encoder = encoders.make(encoder, device=where)
-        self._tokens, most = self._encoder.shape(*self.target.shape[:2])
+        self._tokens, most = self._encoder.shape(*image.shape[:2])
         if channels is not None and whole_number("channels", channels, 1) > most:
             raise OptionError(f"channels must be at most {most} for {encoder}, not {channels}")
         self.channels = channels
-        self.target_features: Float32 = self._encode(self.target[None])[0]
+        self.target_features: Float32 = self._encode(image[None])[0]
         """Features (f,) of the target."""
 
     @cached_property
@@ -65,9 +68,8 @@ class ImageBased(Baseline):
         return torch.from_numpy(features).reshape(len(features), self._tokens, -1)
 
     def _encode(self, batch: Float32 | None) -> Float32:
-        if batch is None:
-            raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
-        tokens = self._encoder.compute(batch)[..., : self.channels]  # (n, T, C)
+        images = needed_images(self.name, batch)
+        tokens = self._encoder.compute(images)[..., : self.channels]  # (n, T, C)
         features: Float32 = tokens.flatten(1).cpu().numpy().astype(np.float32)
         return features
 

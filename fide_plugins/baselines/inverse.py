@@ -33,7 +33,7 @@ class Inverse(ImageBased, Stateful):
 
     The features of all uniform points are kept in memory until the training.
 
-    Raises OptionError (a ValueError).
+    Raises OptionError, and ImageError without a target (ValueErrors).
     """
 
     name: ClassVar[str] = "inverse"

@@ -33,6 +33,8 @@ class LQCMA(Sequential):
     """CMA-ES of the library `cma` with its linear-quadratic model; options of `Baseline`.
 
     popsize is 1, what is evaluated at a time; the population is the library's, 4 + 3 ln d at first.
+
+    Raises OptionError (a ValueError), also if popsize is not 1.
     """
 
     name: ClassVar[str] = "lq-cma-es"

@@ -25,8 +25,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fide_plugins.baselines.global_random import GlobalRandom
+from fide_plugins.baselines.images_needed import needed_images
 from fide_plugins.baselines.replay import Replayed
-from fide_plugins.errors import CheckpointError, ImageError, OptionError, PointsError
+from fide_plugins.errors import CheckpointError, OptionError, PointsError
 from fide_plugins.runtime.reference import Kind, attribute, load, split
 from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.types import Float32, Float64
@@ -166,9 +167,7 @@ class Own(Replayed):
     def _encode(self, batch: Float32 | None) -> Float32 | None:
         if self._images_at is None:
             return None
-        if batch is None:
-            raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
-        return batch.copy()  # a renderer may use its memory again
+        return needed_images(self.name, batch).copy()  # a renderer may use its memory again
 
     @property
     def _is_finished(self) -> bool:

@@ -13,7 +13,10 @@ __all__ = ["Random"]
 
 
 class Random(Replayed):
-    """Independent points from the uniform distribution on [0, 1]^dim; options of `Baseline`."""
+    """Independent points from the uniform distribution on [0, 1]^dim; options of `Baseline`.
+
+    Raises OptionError (a ValueError).
+    """
 
     name: ClassVar[str] = "random"
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import optimizers
+from fide_plugins import baselines, optimizers
 from fide_plugins.baselines.random import Random
 from fide_plugins.errors import (
     ImageError,
@@ -31,6 +31,13 @@ def test_all_baselines_are_tested(subjects: list[Subject]) -> None:
     tested = {subject.name for subject in subjects}
     assert set(optimizers.names()) - {"fide"} <= tested
     assert {name.partition(":")[0] for name in tested if ":" in name} == {"nevergrad", "optuna"}
+
+
+def test_all_baselines_are_exported(subjects: list[Subject]) -> None:
+    named = {type(subject.make(2)) for subject in subjects if subject.installed}
+    exported = {getattr(baselines, name) for name in baselines.__all__}
+    assert {cls for cls in named if ":" not in cls.name} <= exported
+    assert set(baselines.__all__) <= set(dir(baselines))
 
 
 @pytest.mark.parametrize("dim", [1, 4])

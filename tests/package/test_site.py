@@ -139,6 +139,26 @@ def test_a_gap_of_a_docstring_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
 
 
+def test_a_class_says_itself_that_it_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = load("extensions/public_names")
+
+    class Base:
+        """Has no bad size; raises ValueError."""
+
+        __module__ = "fide_plugins.x"  # as if it were of this project
+
+    class Silent(Base):
+        """A base that is silent."""
+
+    class Clear(Silent):
+        """A base that is clear.  Raises ValueError."""
+
+    public = [("x.Base", Base), ("x.Silent", Silent), ("x.Clear", Clear)]
+    monkeypatch.setattr(names, "public", lambda: public)
+    gap = "the docstring of x.Silent does not say that it raises the errors of its bases"
+    assert list(names.gaps()) == [gap]
+
+
 @pytest.mark.parametrize("page", sorted((DOCS / "measurements").glob("*.md")), ids=lambda p: p.stem)
 def test_a_page_of_measurements_begins_with_its_answer(page: Path) -> None:
     _, answer, *_ = page.read_text("utf-8").split("\n\n")

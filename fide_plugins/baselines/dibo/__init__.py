@@ -44,7 +44,7 @@ from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import one_of, positive
+from fide_plugins.validation.option_rules import one_of
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["DiBO", "Diffusion", "Round", "RoundOptions"]
@@ -108,21 +108,12 @@ class DiBO(Stateful):
         self.initial = whole_number("initial", initial, 2)
         self.buffer = whole_number("buffer", buffer, 2)
         self.precision = one_of("double", "single")("precision", precision)
-        self.round_options = RoundOptions(
-            proxy_epochs=whole_number("proxy_epochs", proxy_epochs, 1),
-            prior_epochs=whole_number("prior_epochs", prior_epochs, 1),
-            posterior_epochs=whole_number("posterior_epochs", posterior_epochs, 0),
-            search_epochs=whole_number("search_epochs", search_epochs, 0),
-            proposals=whole_number("proposals", proposals, 1),
-            diffusion_steps=whole_number("diffusion_steps", diffusion_steps, 2),
-            alpha=positive("alpha", alpha),
-            gamma=positive("gamma", gamma),
-            width=whole_number("width", width, 1),
-            proxy_width=whole_number("proxy_width", proxy_width, 1),
-            batch=whole_number("batch", batch, 1),
-            likelihood=one_of("authors", "exact")("likelihood", likelihood),
-            schedule=one_of("authors", "paper")("schedule", schedule),
-        )
+        self.round_options = RoundOptions.checked(
+            proxy_epochs=proxy_epochs, prior_epochs=prior_epochs,
+            posterior_epochs=posterior_epochs, search_epochs=search_epochs, proposals=proposals,
+            diffusion_steps=diffusion_steps, alpha=alpha, gamma=gamma, width=width,
+            proxy_width=proxy_width, batch=batch, likelihood=likelihood, schedule=schedule,
+        )  # fmt: skip
         self._rng = np.random.default_rng(self.seed)
         self._generator = torch.Generator().manual_seed(int(self._rng.integers(2**63)))
         self._X: Float64 = np.empty((0, self.dim))  # the buffer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property, partial
 from typing import Any
 
@@ -22,6 +22,7 @@ from fide_plugins.baselines.dibo.diffusion import (
 from fide_plugins.baselines.dibo.likelihood import program_likelihood
 from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.networks import make
+from fide_plugins.validation.option_rules import Rule, one_of, positive, whole
 
 __all__ = ["Round", "RoundOptions", "trajectory_balance"]
 
@@ -30,23 +31,33 @@ POOL_JITTER = 1e-2  # noise on points of the pool
 RATE, POSTERIOR_RATE, SEARCH_RATE = 1e-3, 1e-4, 1e-2  # of Adam
 
 
+def _option(rule: Rule) -> Any:
+    return field(metadata={"rule": rule})
+
+
 @dataclass(frozen=True)
 class RoundOptions:
-    """What `DiBO` documents."""
+    """What `DiBO` documents; the defaults are those of its constructor."""
 
-    proxy_epochs: int = 50
-    prior_epochs: int = 50
-    posterior_epochs: int = 50
-    search_epochs: int = 30
-    proposals: int = 10
-    diffusion_steps: int = 30
-    alpha: float = 1e-4
-    gamma: float = 1.0
-    width: int = 512
-    proxy_width: int = 256
-    batch: int = 256
-    likelihood: str = "authors"
-    schedule: str = "authors"
+    proxy_epochs: int = _option(whole(1))
+    prior_epochs: int = _option(whole(1))
+    posterior_epochs: int = _option(whole(0))
+    search_epochs: int = _option(whole(0))
+    proposals: int = _option(whole(1))
+    diffusion_steps: int = _option(whole(2))
+    alpha: float = _option(positive)
+    gamma: float = _option(positive)
+    width: int = _option(whole(1))
+    proxy_width: int = _option(whole(1))
+    batch: int = _option(whole(1))
+    likelihood: str = _option(one_of("authors", "exact"))
+    schedule: str = _option(one_of("authors", "paper"))
+
+    @classmethod
+    def checked(cls, **given: Any) -> RoundOptions:
+        """All of them, each by its rule; OptionError (a ValueError) if one breaks it."""
+        rules = {option.name: option.metadata["rule"] for option in fields(cls)}
+        return cls(**{name: rules[name](name, value) for name, value in given.items()})
 
     def as_dict(self) -> dict[str, Any]:
         """All of them, by name."""

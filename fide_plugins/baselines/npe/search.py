@@ -17,11 +17,12 @@ from typing import Any, ClassVar
 import numpy as np
 from torch import Tensor
 
+from fide_plugins.baselines.images_needed import needed_images, needed_target
 from fide_plugins.baselines.npe.canonical import canonical
 from fide_plugins.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
 from fide_plugins.baselines.npe.truncated import draw_truncated
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.errors import OptionError
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -95,16 +96,11 @@ class NPE(Stateful):
         **options: Any,
     ) -> None:
         self.budget = whole_number("budget", budget, 1)
-        self.share, self.quantile = (
-            positive_fraction("share", share),
-            positive("quantile", quantile),
-        )
-        if self.quantile >= 1:
-            raise OptionError(f"quantile must lie in (0, 1), not {quantile!r}")
+        self.share = positive_fraction("share", share)
+        self.quantile = _checked_quantile(quantile)
         self.rounds = whole_number("rounds", rounds, 1)
         super().__init__(dim, target, popsize=popsize, **options)
-        if self.target is None:
-            raise ImageError(f"{self.name} learns from images and needs a target; got none")
+        image = needed_target(self.name, self.target)
         import_sbi(self.name)
         self.epochs = whole_number("epochs", epochs, 2)
         self.batch_size = whole_number("batch_size", batch_size, 1)
@@ -113,9 +109,13 @@ class NPE(Stateful):
         self.transforms = whole_number("transforms", transforms, 1)
         self.support = whole_number("support", support, 1)
         self._blocks = None if groups is None else check_groups(groups, self.dim)
-        h, w = self.target.shape[:2]
+        self._start(image)
+
+    def _start(self, target: Float32) -> None:
+        """Begin with a network that has learned nothing; target: (H, W, 3)."""
+        h, w = target.shape[:2]
         self._shape = self._side(h), self._side(w)
-        self._target = self._encode(self.target[None])
+        self._target = self._encode(target[None])
         self._rng = np.random.default_rng(self.seed)
         self._trainer = Trainer(self.dim, self._shape, **self._training())
         self.trained = 0  # rounds whose training is done
@@ -151,12 +151,10 @@ class NPE(Stateful):
         self._population.forget_pending()
 
     def _encode(self, batch: Float32 | None) -> Float32:
-        if batch is None:
-            raise ImageError(f"{self.name} learns from images: tell them, losses alone are no use")
-        h, w = self._shape
-        small = [cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA) for image in batch]
+        images, (h, w) = needed_images(self.name, batch), self._shape
+        small = [cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA) for image in images]
         rows = [image.transpose(2, 0, 1).ravel() for image in small]  # channels first
-        return np.array(rows, np.float32).reshape(len(batch), 3 * h * w)
+        return np.array(rows, np.float32).reshape(len(images), 3 * h * w)
 
     def _side(self, pixels: int) -> int:
         return min(self.size, max(LEAST_SIDE, pixels))
@@ -201,3 +199,11 @@ class NPE(Stateful):
         self.trained = state["trained"]
         self._x, self._images = list(state["x"]), list(state["images"])
         self._rng.bit_generator.state = state["rng"]
+
+
+def _checked_quantile(value: float) -> float:
+    """`value`; OptionError unless it lies in (0, 1)."""
+    quantile = positive("quantile", value)
+    if quantile >= 1:
+        raise OptionError(f"quantile must lie in (0, 1), not {value!r}")
+    return quantile

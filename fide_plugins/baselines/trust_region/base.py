@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -24,7 +24,7 @@ __all__ = ["Surrogate", "TrustRegion"]
 MOST_CANDIDATES = 5000
 
 
-class Surrogate:
+class Surrogate(ABC):
     """Gaussian processes that were fitted to points and what was evaluated there."""
 
     lengthscales: Tensor
@@ -46,6 +46,8 @@ class TrustRegion(Stateful):
         that of the authors' program; a smaller side finds more digits and fewer basins.
 
     The other options are those of `Baseline`; `sigma0` is not used.
+
+    Raises OptionError (a ValueError), and DependencyError (an ImportError) without BoTorch.
     """
 
     own_schema: ClassVar[dict[str, Schema]] = {

@@ -46,6 +46,9 @@ class CompositeBO(ImageBased, TrustRegion):
 
     The search minimizes the distance of the features.  The loss decides only which point is `best`.
     The other options are those of `ImageBased` and `Baseline`; `sigma0` is not used.
+
+    Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
+    ImportError) without BoTorch.
     """
 
     name: ClassVar[str] = "composite-bo"

@@ -29,6 +29,8 @@ class TuRBO(TrustRegion):
     smallest: side of the region, in (0, 0.8), below which a new search begins; 0.5**7.
 
     The other options are those of `Baseline`; `sigma0` is not used.
+
+    Raises OptionError (a ValueError), and DependencyError (an ImportError) without BoTorch.
     """
 
     name: ClassVar[str] = "turbo"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import os
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
@@ -46,6 +47,14 @@ _METHOD = (
 )
 
 
+class _Chart(NamedTuple):
+    """A chart: its file name without a suffix, its title, and the SVG element for the page."""
+
+    stem: str
+    title: str
+    svg: Any
+
+
 def write(results: Results, page: str | os.PathLike[str]) -> Written:
     """Write the page, report.md, solved.csv and figures/ into one folder.
 
@@ -56,41 +65,28 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
     failed, OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
     ImportError) without Jinja2, OSError if a file cannot be written.
     """
-    path = page_path(page)
-    found = scores(results)
-    env = report_page.environment()
+    path, found = page_path(page), scores(results)
+    env = report_page.environment()  # raises without Jinja2, before anything is written
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [totals(found, names), by_scene(found, names), _thresholds(found)]
     folder = companion(path, "figures")
-    folder.mkdir(parents=True, exist_ok=True)
-    charts = []
-    for stem, title, figure in _figures(found, names, legend=True):
-        files.write_bytes(folder / f"{stem}.png", svg.png(figure))
-        charts.append((stem, title))
-    plain = [svg.as_file(figure) for _, _, figure in _figures(found, names, legend=False)]
-    pictures = [(quote(f"{folder.name}/{stem}.png"), title) for stem, title in charts]
+    charts = _write_charts(found, names, folder)
+    pictures = [(quote(f"{folder.name}/{chart.stem}.png"), chart.title) for chart in charts]
     files.write_text(companion(path, "solved.csv"), _csv(found))
     files.write_text(path.with_suffix(".md"), _markdown(results, found, tables, pictures))
-    html: str = env.get_template("suite.html").render(
-        title=f"Suite {found.suite.name}",
-        facts=_facts(found),
-        part=_part(found),
-        remarks=remarks(found),
-        tables=tables,
-        charts=[
-            (title, _markup(file, stem, title))
-            for (stem, title), file in zip(charts, plain, strict=True)
-        ],
-        names=names,
-        calls=[sentences.command(call) for call in results.calls],
-        machine=results.machine,
-        versions=results.versions,
-        method=_METHOD,
-    )
-    files.write_text(path, html)
-    shown = "\n\n".join(markdown(table) for table in tables[:2])
-    said = "\n".join([_part(found), *remarks(found)])
-    return Written(path, f"{said}\n\n{shown}\n")
+    files.write_text(path, _html(env, results, found, tables, charts))
+    return Written(path, _overview(found, tables))
+
+
+def _write_charts(found: Scores, names: list[str], folder: Path) -> list[_Chart]:
+    """Write the charts as PNG files with a legend; the page has one legend for all of them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for stem, _, figure in _figures(found, names, legend=True):
+        files.write_bytes(folder / f"{stem}.png", svg.png(figure))
+    return [
+        _Chart(stem, title, _markup(svg.as_file(figure), stem, title))
+        for stem, title, figure in _figures(found, names, legend=False)
+    ]
 
 
 def _figures(found: Scores, names: list[str], legend: bool) -> list[tuple[str, str, Any]]:
@@ -159,6 +155,33 @@ def _csv(found: Scores) -> str:
             text = f"{at:.0f}" if np.isfinite(at) else ""
             writer.writerow([problem, found.suite.problem(problem)[1], label, text, *losses])
     return buffer.getvalue()
+
+
+def _html(
+    env: Any, results: Results, found: Scores, tables: list[Table], charts: list[_Chart]
+) -> str:
+    """The page in HTML; env: of `report_page.environment`."""
+    html: str = env.get_template("suite.html").render(
+        title=f"Suite {found.suite.name}",
+        facts=_facts(found),
+        part=_part(found),
+        remarks=remarks(found),
+        tables=tables,
+        charts=[(chart.title, chart.svg) for chart in charts],
+        names=found.labels,
+        calls=[sentences.command(call) for call in results.calls],
+        machine=results.machine,
+        versions=results.versions,
+        method=_METHOD,
+    )
+    return html
+
+
+def _overview(found: Scores, tables: list[Table]) -> str:
+    """The page in short, for a terminal: what part it is, the remarks, and two tables."""
+    said = "\n".join([_part(found), *remarks(found)])
+    shown = "\n\n".join(markdown(table) for table in tables[:2])
+    return f"{said}\n\n{shown}\n"
 
 
 def _markdown(
