@@ -141,7 +141,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if arguments.table:
-        print(table(read(*arguments.table)))
+        print(table(read(*arguments.table), arguments.configurations))
         return
 
     def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
@@ -224,8 +224,8 @@ def begin(
     return opt, np.empty(0), 0.0
 
 
-def table(rows: list[Row]) -> str:
-    """Medians over seeds, in Markdown."""
+def table(rows: list[Row], chosen: list[str]) -> str:
+    """Medians over seeds of the chosen configurations, in Markdown."""
     lines: list[str] = []
     for dim in sorted({row["size"] for row in rows}):
         for name in FUNCTIONS:
@@ -237,7 +237,7 @@ def table(rows: list[Row]) -> str:
             lines += [f"| | runs | {head} | CPU s |", "|---" * (len(MARKS) + 3) + "|"]
             configurations = [
                 configuration
-                for configuration in CONFIGURATIONS
+                for configuration in chosen
                 if any(row["configuration"] == configuration for row in mine)
             ]
             lines += [

@@ -99,24 +99,25 @@ def key(row: Row) -> tuple[Any, ...]:
 
 
 def table(rows: list[Row]) -> str:
-    """Geometric means over targets, in Markdown."""
-    heads = " | ".join(map(str, MARKS))
-    lines = [f"| scene | | runs | {heads} | CPU s |", "|---" * (len(MARKS) + 4) + "|"]
+    """Geometric means over targets, at the marks that some run has reached, in Markdown."""
+    marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in rows)]
+    lines = [f"| scene | | runs | {' | '.join(marks)} | CPU s |", "|---" * (len(marks) + 4) + "|"]
     for scene in dict.fromkeys(row["scene"] for row in rows):
         for configuration in CONFIGURATIONS:
             mine = [r for r in rows if (r["scene"], r["configuration"]) == (scene, configuration)]
             if mine:
-                lines.append(f"| {scene} | {configuration} | {len(mine)} | {cells(mine)} |")
+                shown = " | ".join(cells(mine, marks))
+                lines.append(f"| {scene} | {configuration} | {len(mine)} | {shown} |")
     return "\n".join(lines)
 
 
-def cells(rows: list[Row]) -> str:
+def cells(rows: list[Row], marks: list[str]) -> list[str]:
     """The means at the marks, and of the seconds."""
     means = []
-    for mark in map(str, MARKS):
+    for mark in marks:
         reached = [row["best"][mark] for row in rows if mark in row["best"]]
         means.append(f"{np.exp(np.mean(np.log(reached))):.2g}" if reached else "")
-    return " | ".join([*means, f"{np.mean([row['cpu_s'] for row in rows]):.0f}"])
+    return [*means, f"{np.mean([row['cpu_s'] for row in rows]):.0f}"]
 
 
 if __name__ == "__main__":

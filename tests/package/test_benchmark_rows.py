@@ -1,0 +1,82 @@
+"""benchmarks/rows.py: what every file of results is read and written with."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FILE = Path(__file__).parents[2] / "benchmarks" / "rows.py"
+pytestmark = pytest.mark.skipif(not FILE.exists(), reason="the benchmarks are not here")
+
+
+@pytest.fixture(scope="module")
+def rows() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("rows", FILE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def planned() -> list[dict[str, int]]:
+    return [{"run": i} for i in range(7)]
+
+
+def key(row: dict[str, int]) -> int:
+    return row["run"]
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 8])
+def test_each_run_belongs_to_one_share(rows: ModuleType, tmp_path: Path, parts: int) -> None:
+    out = tmp_path / "results.jsonl"
+    shares = [
+        [key(row) for row in rows.missing(planned(), out, key, f"{part}/{parts}")]
+        for part in range(parts)
+    ]
+    assert sorted(run for share in shares for run in share) == list(range(7))
+
+
+def test_shares_do_not_shift_when_runs_are_done(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    before = [key(row) for row in rows.missing(planned(), out, key, "1/2")]
+    rows.append(out, {"run": 0})  # of the other share
+    rows.append(out, {"run": 3})
+    assert before == [1, 3, 5]
+    assert [key(row) for row in rows.missing(planned(), out, key, "1/2")] == [1, 5]
+
+
+def test_what_others_did_meanwhile_is_not_done_again(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "results.jsonl"
+    todo = rows.missing(planned(), out, key)
+    assert next(todo) == {"run": 0}
+    rows.append(out, {"run": 1})
+    assert next(todo) == {"run": 2}
+
+
+def test_a_row_that_does_not_count_is_missing(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    rows.append(out, {"run": 2, "renders": 500})
+    rows.append(out, {"run": 4, "renders": 2000})
+    found = rows.missing(planned(), out, key, counts=lambda row: row["renders"] >= 2000)
+    assert [key(row) for row in found] == [0, 1, 2, 3, 5, 6]
+
+
+def test_a_row_says_what_made_it(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    rows.append(out, {"run": 1})
+    (row,) = rows.read(out)
+    assert json.loads(out.read_text()) == row
+    assert set(row) == {"run", "date", "commit", "packages", "machine"}
+    assert {"python", "numpy", "torch"} <= set(row["packages"])
+    system = row["machine"]["system"]
+    assert "-" not in system
+
+
+def test_a_table_of_a_missing_file_is_an_error(rows: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        rows.read(tmp_path / "results.jsonl")
+    assert rows.rows_of(tmp_path / "results.jsonl") == []
