@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -29,31 +28,42 @@ def rows_of(path: Path) -> list[Row]:
 
 def append(path: Path, row: Row) -> None:
     """Add a row with its provenance to a file, whose folder need not be there."""
+    made_by = provenance()
+    if twice := row.keys() & made_by.keys():
+        raise ValueError(f"a row has {', '.join(sorted(twice))} already; append adds them")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
-        file.write(json.dumps({**row, **provenance()}) + "\n")
+        file.write(json.dumps({**row, **made_by}) + "\n")
 
 
 def provenance() -> Row:
     """Day, commit, packages with their versions, and machine of a measurement."""
     return {
         "date": time.strftime("%Y-%m-%d"),
-        "commit": commit(),
+        "commit": COMMIT,
         "packages": versions(),
         "machine": machine(),
     }
 
 
-@cache
 def commit() -> str | None:
-    """Commit of the code that runs, "-dirty" if files differ from it; None without git."""
-    words = ["git", "describe", "--always", "--abbrev=10", "--dirty", "--exclude=*"]
+    """Commit of the code, "-dirty" if files other than results differ from it; None without git."""
     try:
-        return subprocess.check_output(
-            words, cwd=Path(__file__).parent, text=True, stderr=subprocess.DEVNULL
-        ).strip()
+        name = _git("rev-parse", "--short=10", "HEAD")
+        changed = _git("status", "--porcelain", "-uno", "--", ":/", f":(exclude,top){_RESULTS}")
     except (OSError, subprocess.CalledProcessError):
         return None
+    return f"{name}-dirty" if changed else name
+
+
+def _git(*words: str) -> str:
+    here = Path(__file__).parent
+    found = subprocess.check_output(["git", *words], cwd=here, text=True, stderr=subprocess.DEVNULL)
+    return found.strip()
+
+
+_RESULTS = "benchmarks/results"
+COMMIT = commit()  # when the process began: others may commit while it measures
 
 
 def missing(

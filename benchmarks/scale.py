@@ -125,9 +125,9 @@ def table(rows: list[Row]) -> str:
     for row in rows:
         cell, ms = dict(row["cell"]), row["ms"]
         name = cell.pop("row")
-        size = {"network": "dim", "tokens": "size"}.get(name, name)
+        varied = {"network": "dim", "tokens": "size"}.get(name, name)
         kind = (name, cell.get("parameter_tokens"))
-        x, total = cell[size], overhead(ms)
+        x, total = cell[varied], overhead(ms)
         if name == "tokens":  # of 16 x 16 pixels each
             x = (x // 16) ** 2
         slope = ""

@@ -76,6 +76,12 @@ def test_a_row_says_what_made_it(rows: ModuleType, tmp_path: Path) -> None:
     assert "-" not in system
 
 
+def test_a_row_has_no_provenance_of_its_own(rows: ModuleType, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="packages already"):
+        rows.append(tmp_path / "results.jsonl", {"run": 1, "packages": {}})
+    assert not (tmp_path / "results.jsonl").exists()
+
+
 def test_a_table_of_a_missing_file_is_an_error(rows: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         rows.read(tmp_path / "results.jsonl")
