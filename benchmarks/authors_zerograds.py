@@ -46,7 +46,9 @@ BEST = {
 }
 """Learning rates of the parameter and of the network: the best of these on each function."""
 TRIED = tuple(
-    itertools.product((1e-4, 5e-4, 2e-3, 5e-3, 1e-2, 2e-2), (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1))
+    itertools.product(
+        (1e-4, 5e-4, 2e-3, 5e-3, 1e-2, 2e-2), (1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 3e-1, 1.0)
+    )
 )
 SEEDS = (100, 101)
 RESULTS = Path(__file__).parent / "results" / "authors_zerograds.jsonl"
