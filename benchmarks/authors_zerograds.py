@@ -40,7 +40,7 @@ OFFSETS = 10  # a step, each with both signs
 DIMS = (5, 10, 20)
 BEST = {
     "ackley": (5e-3, 3e-2),
-    "rosenbrock": (5e-4, 1e-1),
+    "rosenbrock": (2e-3, 3e-1),
     "levy": (5e-4, 1e-2),
     "rastrigin": (5e-4, 3e-2),
 }
