@@ -24,6 +24,7 @@ from paper import (
     grid,
     make_task,
 )
+from quality import key
 from rows import Row, read
 from scenes import joined
 from task_pictures import save
@@ -73,7 +74,7 @@ def longest(rows: list[Row]) -> list[Row]:
     """Of the runs that differ in nothing but their renders, those with the most."""
     found: dict[tuple[Any, ...], Row] = {}
     for row in sorted(rows, key=lambda row: row["budget"]):
-        found[row["task"], row["target"], row["loss"], row["configuration"]] = row
+        found[key({**row, "budget": None})] = row
     return list(found.values())
 
 
@@ -124,19 +125,18 @@ def end(row: Row) -> dict[str, float]:
 
 def lowest(group: list[Row], rows: list[Row]) -> str:
     """On how many targets a group has the lowest minimized loss of all rows, where others ran."""
-    won = [row for row in group if final(row) == min(final(r) for r in rows if same(r, row))]
-    raced = [row for row in group if sum(same(r, row) for r in rows) > 1]
-    return f"{len([row for row in won if row in raced])} of {len(raced)}" if raced else "-"
+    raced = won = 0
+    for row in group:
+        rivals = [other for other in rows if other["target"] == row["target"]]
+        mark = min(r["budget"] for r in rivals if r["configuration"] not in AFFORDABLE)
+        raced += len(rivals) > 1
+        won += len(rivals) > 1 and loss_at(row, mark) == min(loss_at(r, mark) for r in rivals)
+    return f"{won} of {raced}" if raced else "-"
 
 
-def final(row: Row) -> float:
-    """Minimized loss after the last render."""
-    return float(row["best"][max(row["best"], key=int)])
-
-
-def same(a: Row, b: Row) -> bool:
-    """Whether two rows are about the same picture."""
-    return bool(a["target"] == b["target"])
+def loss_at(row: Row, mark: int) -> float:
+    """Minimized loss after so many renders, or after all if the row has fewer."""
+    return float(row["best"][max((m for m in row["best"] if int(m) <= mark), key=int)])
 
 
 def solved(group: list[Row], task: str) -> str:

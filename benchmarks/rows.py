@@ -11,14 +11,23 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import fide_plugins
 from fide_plugins.experiments.run.machine import machine, versions
 
 Row: TypeAlias = dict[str, Any]
 
 
 def read(*paths: Path) -> list[Row]:
-    """Rows of one or several files."""
-    return [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    """Rows of one or several files; ValueError for a line that is no row."""
+    return [row for path in paths for row in _rows_in(path)]
+
+
+def _rows_in(path: Path) -> Iterator[Row]:
+    for i, line in enumerate(path.read_text().splitlines(), 1):
+        try:
+            yield json.loads(line)
+        except ValueError as error:
+            raise ValueError(f"{path}:{i} is no row; a cut-off line must be deleted") from error
 
 
 def rows_of(path: Path) -> list[Row]:
@@ -26,9 +35,12 @@ def rows_of(path: Path) -> list[Row]:
     return read(path) if path.exists() else []
 
 
-def append(path: Path, row: Row) -> None:
-    """Add a row with its provenance to a file, whose folder need not be there."""
-    made_by = provenance()
+def append(path: Path, row: Row, made_by: Row | None = None) -> None:
+    """Add a row with its provenance to a file, whose folder need not be there.
+
+    made_by: of a run that this process has not made.
+    """
+    made_by = made_by or provenance()
     if twice := row.keys() & made_by.keys():
         raise ValueError(f"a row has {', '.join(sorted(twice))} already; append adds them")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -37,17 +49,39 @@ def append(path: Path, row: Row) -> None:
 
 
 def provenance() -> Row:
-    """Day, commit, packages with their versions, and machine of a measurement."""
+    """Day, commit, packages with their versions, machine, and kernels of a measurement."""
     return {
         "date": time.strftime("%Y-%m-%d"),
         "commit": COMMIT,
         "packages": versions(),
         "machine": machine(),
+        "kernels": kernels(),
+    }
+
+
+def kernels() -> Row:
+    """Instruction sets that NumPy's BLAS, NumPy and PyTorch use; other ones round differently."""
+    import numpy as np
+    import torch
+    from threadpoolctl import threadpool_info
+
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    return {
+        "blas": sorted(
+            {pool["architecture"] for pool in threadpool_info() if "architecture" in pool}
+        ),
+        "numpy": found[-1] if found else None,
+        "torch": torch.backends.cpu.get_cpu_capability(),
     }
 
 
 def commit() -> str | None:
-    """Commit of the code, "-dirty" if files other than results differ from it; None without git."""
+    """Commit of the code, "-dirty" if files other than results differ from it.
+
+    None without git, and where the package is not the one beside the benchmarks.
+    """
+    if Path(fide_plugins.__file__).parents[1] != Path(__file__).parents[1]:
+        return None
     try:
         name = _git("rev-parse", "--short=10", "HEAD")
         changed = _git("status", "--porcelain", "-uno", "--", ":/", f":(exclude,top){_RESULTS}")
@@ -80,6 +114,8 @@ def missing(
     as good as the planned run with its key.
     """
     part, parts = (int(number) for number in share.split("/"))
+    if not 0 <= part < parts:
+        raise ValueError(f"a share is I/N with I from 0 to N - 1, not {share}")
     for run in islice(planned, part, None, parts):
         if key(run) not in {key(row) for row in rows_of(path) if counts(row)}:
             yield run

@@ -87,11 +87,10 @@ def measure(problem: str, optimizer: str, budget: int) -> Row:
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
-def taken_over(folder: Path) -> Iterator[Row]:
+def taken_over(found: results.Results) -> Iterator[Row]:
     """Rows of the finished runs of a comparison of this suite, with its whole budget."""
-    found = results.read(folder)
     if found.settings["task_options"] != {"suite": SUITE.name}:
-        sys.exit(f"{folder} is no comparison of {SUITE.name}")
+        sys.exit(f"this is no comparison of {SUITE.name}")
     for run in found.runs:
         curve = run.curve
         if run.status != "finished" or curve is None or curve.ends["renders"] < SUITE.budgets[-1]:
@@ -122,7 +121,7 @@ def row_of(
 
 def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
     """Of the problems that all of these optimizers have finished, up to the budget."""
-    rows = list(filter(long_enough(budget), rows))
+    rows = [row for row in rows if row["optimizer"] in optimizers and long_enough(budget)(row)]
     found = {key(row): row for row in rows}
     twice = {p for p, n in Counter((*key(row), *row["losses"]) for row in rows).items() if n > 1}
     if twice:
@@ -162,9 +161,10 @@ def main() -> None:
         else:
             print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
     elif arguments.folder:
-        found_there = taken_over(arguments.folder)
-        for row in missing(found_there, out, key, counts=long_enough(SUITE.budgets[-1])):
-            append(out, row)
+        there = results.read(arguments.folder)
+        made_by = {"commit": None, "packages": there.versions, "machine": there.machine}
+        for row in missing(taken_over(there), out, key, counts=long_enough(SUITE.budgets[-1])):
+            append(out, row, made_by)
     else:
         runs = planned(scenes, optimizers, arguments.targets)
         for run in missing(runs, out, key, arguments.part, long_enough(budget)):

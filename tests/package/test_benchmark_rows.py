@@ -40,6 +40,12 @@ def test_each_run_belongs_to_one_share(rows: ModuleType, tmp_path: Path, parts: 
     assert sorted(run for share in shares for run in share) == list(range(7))
 
 
+@pytest.mark.parametrize("share", ["2/2", "1/0", "-1/2"])
+def test_a_share_that_is_none_is_refused(rows: ModuleType, tmp_path: Path, share: str) -> None:
+    with pytest.raises(ValueError, match=r"0 to N - 1"):
+        next(rows.missing(planned(), tmp_path / "results.jsonl", key, share))
+
+
 def test_shares_do_not_shift_when_runs_are_done(rows: ModuleType, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
     before = [key(row) for row in rows.missing(planned(), out, key, "1/2")]
@@ -70,7 +76,8 @@ def test_a_row_says_what_made_it(rows: ModuleType, tmp_path: Path) -> None:
     rows.append(out, {"run": 1})
     (row,) = rows.read(out)
     assert json.loads(out.read_text()) == row
-    assert set(row) == {"run", "date", "commit", "packages", "machine"}
+    assert set(row) == {"run", "date", "commit", "packages", "machine", "kernels"}
+    assert set(row["kernels"]) == {"blas", "numpy", "torch"}
     assert {"python", "numpy", "torch"} <= set(row["packages"])
     system = row["machine"]["system"]
     assert "-" not in system
@@ -80,6 +87,19 @@ def test_a_row_has_no_provenance_of_its_own(rows: ModuleType, tmp_path: Path) ->
     with pytest.raises(ValueError, match="packages already"):
         rows.append(tmp_path / "results.jsonl", {"run": 1, "packages": {}})
     assert not (tmp_path / "results.jsonl").exists()
+
+
+def test_a_row_of_another_process_keeps_its_provenance(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    rows.append(out, {"run": 1}, {"date": "2026-01-01", "commit": None})
+    assert rows.read(out) == [{"run": 1, "date": "2026-01-01", "commit": None}]
+
+
+def test_a_line_that_is_cut_off_is_named(rows: ModuleType, tmp_path: Path) -> None:
+    out = tmp_path / "results.jsonl"
+    out.write_text('{"run": 1}\n{"run": ')
+    with pytest.raises(ValueError, match=r"results\.jsonl:2"):
+        rows.read(out)
 
 
 def test_a_table_of_a_missing_file_is_an_error(rows: ModuleType, tmp_path: Path) -> None:

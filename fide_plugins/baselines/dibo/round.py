@@ -55,7 +55,7 @@ class RoundOptions:
 
     @classmethod
     def checked(cls, **given: Any) -> RoundOptions:
-        """All of them, each by its rule; OptionError (a ValueError) if one breaks it."""
+        """Options, each checked by its rule; OptionError (a ValueError) if one breaks it."""
         rules = {option.name: option.metadata["rule"] for option in fields(cls)}
         return cls(**{name: rules[name](name, value) for name, value in given.items()})
 

@@ -52,7 +52,7 @@ def versions() -> dict[str, str]:
 def machine() -> dict[str, Any]:
     """System and its version, CPU, cores of this process, threads; the GPU if PyTorch is imported.
 
-    The version is without what a distribution or a cloud adds to it.
+    The version is without the build, which follows its first hyphen.
     """
     facts: dict[str, Any] = {
         "system": f"{platform.system()} {platform.release().partition('-')[0]}",
