@@ -6,11 +6,13 @@ import os
 import signal
 import subprocess
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
-from typing import IO
+from types import FrameType
+from typing import IO, Any
 
 __all__ = ["Ended", "run", "tail_of"]
 
@@ -41,15 +43,42 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
     Raises OSError if it cannot be started.
     """
     with log.open("wb") as output:
-        child = _start(command, output)
+        child = None
         try:
+            with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
+                child = _start(command, output)
             code: int | None = child.wait(timeout)
         except subprocess.TimeoutExpired:
             code = None
         finally:
-            if child.returncode is None:
+            if child is not None and child.returncode is None:
                 _stop(child)
     return Ended(code, tail_of(log))
+
+
+@contextmanager
+def _held(*signals: signal.Signals) -> Iterator[None]:
+    """Call the handlers of signals that arrive meanwhile at the end; only in the main thread.
+
+    Signals without a handler in Python, such as ignored ones, are left alone: a program that is
+    started meanwhile inherits that they are ignored.
+    """
+    arrived: list[tuple[int, FrameType | None]] = []
+    before: dict[signal.Signals, Callable[[int, FrameType | None], Any]] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in signals:
+            handler = signal.getsignal(number)
+            if callable(handler):
+                before[number] = handler
+    try:
+        for number in before:
+            signal.signal(number, lambda *call: arrived.append(call))
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for which, frame in arrived:
+            before[signal.Signals(which)](which, frame)
 
 
 def _start(command: Sequence[str], output: IO[bytes]) -> subprocess.Popen[bytes]:

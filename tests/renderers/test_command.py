@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -257,6 +258,34 @@ def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(
             pool.submit(slow, params()).result(60)
         assert np.shape(pool.submit(quick, params()).result(60)) == (4, 5, 3)
     assert ends(int(Path("pid").read_text()))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_just_after_the_start_stops_the_program(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    ends: Callable[[int], bool],
+    number: signal.Signals,
+) -> None:
+    started: list[int] = []
+
+    def start(*given: Any) -> Any:
+        program = start_it(*given)
+        started.append(program.pid)
+        os.kill(os.getpid(), number)  # the handler runs before the caller knows the program
+        return program
+
+    start_it = child._start
+    monkeypatch.setattr(child, "_start", start)
+    before = signal.signal(number, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            child.run(["sleep", "600"], tmp_path / "log", None)
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+    assert ends(started[0])
 
 
 def test_ctrl_c_stops_the_program_and_leaves_nothing(
