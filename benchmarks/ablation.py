@@ -21,7 +21,7 @@ from unittest import mock
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import moves
-from rows import Row, read
+from rows import Row, read, run_missing
 
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move
@@ -97,7 +97,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    moves.run_missing(planned_runs(arguments), run, arguments.out)
+    run_missing(planned_runs(arguments), run, arguments.out, moves.key)
 
 
 def parse_arguments() -> argparse.Namespace:

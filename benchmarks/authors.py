@@ -51,7 +51,7 @@ import numpy as np
 import torch
 from authors_zerograds import BEST, EVALUATIONS, OFFSETS, zerograds
 from baselines import SMALL_DIBO, in_the_unit_cube
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 from scipy.stats import binomtest
 
 from fide_plugins import optimizers
@@ -314,10 +314,9 @@ def main() -> None:
         return
     if arguments.program is None:
         parser.error("--program is needed: the folder of the authors' program")
-    for cell in missing(pairs(arguments.what), arguments.out, key):
-        row = measure(cell, arguments.program)
-        append(arguments.out, row)
-        report(row)
+    run_missing(
+        pairs(arguments.what), lambda cell: measure(cell, arguments.program), arguments.out, key
+    )
 
 
 if __name__ == "__main__":

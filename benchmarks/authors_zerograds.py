@@ -31,7 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 from baselines import in_the_unit_cube
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins.types import Float64
 
@@ -159,10 +159,7 @@ def main() -> None:
     if not arguments.table:
         if arguments.program is None:
             parser.error("--program is needed: the folder of the authors' program")
-        for cell in missing(cells(), arguments.out, key):
-            row = measure(cell, arguments.program)
-            append(arguments.out, row)
-            report(row)
+        run_missing(cells(), lambda cell: measure(cell, arguments.program), arguments.out, key)
     print(table(read(arguments.out)))
 
 

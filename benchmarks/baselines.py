@@ -25,7 +25,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from quality import run_missing
+from quality import run_configurations
 from rows import Row, read
 
 from fide_plugins import optimizers
@@ -147,7 +147,7 @@ def main() -> None:
     def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
         return measure(cell, optimizer, options, arguments.out.with_suffix(".parts"))
 
-    run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part, run)
+    run_configurations(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part, run)
 
 
 def parse_arguments() -> argparse.Namespace:

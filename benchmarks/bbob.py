@@ -31,7 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cma
 import cmaes
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins.fide import FIDE
 from fide_plugins.search import boundary
@@ -258,10 +258,7 @@ def main() -> None:
         for dim in arguments.by_function:
             print(by_function(rows, dim))
         return
-    for cell in missing(planned(arguments.dims, arguments.instances), arguments.out, key):
-        row = run(cell)
-        append(arguments.out, row)
-        report(row)
+    run_missing(planned(arguments.dims, arguments.instances), run, arguments.out, key)
 
 
 if __name__ == "__main__":

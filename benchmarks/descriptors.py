@@ -31,7 +31,7 @@ import torch
 import torch.nn.functional as F
 from encoder_noise import measured, of_encoder
 from encoders import measure
-from quality import run_missing
+from quality import run_configurations
 from rows import Row, read
 from torch import Tensor
 
@@ -232,7 +232,7 @@ def fit(arguments: argparse.Namespace) -> None:
         for task in arguments.tasks or ("voronoi", "spline", "robot")
         for configuration in arguments.configurations
     ]
-    run_missing(cells, table, arguments.out, "0/1", measure)
+    run_configurations(cells, table, arguments.out, "0/1", measure)
 
 
 def print_table(arguments: argparse.Namespace) -> None:

@@ -35,7 +35,7 @@ import numpy as np
 import torch
 from encoder_tables import LOSSES, STEP, TRACED, paired_table, tables
 from numpy.typing import NDArray
-from quality import run_missing
+from quality import run_configurations
 from rows import Row, read
 
 import fide_tasks
@@ -167,14 +167,14 @@ def run_encoders(arguments: argparse.Namespace) -> None:
         f"encoder {configuration}": ("mse", {"encoder": ENCODERS[configuration]})
         for configuration in configurations
     }
-    run_missing(cells(arguments, list(table)), table, arguments.out, "0/1", measure)
+    run_configurations(cells(arguments, list(table)), table, arguments.out, "0/1", measure)
 
 
 def run_losses(arguments: argparse.Namespace) -> None:
     """Runs that differ in the loss; those of `mse` are those of the encoder `dense`."""
     names = [name for name in LOSSES if name != "mse" and usable("loss", name)]
     table: dict[str, tuple[str, dict[str, Any]]] = {f"loss {name}": (name, {}) for name in names}
-    run_missing(cells(arguments, list(table)), table, arguments.out, "0/1", measure)
+    run_configurations(cells(arguments, list(table)), table, arguments.out, "0/1", measure)
 
 
 def names_of(configuration: str, tasks: list[str]) -> set[str]:

@@ -27,7 +27,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import FIDE, losses
@@ -198,10 +198,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.out)))
         return
-    for cell in missing(cells(arguments), arguments.out, key):
-        row = Run(cell).go()
-        append(arguments.out, row)
-        report(row)
+    run_missing(cells(arguments), lambda cell: Run(cell).go(), arguments.out, key)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import FIDE, fit
@@ -52,10 +52,12 @@ def main() -> None:
     if arguments.what == "loss":
         first, last = map(int, arguments.seeds.split("-"))
         kind = arguments.scene + (" cma" if arguments.cma else "")
-        for cell in missing(cells(range(first, last + 1), kind), arguments.out, key):
-            row = {**cell, "losses": losses(**cell)}
-            append(arguments.out, row)
-            report(row)
+        run_missing(
+            cells(range(first, last + 1), kind),
+            lambda cell: {**cell, "losses": losses(**cell)},
+            arguments.out,
+            key,
+        )
     elif arguments.what == "busy":
         busy()
     elif arguments.what == "cost":

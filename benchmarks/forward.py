@@ -26,7 +26,7 @@ import numpy as np
 from forward_scenes import SCENES, SmoothScene
 from moves import span
 from numpy.typing import NDArray
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import optimizers
@@ -51,10 +51,9 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if not arguments.table:
-        for cell in missing(grid(arguments), arguments.out, key):
-            row = run(cell, arguments.budget, arguments)
-            append(arguments.out, row)
-            report(row)
+        run_missing(
+            grid(arguments), lambda cell: run(cell, arguments.budget, arguments), arguments.out, key
+        )
     print(table(read(arguments.out), arguments))
 
 

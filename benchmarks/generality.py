@@ -21,7 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import matplotlib
-from quality import CONFIGURATIONS, measured, run_missing
+from quality import CONFIGURATIONS, measured, run_configurations
 from rows import Row, read
 
 import fide_tasks
@@ -48,7 +48,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(*arguments.table)))
         return
-    run_missing(
+    run_configurations(
         grid(),
         {configuration: CONFIGURATIONS[configuration] for configuration in RACERS},
         arguments.out,

@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 from moves import SCENES, span
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins.experiments import run as harness
@@ -88,10 +88,7 @@ def main() -> None:
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    for cell in missing(cells(arguments), arguments.out, key):
-        row = measure(cell)
-        append(arguments.out, row)
-        report(row)
+    run_missing(cells(arguments), measure, arguments.out, key)
     if arguments.table:
         print(table(read(arguments.out)))
 

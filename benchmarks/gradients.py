@@ -38,7 +38,7 @@ import torch
 from learned_beads import apart
 from moves import span
 from numpy.typing import NDArray
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins import FIDE
 from fide_tasks.beads import _RADIUS as RADIUS, Beads
@@ -274,10 +274,12 @@ def main() -> None:
             print(check(material), flush=True)
     else:
         planned = cells(arguments.targets, arguments.starts, arguments.rates)
-        for cell in missing(planned, arguments.out, key):
-            row = search(cell) if cell["optimizer"] == "fide" else descend(cell)
-            append(arguments.out, row)
-            report(row)
+        run_missing(
+            planned,
+            lambda cell: search(cell) if cell["optimizer"] == "fide" else descend(cell),
+            arguments.out,
+            key,
+        )
 
 
 if __name__ == "__main__":

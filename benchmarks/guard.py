@@ -21,7 +21,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins.experiments import run as harness
 
@@ -108,10 +108,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for cell in missing(planned(arguments), arguments.out, key):
-        row = run(cell)
-        append(arguments.out, row)
-        report(row)
+    run_missing(planned(arguments), run, arguments.out, key)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
@@ -168,10 +168,7 @@ def main() -> None:
         print(table([run(cell) for cell in cells(arguments)]))
         return
     if not arguments.table:
-        for cell in missing(cells(arguments), RESULTS, key):
-            row = run(cell)
-            append(RESULTS, row)
-            report(row)
+        run_missing(cells(arguments), run, RESULTS, key)
     print(table(read(RESULTS)))
 
 

@@ -28,7 +28,7 @@ import numpy as np
 import torch
 from moves import literal, span
 from numpy.typing import NDArray
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
@@ -138,10 +138,12 @@ def main() -> None:
     if name == "learned" and not arguments.model:
         parser.error("the configuration 'learned' needs --model; without one name it otherwise")
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
-    for cell in missing(cells(arguments, name), arguments.out, key):
-        row = measure(cell, arguments.model, arguments.loss, options)
-        append(arguments.out, row)
-        report(row)
+    run_missing(
+        cells(arguments, name),
+        lambda cell: measure(cell, arguments.model, arguments.loss, options),
+        arguments.out,
+        key,
+    )
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins.fide import FIDE
@@ -191,10 +191,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for planned_run in missing(planned(arguments), arguments.out, key):
-        row = run(planned_run)
-        append(arguments.out, row)
-        report(row)
+    run_missing(planned(arguments), run, arguments.out, key)
 
 
 if __name__ == "__main__":

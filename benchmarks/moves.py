@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import ast
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import optimizers
@@ -70,7 +70,7 @@ def main() -> None:
         print(table(read(arguments.table)))
         return
     measured = partial(run, optimizer=arguments.optimizer, options=arguments.options)
-    run_missing(planned_runs(arguments), measured, arguments.out)
+    run_missing(planned_runs(arguments), measured, arguments.out, key)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -112,14 +112,6 @@ def literal(text: str) -> Any:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError):
         return text
-
-
-def run_missing(planned: Iterable[Row], measured: Callable[[Row], Row], out: Path) -> None:
-    """Measure those planned runs that the file does not have yet, and add them to it."""
-    for planned_run in missing(planned, out, key):
-        row = measured(planned_run)
-        append(out, row)
-        report(row)
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:

@@ -22,7 +22,7 @@ from typing import Any
 
 import nevergrad as ng
 import numpy as np
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_adapters.nevergrad import ImageLoss, ParametrizedFIDE
@@ -80,10 +80,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/nevergrad_uninformative.jsonl"))
     options = parser.parse_args()
     settings = options.budget, options.size
-    for cell in missing(cells(options.seeds, *settings), options.out, key):
-        row = {**cell, "loss": run(**cell)}
-        append(options.out, row)
-        report(row)
+    run_missing(
+        cells(options.seeds, *settings),
+        lambda cell: {**cell, "loss": run(**cell)},
+        options.out,
+        key,
+    )
     known = {key(row): row["loss"] for row in read(options.out)}
     for kind in KINDS[1:]:
         losses, others = (

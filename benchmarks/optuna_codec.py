@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_adapters.optuna.features import ImageEvaluator
@@ -74,10 +74,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for cell in missing(cells(arguments.seeds, arguments.targets), arguments.out, key):
-        row = run(cell)
-        append(arguments.out, row)
-        report(row)
+    run_missing(cells(arguments.seeds, arguments.targets), run, arguments.out, key)
 
 
 def table(rows: list[Row]) -> str:

@@ -26,7 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import optuna
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 from torch import Tensor
 
 import fide_tasks
@@ -149,10 +149,12 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for cell in missing(cells(arguments), arguments.out, key):
-        row = {**cell, **(run_direct if arguments.direct else run)(**cell)}
-        append(arguments.out, row)
-        report(row)
+    run_missing(
+        cells(arguments),
+        lambda cell: {**cell, **(run_direct if arguments.direct else run)(**cell)},
+        arguments.out,
+        key,
+    )
 
 
 def table(rows: list[Row]) -> str:

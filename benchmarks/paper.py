@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
-from quality import CONFIGURATIONS, Configurations, key, measured, run_missing
+from quality import CONFIGURATIONS, Configurations, key, measured, run_configurations
 from rows import Row
 from scenes import judged
 
@@ -83,7 +83,7 @@ def main() -> None:
     """Run what is missing."""
     arguments = parse_arguments()
     run = partial(measure, parts=arguments.out.with_suffix(".parts"), threads=arguments.threads)
-    run_missing(grid(arguments.stages), RACERS, arguments.out, arguments.part, run)
+    run_configurations(grid(arguments.stages), RACERS, arguments.out, arguments.part, run)
 
 
 def parse_arguments() -> argparse.Namespace:

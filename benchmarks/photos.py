@@ -28,7 +28,7 @@ import matplotlib
 import numpy as np
 from moves import span
 from PIL import Image
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins.cli import main as fide
 from fide_plugins.types import Float32
@@ -75,10 +75,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for planned in missing(runs(arguments.seeds), arguments.out, key):
-        row = measure(planned)
-        append(arguments.out, row)
-        report(row)
+    run_missing(runs(arguments.seeds), measure, arguments.out, key)
 
 
 def runs(seeds: range) -> Iterator[Row]:

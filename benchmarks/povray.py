@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from moves import span
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins import FIDE, Space
 from fide_plugins.renderers import CommandRenderer
@@ -50,10 +50,7 @@ def main() -> None:
         return
     os.chdir(ROOT / "examples" / "povray")  # where scene.pov is
     planned = ({"seed": seed} for seed in arguments.seeds)
-    for run in missing(planned, out, lambda row: row["seed"]):
-        row = one_run(run["seed"])
-        append(out, row)
-        report(row)
+    run_missing(planned, lambda run: one_run(run["seed"]), out, lambda row: row["seed"])
 
 
 def renderer() -> CommandRenderer:

@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from moves import literal
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins.experiments import run as harness
 
@@ -56,7 +56,7 @@ def main() -> None:
     if arguments.table:
         print(table(read(*arguments.table)))
         return
-    run_missing(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part)
+    run_configurations(grid(arguments), CONFIGURATIONS, arguments.out, arguments.part)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -79,7 +79,7 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def run_missing(
+def run_configurations(
     cells: Iterable[Row],
     configurations: Configurations,
     out: Path,
@@ -87,10 +87,14 @@ def run_missing(
     run: Callable[[Row, str, dict[str, Any]], Row] | None = None,
 ) -> None:
     """Run those of a share "i/n" of the cells that are not in the file yet; by `measure`."""
-    for cell in missing(cells, out, key, share):
-        row = (run or measure)(cell, *configurations[cell["configuration"]])
-        append(out, row)
-        report({**cell, "best": row["best"]})
+    measured = run or measure
+    run_missing(
+        cells,
+        lambda cell: measured(cell, *configurations[cell["configuration"]]),
+        out,
+        key,
+        share,
+    )
 
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:

@@ -20,7 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from moves import SCENES, make, span
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 from fide_plugins import optimizers
 
@@ -47,10 +47,9 @@ def main() -> None:
     if arguments.table:
         print(table(read(arguments.table)))
         return
-    for cell in missing(planned(arguments), arguments.out, key):
-        row = {**cell, **run(cell, arguments.budget)}
-        append(arguments.out, row)
-        report(row)
+    run_missing(
+        planned(arguments), lambda cell: {**cell, **run(cell, arguments.budget)}, arguments.out, key
+    )
 
 
 def parse_arguments() -> argparse.Namespace:

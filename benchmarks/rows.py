@@ -121,6 +121,21 @@ def missing(
             yield run
 
 
+def run_missing(
+    planned: Iterable[Row],
+    measure: Callable[[Row], Row],
+    path: Path,
+    key: Callable[[Row], Any],
+    share: str = "0/1",
+    counts: Callable[[Row], bool] = lambda row: True,
+) -> None:
+    """Measure what is `missing`; each row is added to the file, and shown, when its run ends."""
+    for run in missing(planned, path, key, share, counts):
+        row = measure(run)
+        append(path, row)
+        report(row)
+
+
 def report(row: Row) -> None:
     """Show a row where a log is read."""
     print(json.dumps(row), file=sys.stderr, flush=True)

@@ -27,7 +27,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from profile_generation import PARTS, Stopwatch, overhead, watched
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 RESULTS = Path(__file__).parent / "results" / "scale.jsonl"
 BASE = {"dim": 40, "popsize": 50, "size": 112}
@@ -151,10 +151,7 @@ def main() -> None:
     elif what == ["table"]:
         print(table(read(RESULTS)))
     elif set(what) <= set(ROWS):
-        for planned_run in missing(planned(what), RESULTS, key):
-            row = measure_apart(planned_run)
-            append(RESULTS, row)
-            report(row)
+        run_missing(planned(what), measure_apart, RESULTS, key)
     else:
         parser.error(f"rows are {', '.join(ROWS)}; or table")
 

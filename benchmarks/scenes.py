@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from quality import CONFIGURATIONS, Configurations, measured, run_missing
+from quality import CONFIGURATIONS, Configurations, measured, run_configurations
 from rows import Row, read
 from task_pictures import save
 
@@ -74,7 +74,7 @@ def main() -> None:
         def run(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
             return measure(cell, optimizer, options, arguments.threads)
 
-        run_missing(cells, RIVALS, arguments.out, arguments.part, run)
+        run_configurations(cells, RIVALS, arguments.out, arguments.part, run)
 
 
 def parse_arguments() -> argparse.Namespace:

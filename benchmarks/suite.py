@@ -27,7 +27,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, report, rows_of
+from rows import Row, append, missing, rows_of, run_missing
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
@@ -167,10 +167,14 @@ def main() -> None:
             append(out, row, made_by)
     else:
         runs = planned(scenes, optimizers, arguments.targets)
-        for run in missing(runs, out, key, arguments.part, long_enough(budget)):
-            row = measure(**run, budget=budget)
-            append(out, row)
-            report(row)
+        run_missing(
+            runs,
+            lambda run: measure(**run, budget=budget),
+            out,
+            key,
+            arguments.part,
+            long_enough(budget),
+        )
 
 
 def parse_arguments() -> argparse.Namespace:

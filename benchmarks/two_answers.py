@@ -25,7 +25,7 @@ import numpy as np
 import torch
 from moves import span
 from numpy.typing import NDArray
-from rows import Row, append, missing, read, report
+from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import FIDE, learn
@@ -52,10 +52,16 @@ def main() -> None:
         learn(render, make(0).dim, renders=RENDERS, passes=PASSES, size=SIZE, out=file, seed=0)
         seconds = round(time.process_time() - start, 1)
         planned = ({"target": target} for target in arguments.targets)
-        for picture in missing(planned, arguments.out, lambda row: row["target"]):
-            row = {**picture, "learning_cpu_s": seconds, **measure(picture["target"], file)}
-            append(arguments.out, row)
-            report(row)
+        run_missing(
+            planned,
+            lambda picture: {
+                **picture,
+                "learning_cpu_s": seconds,
+                **measure(picture["target"], file),
+            },
+            arguments.out,
+            lambda row: row["target"],
+        )
 
 
 def render(x: NDArray[np.float64]) -> NDArray[np.float32]:

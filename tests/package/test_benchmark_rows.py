@@ -63,6 +63,17 @@ def test_what_others_did_meanwhile_is_not_done_again(rows: ModuleType, tmp_path:
     assert next(todo) == {"run": 2}
 
 
+def test_missing_runs_are_measured_added_and_shown(
+    rows: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "results.jsonl"
+    rows.append(out, {"run": 1})
+    rows.run_missing(planned(), lambda run: {**run, "loss": run["run"] / 2}, out, key, "1/2")
+    found = {key(row): row.get("loss") for row in rows.read(out)}
+    assert found == {1: None, 3: 1.5, 5: 2.5}
+    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
 def test_a_row_that_does_not_count_is_missing(rows: ModuleType, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
     rows.append(out, {"run": 2, "renders": 500})
