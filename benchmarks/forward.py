@@ -51,9 +51,7 @@ def main() -> None:
     """Run what is missing, or print the table."""
     arguments = parse_arguments()
     if not arguments.table:
-        run_missing(
-            grid(arguments), lambda cell: run(cell, arguments.budget, arguments), arguments.out, key
-        )
+        run_missing(grid(arguments), lambda cell: run(cell, arguments), arguments.out, key)
     print(table(read(arguments.out), arguments))
 
 
@@ -72,7 +70,10 @@ def parse_arguments() -> argparse.Namespace:
     add("--label", default="", help="added to the names of the configurations")
     add("--out", type=Path, default=RESULTS)
     add("--table", action="store_true")
-    return parser.parse_args()
+    arguments = parser.parse_args()
+    if arguments.set and not arguments.label:
+        parser.error("options of --set make another configuration; name it with --label")
+    return arguments
 
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -82,15 +83,19 @@ def grid(arguments: argparse.Namespace) -> Iterator[Row]:
             for task in arguments.tasks:
                 for configuration in arguments.configurations:
                     name = configuration + arguments.label
-                    yield {"task": task, "target": target, "configuration": name, "seed": seed}
+                    yield {
+                        "task": task, "target": target, "configuration": name, "seed": seed,
+                        "budget": arguments.budget,
+                    }  # fmt: skip
 
 
 def key(row: Row) -> tuple[Any, ...]:
     """What makes a run."""
-    return row["task"], row["target"], row["configuration"], row["seed"]
+    names = ("task", "target", "configuration", "seed", "budget")
+    return tuple(row[name] for name in names)
 
 
-def run(cell: Row, budget: int, arguments: argparse.Namespace) -> Row:
+def run(cell: Row, arguments: argparse.Namespace) -> Row:
     """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
     task = make_task(cell["task"], cell["target"])
     name, _, asked = cell["configuration"].removesuffix(arguments.label).partition("/")
@@ -103,7 +108,7 @@ def run(cell: Row, budget: int, arguments: argparse.Namespace) -> Row:
         optimizer = optimizers.make(name, task.dim, task.target, seed=cell["seed"])
     n = None if asked == "all" else int(asked)
     start, rendering, losses = time.process_time(), 0.0, np.empty(0)
-    while len(losses) < budget and not (len(losses) and losses.min() < 1e-11):
+    while len(losses) < cell["budget"] and not (len(losses) and losses.min() < 1e-11):
         X = optimizer.ask() if n is None else optimizer.ask(n)
         before = time.process_time()
         images = task.render(X)

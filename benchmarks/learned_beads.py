@@ -6,7 +6,7 @@
     python benchmarks/learned_beads.py --configuration none --targets 120-129
     python benchmarks/learned_beads.py --table
 
-Every run (target, seed, configuration, size, samples, budget) is one line of the output file,
+Every run (target, seed, configuration, size, samples, budget, loss) is one line of the output file,
 appended when it is done; a second call does what is missing. What counts is the candidate with
 the lowest loss after 500, 1,000 and 3,000 renders. Its beads are matched with the true ones as a
 set, by the Hungarian method; a bead is found if each of its coordinates is within 5 % of the box,
@@ -46,21 +46,23 @@ def cells(arguments: argparse.Namespace, configuration: str) -> Iterator[Row]:
         yield {
             "scene": arguments.scene, "target": target, "seed": arguments.seed,
             "configuration": configuration, "size": arguments.size, "spp": arguments.spp,
-            "budget": arguments.budget,
+            "budget": arguments.budget, "loss": arguments.loss,
         }  # fmt: skip
 
 
 def key(row: Row) -> tuple[Any, ...]:
     """What makes a run."""
-    names = ("scene", "target", "seed", "configuration", "size", "spp", "budget")
+    names = ("scene", "target", "seed", "configuration", "size", "spp", "budget", "loss")
     return tuple(row[name] for name in names)
 
 
-def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
+def measure(row: Row, model: str | None, options: dict[str, Any]) -> Row:
     """One run: how far each bead of the best candidate is from the truth, at each mark."""
     task: Any = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
     start = time.process_time()
-    opt = FIDE(task.space, task.target, loss=loss, learned=model, seed=row["seed"], **options)
+    opt = FIDE(
+        task.space, task.target, loss=row["loss"], learned=model, seed=row["seed"], **options
+    )
     best, bead = np.inf, np.ones(task.dim // _AXES)
     marks: dict[str, Row] = {}
     first: list[float] | None = None
@@ -79,7 +81,6 @@ def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> 
             marks[str(opt.evaluations)] = {"loss": best, "beads": beads}
     return {
         **row,
-        "loss": loss,
         "marks": marks,
         "nearest_of_first_generation": [round(a, 4) for a in sorted(first or [])],
         "cpu_s": round(time.process_time() - start, 1),
@@ -140,7 +141,7 @@ def main() -> None:
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
     run_missing(
         cells(arguments, name),
-        lambda cell: measure(cell, arguments.model, arguments.loss, options),
+        lambda cell: measure(cell, arguments.model, options),
         arguments.out,
         key,
     )

@@ -11,7 +11,7 @@ Or from nothing, one picture by itself; run directories are judged in the same w
         --preset global --budget 60000 --out runs/global/140
     python benchmarks/learned_camera.py --runs runs/global/*
 
-Every run (target, seed, configuration, size, samples, budget) is one line of the output file,
+Every run (target, seed, configuration, size, samples, budget, loss) is one line of the output file,
 appended when it is done; a second call does what is missing. What counts is the candidate with the
 lowest loss when the budget is spent: how far its camera is from the truth, in units of the box, in
 the worst of its parameters. Angles that wrap around are compared the shorter way.
@@ -61,12 +61,14 @@ def judge(directory: Path) -> Row:
     }  # fmt: skip
 
 
-def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> Row:
+def measure(row: Row, model: str | None, options: dict[str, Any]) -> Row:
     """One run: how far the best camera is from the truth, and since which render it is near."""
     task: Any = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
     camera = [i for i, one in enumerate(task.parameters) if one.group == "camera"]
     periodic = np.array([one.periodic for one in task.parameters])
-    opt = FIDE(task.space, task.target, loss=loss, learned=model, seed=row["seed"], **options)
+    opt = FIDE(
+        task.space, task.target, loss=row["loss"], learned=model, seed=row["seed"], **options
+    )
     best, far = np.inf, []
     apart = np.ones(task.dim)
     first: float | None = None
@@ -82,7 +84,6 @@ def measure(row: Row, model: str | None, loss: str, options: dict[str, Any]) -> 
             first = min(float(difference(x, task.x_star, periodic)[camera].max()) for x in X)
     return {
         **row,
-        "loss": loss,
         "best": best,
         "apart": [round(a, 5) for a in apart.tolist()],
         "camera": far[-1],
@@ -152,7 +153,7 @@ def main() -> None:
     name, *pairs = arguments.configuration
     options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
     left = missing(cells(arguments, name), arguments.out, key)
-    add((measure(row, arguments.model, arguments.loss, options) for row in left), arguments.out)
+    add((measure(row, arguments.model, options) for row in left), arguments.out)
 
 
 def add(rows: Iterable[Row], out: Path) -> None:

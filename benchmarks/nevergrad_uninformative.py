@@ -2,7 +2,7 @@
 
 Makes a table of docs/reference/nevergrad.md:
 
-    OMP_NUM_THREADS=1 nice python benchmarks/nevergrad_uninformative.py
+    python benchmarks/nevergrad_uninformative.py
 
 The loss is that of eight Voronoi cells (40 parameters).  The image is the true one, the same gray
 image for all candidates, or new noise.  CMA-ES is FIDE with the same losses and no images.  Seeds
@@ -15,10 +15,13 @@ second call does the missing ones.
 from __future__ import annotations
 
 import argparse
+import os
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import nevergrad as ng
 import numpy as np

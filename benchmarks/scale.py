@@ -27,7 +27,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from profile_generation import PARTS, Stopwatch, overhead, watched
-from rows import Row, read, run_missing
+from rows import Row, append, missing, provenance, read, report
 
 RESULTS = Path(__file__).parent / "results" / "scale.jsonl"
 BASE = {"dim": 40, "popsize": 50, "size": 112}
@@ -108,12 +108,13 @@ def key(row: Row) -> frozenset[Any]:
     return frozenset(row["cell"].items())
 
 
-def measure_apart(planned_run: Row) -> Row:
-    """A measurement in a process of its own."""
+def measure_apart(planned_run: Row) -> tuple[Row, Row]:
+    """A measurement in a process of its own, and the provenance of that process."""
     cell = {name: value for name, value in planned_run["cell"].items() if name != "row"}
     words = [sys.executable, __file__, "cell", json.dumps(cell)]
     answer = subprocess.run(words, capture_output=True, text=True, check=True).stdout
-    return {**planned_run, **json.loads(answer.splitlines()[-1])}
+    found, made_by = json.loads(answer.splitlines()[-1])
+    return {**planned_run, **found}, made_by
 
 
 def table(rows: list[Row]) -> str:
@@ -147,11 +148,14 @@ def main() -> None:
     parser.add_argument("what", nargs="+", metavar="ROW")
     what = parser.parse_args().what
     if what[0] == "cell":
-        print(json.dumps(measure(json.loads(what[1]))))
+        print(json.dumps([measure(json.loads(what[1])), provenance()]))
     elif what == ["table"]:
         print(table(read(RESULTS)))
     elif set(what) <= set(ROWS):
-        run_missing(planned(what), measure_apart, RESULTS, key)
+        for run in missing(planned(what), RESULTS, key):
+            row, made_by = measure_apart(run)
+            append(RESULTS, row, made_by)
+            report(row)
     else:
         parser.error(f"rows are {', '.join(ROWS)}; or table")
 

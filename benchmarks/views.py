@@ -19,9 +19,12 @@ the missing fits.
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from rows import Row, append, missing, read, report
@@ -139,8 +142,9 @@ def main() -> None:
     if args.table:
         print(table(read(args.out)))
         return
-    for fit in missing(fits(args.targets, args.renders[-1]), args.out, key):
-        for row in run(fit["name"], fit["seed"], args.renders):
+    for fit in missing(fits(args.targets, max(args.renders)), args.out, key):
+        rows = run(fit["name"], fit["seed"], sorted(args.renders))
+        for row in missing(rows, args.out, key):
             append(args.out, row)
             report(row)
 
