@@ -36,7 +36,7 @@ from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
 from fide_plugins.experiments.suite import figures, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
-from fide_plugins.experiments.suite.tables import by_scene, totals
+from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
 SUITE = read("image-fitting-v1")
 RESULTS = Path(__file__).parent / "results" / "suite.jsonl"
@@ -159,7 +159,10 @@ def main() -> None:
             drawn = picture(found, performance=arguments.performance)
             arguments.picture.write_bytes(drawn)
         else:
-            print(*(markdown(make(found, optimizers)) for make in (totals, by_scene)), sep="\n\n")
+            print(
+                *(markdown(make(found, optimizers)) for make in (totals, by_scene, lowest)),
+                sep="\n\n",
+            )
     elif arguments.folder:
         there = results.read(arguments.folder)
         made_by = {"commit": None, "packages": there.versions, "machine": there.machine}

@@ -24,7 +24,7 @@ from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdo
 from fide_plugins.experiments.suite import figures
 from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores, scores
-from fide_plugins.experiments.suite.tables import by_scene, totals
+from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 from fide_plugins.runtime import files
 
 __all__ = ["write"]
@@ -43,6 +43,9 @@ _METHOD = (
     "p is that of the exact McNemar test (a sign test of the problems that one of two optimizers "
     "solves and the other does not) against the optimizer that solves most, adjusted for all "
     "rivals (Benjamini and Hochberg).",
+    "An optimizer has the lowest loss on a problem if nobody's is lower; several may share it. The "
+    "losses of all who have solved the problem count as equal. p is that of the exact sign test "
+    "against the optimizer with the lowest loss on most problems, adjusted in the same way.",
     "A run that failed counts as unsolved. Problems with a missing or unfinished run are left out.",
 )
 
@@ -68,7 +71,12 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
     path, found = page_path(page), scores(results)
     env = report_page.environment()  # raises without Jinja2, before anything is written
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
-    tables = [totals(found, names), by_scene(found, names), _thresholds(found)]
+    tables = [
+        totals(found, names),
+        by_scene(found, names),
+        lowest(found, names),
+        _thresholds(found),
+    ]
     folder = companion(path, "figures")
     charts = _write_charts(found, names, folder)
     pictures = [(quote(f"{folder.name}/{chart.stem}.png"), chart.title) for chart in charts]
@@ -178,9 +186,9 @@ def _html(
 
 
 def _overview(found: Scores, tables: list[Table]) -> str:
-    """The page in short, for a terminal: what part it is, the remarks, and two tables."""
+    """The page in short, for a terminal: what part it is, the remarks, and three tables."""
     said = "\n".join([_part(found), *remarks(found)])
-    shown = "\n\n".join(markdown(table) for table in tables[:2])
+    shown = "\n\n".join(markdown(table) for table in tables[:3])
     return f"{said}\n\n{shown}\n"
 
 

@@ -16,7 +16,7 @@ from fide_plugins.experiments.suite.profiles import (
     within,
 )
 from fide_plugins.experiments.suite.scores import scores
-from fide_plugins.experiments.suite.tables import by_scene, mcnemar, totals
+from fide_plugins.experiments.suite.tables import by_scene, lowest, sign_test, totals
 
 INF = np.inf
 T = np.array([[10, 20], [INF, 30], [INF, INF], [40, 40.0]])
@@ -103,7 +103,26 @@ def test_nothing_to_show() -> None:
         scores(results(some, 100))
 
 
-def test_mcnemar_is_a_sign_test_of_the_problems_that_differ() -> None:
+def test_losses_below_the_threshold_are_equal() -> None:
+    found = scores(results(CURVES, 10_000))
+    cells = [[entry.text for entry in row[1::2]] for row in lowest(found, ["a", "b"]).rows]
+    assert cells == [["1", "1", "1"], ["1", "1", "2"]]  # at the end both have solved lamps-0
+
+
+def test_a_failed_run_has_no_lowest_loss() -> None:
+    curves: dict[tuple[str, str], list[tuple[int, float]] | None]
+    curves = {(f"lamps-{k}", label): [(1, 0.1)] for k in range(3) for label in "ab"}
+    curves["lamps-0", "b"] = [(1, 0.2)]
+    found = scores(results(curves, 500))
+    found.losses[:, 2] = np.inf  # both failed
+    table = lowest(found, ["a", "b"])
+    assert table.caption.endswith("of 3")
+    assert [row[1].text for row in table.rows] == ["2", "1"]
+    assert table.rows[1][2].text == "1"  # one pair differs
+
+
+def test_p_of_a_sign_test_is_that_of_the_pairs_that_differ() -> None:
     a, b = np.array([1, 1, 1, 1, 1, 1, 0, 1.0]), np.array([0, 0, 0, 0, 0, 0, 0, 1.0])
-    assert mcnemar(a, b) == mcnemar(b, a) == pytest.approx(2 * 0.5**6)
-    assert mcnemar(a, a) == 1.0
+    assert sign_test(a, b) == sign_test(b, a) == pytest.approx(2 * 0.5**6)
+    assert sign_test(a, a) == 1.0
+    assert sign_test(-a, -np.full(8, np.inf)) == pytest.approx(2 * 0.5**8)
