@@ -3,10 +3,10 @@
     python benchmarks/forward.py blobs lamps waves --targets 50-59 --configurations both/1 dfols/1
     python benchmarks/forward.py --table
 
-A run has a task, a target, a configuration and a seed, and is a line of the file
+A run has a task, a target, a configuration, a seed and a budget, and is a line of the file
 benchmarks/results/forward.jsonl, appended when it is done; a second call does what is missing.
 A configuration is a proposer and a way to ask: whole generations (all), 8 at a time, or one by one;
-"more" proposes more from the beginning.
+"more" proposes more from the beginning.  With options of --set it needs a name of its own, --label.
 A run ends at an MSE of 1e-11; marks beyond its end repeat the last value.
 """
 
@@ -132,29 +132,18 @@ def make_task(name: str, target: int) -> Any:
 
 def table(rows: list[Row], arguments: argparse.Namespace) -> str:
     """Geometric means at the marks; median renders until the goals, and how many got there."""
-    head = (
-        "| task | configuration | n | "
-        + " | ".join(map(str, MARKS))
-        + " | until 1e-4 | until 1e-6 | ms |"
-    )
-    lines = [head, "|" + "---|" * (head.count("|") - 1)]
-    for task in arguments.tasks:
-        configurations = list(
-            dict.fromkeys(row["configuration"] for row in rows if row["task"] == task)
-        )
-        for configuration in configurations:
-            several = [
-                row for row in rows if (row["task"], row["configuration"]) == (task, configuration)
-            ]
-            means = np.exp(
-                np.log(np.maximum([row["losses"] for row in several], 1e-12)).mean(axis=0)
-            )
-            cells = [f"{mean:.1e}" for mean in means]
-            cells += [_reached([row["reached"][i] for row in several]) for i in range(len(GOALS))]
-            ms = float(np.mean([row["ms"] for row in several]))
-            lines.append(
-                f"| {task} | {configuration} | {len(several)} | {' | '.join(cells)} | {ms:.2f} |"
-            )
+    columns = ["task", "configuration", "n", *map(str, MARKS), "until 1e-4", "until 1e-6", "ms"]
+    lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+    rows = [row for row in rows if row["task"] in arguments.tasks]
+    kinds = dict.fromkeys((row["task"], row["configuration"], row["budget"]) for row in rows)
+    for kind in sorted(kinds, key=lambda kind: arguments.tasks.index(kind[0])):
+        task, configuration, budget = kind
+        group = [r for r in rows if (r["task"], r["configuration"], r["budget"]) == kind]
+        means = np.exp(np.log(np.maximum([row["losses"] for row in group], 1e-12)).mean(axis=0))
+        cells = [f"{mean:.1e}" if m <= budget else "" for m, mean in zip(MARKS, means, strict=True)]
+        cells += [_reached([row["reached"][i] for row in group]) for i in range(len(GOALS))]
+        cells.append(f"{np.mean([row['ms'] for row in group]):.2f}")
+        lines.append(f"| {task} | {configuration} | {len(group)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -103,7 +103,7 @@ def table(rows: list[Row]) -> str:
                 for row in rows
                 if row["task"] == task and row["configuration"] == configuration
             ]
-            medians = " | ".join(f"{statistics.median(b[m] for b in best):.3g}" for m in MARKS)
+            medians = " | ".join(f"{statistics.median(b[m] for b in best):#.3g}" for m in MARKS)
             solved = sum(b[str(BUDGET)] < SOLVED for b in best)
             lines.append(
                 f"| {task}, {configuration} | {len(best)} | {medians} | {solved} of {len(best)} |"

@@ -56,6 +56,12 @@ def key(row: Row) -> tuple[Any, ...]:
     return tuple(row[name] for name in names)
 
 
+def kind_of(row: Row) -> tuple[Any, ...]:
+    """What runs of one line of the table have in common; scene, configuration and budget first."""
+    names = ("scene", "configuration", "budget", "size", "spp", "loss")
+    return tuple(row[name] for name in names)
+
+
 def measure(row: Row, model: str | None, options: dict[str, Any]) -> Row:
     """One run: how far each bead of the best candidate is from the truth, at each mark."""
     task: Any = fide_tasks.make(row["scene"], row["size"], row["target"], spp=row["spp"], threads=1)
@@ -100,8 +106,8 @@ def table(rows: list[Row]) -> str:
     lines = ["| scene | configuration | renders | " + " | ".join(f"all within {n}" for n in NEAR)]
     lines[0] += " | beads within 0.05, of a picture |"
     lines.append("|---|---|" + "---:|" * (len(NEAR) + 2))
-    for kind in dict.fromkeys((r["scene"], r["configuration"], r["budget"]) for r in rows):
-        group = [r for r in rows if (r["scene"], r["configuration"], r["budget"]) == kind]
+    for kind in dict.fromkeys(map(kind_of, rows)):
+        group = [r for r in rows if kind_of(r) == kind]
         for mark in group[0]["marks"]:
             beads = np.array([row["marks"][mark]["beads"] for row in group])
             counts = [f"{(beads <= n).all(axis=1).sum()} of {len(group)}" for n in NEAR]

@@ -30,7 +30,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from learned_beads import cells, key
+from learned_beads import cells, key, kind_of
 from moves import literal, span
 from numpy.typing import NDArray
 from rows import Row, append, missing, read, report
@@ -113,8 +113,8 @@ def table(rows: list[Row]) -> str:
     lines = ["| scene | configuration | renders | " + " | ".join(f"within {n}" for n in NEAR)]
     lines[0] += " | median of renders until 0.01 |"
     lines.append("|---|---|" + "---:|" * (len(NEAR) + 2))
-    for kind in dict.fromkeys((r["scene"], r["configuration"], r["budget"]) for r in rows):
-        group = [r for r in rows if (r["scene"], r["configuration"], r["budget"]) == kind]
+    for kind in dict.fromkeys(map(kind_of, rows)):
+        group = [r for r in rows if kind_of(r) == kind]
         counts = [sum(r["camera"] <= near for r in group) for near in NEAR]
         at = [r["near_since"]["0.01"] or np.inf for r in group if "near_since" in r]
         cells = " | ".join(f"{count} of {len(group)}" for count in counts)

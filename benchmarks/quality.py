@@ -176,7 +176,7 @@ def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
         for configuration in configurations:
             group = [row for row in mine if row["configuration"] == configuration]
             numbers = " | ".join(
-                f"{medians[configuration][m]:.3g}" if m in medians[configuration] else ""
+                f"{medians[configuration][m]:#.3g}" if m in medians[configuration] else ""
                 for m in marks
             )
             lines.append(f"| {configuration} | {len(group)} | {numbers} |")
@@ -208,7 +208,7 @@ def leads(medians: dict[str, dict[str, Any]], marks: list[str]) -> str:
             default=None,
         )
         mine = medians.get("FIDE", {}).get(m)
-        cells.append("" if best is None or mine is None else f"{mine / best:.2g}")
+        cells.append("" if best is None or mine is None else f"{mine / best:#.2g}")
     return " | ".join(cells)
 
 

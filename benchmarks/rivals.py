@@ -53,7 +53,7 @@ def main() -> None:
         lambda cell: {**cell, **run(cell, budget)},
         arguments.out,
         key,
-        counts=lambda row: max(map(int, row["best"])) >= budget,
+        counts=lambda row: renders(row) >= budget,
     )
 
 
@@ -102,12 +102,17 @@ def key(row: Row) -> tuple[Any, ...]:
     return row["configuration"], row["scene"], row["target"]
 
 
+def renders(row: Row) -> int:
+    """Of a run, to its last mark."""
+    return max(map(int, row["best"]))
+
+
 def table(rows: list[Row]) -> str:
     """Geometric means over targets, at the marks that some run has reached, in Markdown.
 
-    Of several runs of one cell the last counts, which is the longest.
+    Of several runs of one cell the longest counts.
     """
-    rows = list({key(row): row for row in rows}.values())
+    rows = list({key(row): row for row in sorted(rows, key=renders)}.values())
     marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in rows)]
     lines = [f"| scene | | runs | {' | '.join(marks)} | CPU s |", "|---" * (len(marks) + 4) + "|"]
     for scene in dict.fromkeys(row["scene"] for row in rows):

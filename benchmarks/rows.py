@@ -50,12 +50,13 @@ def append(path: Path, row: Row, made_by: Row | None = None) -> None:
 
 def provenance() -> Row:
     """Day, commit, packages with their versions, machine, and kernels of a measurement."""
+    used = kernels()  # first: it imports PyTorch, of whose threads `machine` then knows
     return {
         "date": time.strftime("%Y-%m-%d"),
         "commit": COMMIT,
         "packages": versions(),
         "machine": machine(),
-        "kernels": kernels(),
+        "kernels": used,
     }
 
 

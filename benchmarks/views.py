@@ -86,11 +86,12 @@ MASK = np.ones((SIZE, 2 * SIZE), np.float32)
 MASK[:, SIZE:] = 0
 
 
-def fits(targets: int, renders: int) -> Iterator[Row]:
-    """The last row of every fit, without its results."""
+def planned(targets: int, renders: list[int]) -> Iterator[Row]:
+    """All rows, without their results: those of a fit one after the other."""
     for seed in range(targets):
         for name in SCENES:
-            yield {"name": name, "seed": seed, "renders": renders}
+            for number in renders:
+                yield {"name": name, "seed": seed, "renders": number}
 
 
 def key(row: Row) -> tuple[Any, ...]:
@@ -142,8 +143,9 @@ def main() -> None:
     if args.table:
         print(table(read(args.out)))
         return
-    for fit in missing(fits(args.targets, max(args.renders)), args.out, key):
-        rows = run(fit["name"], fit["seed"], sorted(args.renders))
+    renders = sorted(args.renders)
+    for fit in missing(planned(args.targets, renders), args.out, key):
+        rows = run(fit["name"], fit["seed"], renders)
         for row in missing(rows, args.out, key):
             append(args.out, row)
             report(row)

@@ -9,7 +9,7 @@
 `scores`      renders to solve each problem, of a comparison's results
 `remarks`     what is said of failed runs and of problems that are left out
 `figures`     both profiles, drawn
-`tables`      counts of solved problems
+`tables`      counts of solved problems and of lowest losses
 `page`        the page
 ============  ====================================================================
 """

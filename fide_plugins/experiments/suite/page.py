@@ -1,4 +1,4 @@
-"""The page of a suite: profiles, and tables of solved problems."""
+"""The page of a suite: profiles, and tables of solved problems and lowest losses."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ _METHOD = (
     "solves and the other does not) against the optimizer that solves most, adjusted for all "
     "rivals (Benjamini and Hochberg).",
     "An optimizer has the lowest loss on a problem if nobody's is lower; several may share it. The "
-    "losses of all who have solved the problem count as equal. p is that of the exact sign test "
-    "against the optimizer with the lowest loss on most problems, adjusted in the same way.",
+    "losses of all who have solved the problem count as equal. p is that of the exact sign test, "
+    "which compares two losses on each problem, against the optimizer that has the lowest loss on "
+    "most of them, adjusted in the same way.",
     "A run that failed counts as unsolved. Problems with a missing or unfinished run are left out.",
 )
 

@@ -59,8 +59,8 @@ class Scores:
         """(P, S), 1 where a problem was solved within the budget."""
         return np.isfinite(within(self.t, budget)).astype(np.float64)
 
-    def unsolved_losses(self) -> Float64:
-        """`losses`, with that of its threshold for each solved problem: solved is solved."""
+    def losses_down_to_solved(self) -> Float64:
+        """`losses`, but none below the threshold: all who have solved a problem are equal."""
         enough = [self.suite.problem(name)[0].solved for name in self.problems]
         raised: Float64 = np.maximum(self.losses, np.array(enough)[:, None])
         return raised

@@ -26,10 +26,10 @@ def totals(found: Scores, names: list[str]) -> Table:
 
 def lowest(found: Scores, names: list[str]) -> Table:
     """Problems on which nobody has a lower loss, at each budget, and p against the best one."""
-    losses = list(found.unsolved_losses())
+    losses = list(found.losses_down_to_solved())
     first = [(x <= x.min(axis=1, keepdims=True)) & np.isfinite(x) for x in losses]
     caption = f"Problems with the lowest loss, of {len(found.problems)}"
-    test = "sign test against the optimizer with the lowest loss most often, adjusted"
+    test = "sign test of losses against the optimizer that has the lowest most often, adjusted"
     return _by_budget(found, names, caption, "lowest by", first, [-x for x in losses], test)
 
 

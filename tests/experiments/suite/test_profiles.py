@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,14 +112,16 @@ def test_losses_below_the_threshold_are_equal() -> None:
 
 def test_a_failed_run_has_no_lowest_loss() -> None:
     curves: dict[tuple[str, str], list[tuple[int, float]] | None]
-    curves = {(f"lamps-{k}", label): [(1, 0.1)] for k in range(3) for label in "ab"}
+    curves = {(f"lamps-{k}", label): [(1, 0.1)] for k in range(4) for label in "ab"}
     curves["lamps-0", "b"] = [(1, 0.2)]
     found = scores(results(curves, 500))
-    found.losses[:, 2] = np.inf  # both failed
-    table = lowest(found, ["a", "b"])
-    assert table.caption.endswith("of 3")
-    assert [row[1].text for row in table.rows] == ["2", "1"]
-    assert table.rows[1][2].text == "1"  # one pair differs
+    losses = found.losses.copy()
+    losses[:, 2] = np.inf  # both failed
+    losses[:, 3, 1] = np.inf  # b failed
+    table = lowest(replace(found, losses=losses), ["a", "b"])
+    assert table.caption.endswith("of 4")
+    assert [row[1].text for row in table.rows] == ["3", "1"]
+    assert table.rows[1][2].text == "0.5"  # of the two pairs that differ
 
 
 def test_p_of_a_sign_test_is_that_of_the_pairs_that_differ() -> None:
