@@ -95,6 +95,11 @@ def key(row: Row) -> tuple[Any, ...]:
     return tuple(row[name] for name in names)
 
 
+def kind_of(row: Row) -> tuple[str, str, int]:
+    """What the runs of one line of the table have in common."""
+    return row["task"], row["configuration"], row["budget"]
+
+
 def run(cell: Row, arguments: argparse.Namespace) -> Row:
     """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
     task = make_task(cell["task"], cell["target"])
@@ -135,10 +140,10 @@ def table(rows: list[Row], arguments: argparse.Namespace) -> str:
     columns = ["task", "configuration", "n", *map(str, MARKS), "until 1e-4", "until 1e-6", "ms"]
     lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
     rows = [row for row in rows if row["task"] in arguments.tasks]
-    kinds = dict.fromkeys((row["task"], row["configuration"], row["budget"]) for row in rows)
+    kinds = dict.fromkeys(map(kind_of, rows))
     for kind in sorted(kinds, key=lambda kind: arguments.tasks.index(kind[0])):
         task, configuration, budget = kind
-        group = [r for r in rows if (r["task"], r["configuration"], r["budget"]) == kind]
+        group = [row for row in rows if kind_of(row) == kind]
         means = np.exp(np.log(np.maximum([row["losses"] for row in group], 1e-12)).mean(axis=0))
         cells = [f"{mean:.1e}" if m <= budget else "" for m, mean in zip(MARKS, means, strict=True)]
         cells += [_reached([row["reached"][i] for row in group]) for i in range(len(GOALS))]
