@@ -6,6 +6,7 @@ Algorithm 1                            here
 line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `proposers.diffusion`
 lines 4 and 5, sample and denoise      `FIDE.draw_generation`
+between two generations, steps         `proposers.steps`
 line 6, render                         the user, between `ask` and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
 line 8, train                          `FIDE._train`
@@ -32,9 +33,9 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.options import make_options
-from fide_plugins.population import Candidate, Makers, Population
+from fide_plugins.population import Candidate, Population
 from fide_plugins.population.preview import make_next
-from fide_plugins.proposers import make_proposer
+from fide_plugins.proposers import make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
 from fide_plugins.retargeting import Retargeting
@@ -171,6 +172,7 @@ class FIDE(Retargeting):
             moves=moves,
             gate=ImageGate(o, subsets, known=known),
             proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
+            steps=make_steps(o, self.dim, k, self.encoder),
             memory=Memory(o.memory_mb),
         )
 
@@ -185,23 +187,51 @@ class FIDE(Retargeting):
         for users with more workers than that.  As soon as what is pending will complete the
         generation, candidates are drawn for the next one, see `preview`.  Generations have
         `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
+        Who asks for a number may get Gauss-Newton steps before a generation (`proposers.steps`).
         """
         n = None if n is None else whole_number("n", n, 1)
-        population = self.state.population
         with timed(self.times, "search"):
+            if n is None:
+                return self._hand_out(None)
+            self.state.population.expect(n)
+            steps = self._take_steps(n)
+            rest = n - len(steps)
+            return np.concatenate([steps, self._hand_out(rest)]) if rest else steps
+
+    def _take_steps(self, n: int) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n."""
+        state, descent, target = self.state, self.state.descent, self.target_tokens
+        if not state.has_steps:
+            return np.empty((0, self.dim))
+        assert state.steps is not None
+        with timed(self.times, "train"):
+            left = state.steps.left(descent.popsize, target, descent.std)
+            if not left:
+                return np.empty((0, self.dim))
+            _, z = descent.sample(min(n, left), state.rng)
+            v = descent.rendered(z)
+            x = state.steps.take(v, target, descent.mean, descent.std, state.rng)
+        x = descent.place_proposals(x)
+        for row in zip(x, descent.near(x), strict=True):
+            state.population.adopt(*row, proposed=True, extra=True)
+        return x
+
+    def _hand_out(self, n: int | None) -> Float64:
+        """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
+        population = self.state.population
+        if not population.remaining:
+            self.draw_generation()
+        n = n or population.remaining
+        population.expect(n)
+        if n > population.remaining - population.unmade:
+            self._train_early()
+        make_next(self.state, n, self._propose)  # which may fail, before anything is handed out
+        X = np.empty((n, self.dim))
+        for i, row in enumerate(X):
             if not population.remaining:
                 self.draw_generation()
-            n = n or population.remaining
-            population.expect(n)
-            if n > population.remaining - population.unmade:
-                self._train_early()
-            make_next(self.state, n, self._propose)  # which may fail, before anything is handed out
-            X = np.empty((n, self.dim))
-            for i, row in enumerate(X):
-                if not population.remaining:
-                    self.draw_generation()
-                    make_next(self.state, n - i, self._propose)
-                row[:] = population.hand_out().x
+                make_next(self.state, n - i, self._propose)
+            row[:] = population.hand_out().x
         return X
 
     @one_at_a_time
@@ -211,8 +241,10 @@ class FIDE(Retargeting):
 
         While these are rendered the network trains, see `proposers.background`.
         """
-        if not (population := self.state.population).remaining:
-            with timed(self.times, "search"):
+        with timed(self.times, "search"):
+            if len(step := self._take_steps(1)):
+                return step
+            if not (population := self.state.population).remaining:
                 self.draw_generation()
         return self.ask(population.ready)
 
@@ -337,14 +369,14 @@ class FIDE(Retargeting):
 
     def _propose(
         self, z: Float64, descent: Descent, rng: np.random.Generator
-    ) -> tuple[Float64, Float64, Makers]:
-        """Line 5: proposals x, their z, (m, d) each, and makers, from samples of N(m, Sigma)."""
+    ) -> tuple[Float64, Float64]:
+        """Line 5: proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
         proposer, target = self.state.proposer, self.target_tokens
         assert proposer is not None
         with timed(self.times, "train"):
-            made = proposer.proposals(descent.rendered(z), target, descent.mean, descent.std, rng)
-        x = descent.place_proposals(made.x)
-        return x, descent.near(x), made.makers
+            made = proposer.propose(descent.rendered(z), target, descent.mean, descent.std, rng)
+        x = descent.place_proposals(made)
+        return x, descent.near(x)
 
     def _finish_generation(self) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
@@ -386,13 +418,13 @@ class FIDE(Retargeting):
         """Line 10."""
         state = self.state
         state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
-        if state.proposer is not None:
-            state.proposer.note_ranks(losses, np.array([one.maker for one in members]))
         point, state.injected = state.injected, None
         state.descent.tell(members, losses, point)
         if state.best is not None and state.best.search == state.searches:
             state.best = replace(state.best, mean=state.search.mean)
         guided = state.gate.guided if self.search_guided is None else self.search_guided
+        if state.steps is not None:
+            state.steps.after_generation()
         over = state.descent.is_over(guided=guided) and self.options.restarts != "none"
         if over if self.search_over is None else self.search_over:
             state.finish_search(guided=self.options.restarts in _MOVES and guided)

@@ -18,6 +18,7 @@ import torch
 from fide_plugins.population import Candidate, Population
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.image_gate import ImageGate
+from fide_plugins.proposers.steps import GaussNewtonSteps
 from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -75,6 +76,7 @@ class State:
     moves: what the present generation is for, and where the next search begins.
     gate: how far images steer the search.
     proposer: None where nothing is proposed.
+    steps: between generations; None where there are none.
     searches: begun so far.
     evaluations: points told so far.  not_finite: those whose loss was NaN or infinite.
     best: None before the first finite loss.
@@ -93,6 +95,7 @@ class State:
     moves: MovePolicy
     gate: ImageGate
     proposer: Proposer | None
+    steps: GaussNewtonSteps | None = None
     searches: int = 1
     evaluations: int = 0
     not_finite: int = 0
@@ -129,6 +132,12 @@ class State:
         """
         return self.stage is not Stage.SEARCH and not self.moves.has_more
 
+    @property
+    def has_steps(self) -> bool:
+        """Whether steps may come now: between two generations of a search that images guide."""
+        between = self.stage is Stage.SEARCH and not self.population.remaining
+        return self.steps is not None and between and self.gate.strength > 0
+
     def record(
         self, x: Float64, loss: float, image: Images | None, tokens: torch.Tensor | None
     ) -> None:
@@ -144,11 +153,13 @@ class State:
         if finite:
             if tokens is not None:
                 self._keep(TrainingSample(number, exact.copy(), tokens, loss))
-            if candidate is None and (self.injected is None or loss < self.injected[1]):
+            in_search = self.stage is Stage.SEARCH
+            apart = candidate is None or (candidate.extra and in_search)  # told, or a step
+            if apart and (self.injected is None or loss < self.injected[1]):
                 self.injected = (x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 solution = Solution(x.copy(), loss, self.evaluations, _copied(image))
-                searched = candidate is not None and self.stage is Stage.SEARCH
+                searched = in_search and not apart
                 if self.best is None or loss < self.improved_to - _GAIN * abs(self.improved_to):
                     self.improved_at, self.improved_to = self.evaluations, loss
                 mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)
@@ -160,6 +171,8 @@ class State:
         """Remember a sample until the generation is complete; too many of them, the latest."""
         self.memory.add(sample)
         self.samples.append(sample)
+        if self.steps is not None:
+            self.steps.add(sample)
         if len(self.samples) > _MOST_INJECTED + 2 * self.population.size:
             del self.samples[0]
         if self.stage not in (Stage.SEARCH, Stage.RESTART):
@@ -200,6 +213,8 @@ class State:
             self.descent = Descent(self.moves.start, self.moves.goal, setting)
             if self.proposer is not None:
                 self.proposer.forget()
+            if self.steps is not None:
+                self.steps.forget()
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known; None if no sample says that.
@@ -246,6 +261,7 @@ class State:
             "moves": self.moves.state_dict(),
             "gate": self.gate.state_dict(),
             "proposer": None if self.proposer is None else self.proposer.state_dict(),
+            "steps": None if self.steps is None else self.steps.state_dict(),
             "best": None if best is None else _pack_best(best),
             "samples": [sample.state_dict() for sample in self.samples],
             "learned": [sample.state_dict() for sample in self.learned],
@@ -269,6 +285,10 @@ class State:
         self.gate.load_state_dict(state["gate"])
         if self.proposer is not None:
             self.proposer.load_state_dict(state["proposer"], sides)
+        if state["steps"] is None:
+            self.steps = None  # of a replica, which takes none
+        elif self.steps is not None:
+            self.steps.load_state_dict(state["steps"], sides, device)
         self.best = None if state["best"] is None else _unpack_best(state["best"])
         self.samples = [TrainingSample.from_state(sample, device) for sample in state["samples"]]
         self.learned = [TrainingSample.from_state(sample, device) for sample in state["learned"]]
@@ -321,7 +341,9 @@ _PLAIN: dict[str, Schema] = {
 _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
     # the parts check their own
-    **dict.fromkeys(("population", "descent", "moves", "gate", "proposer", "memory"), anything),
+    **dict.fromkeys(
+        ("population", "descent", "moves", "gate", "proposer", "steps", "memory"), anything
+    ),
     "best": maybe(
         {
             "x": _UNIT,

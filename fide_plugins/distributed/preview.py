@@ -28,13 +28,13 @@ def preview_candidate(optimizer: FIDE, rng: np.random.Generator) -> Candidate | 
         return None
     proposer = _proposer(optimizer)
     x, z = descent.sample(1, rng)  # (1, d)
-    proposed, maker = False, 0
+    proposed = False
     if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
         v, target = descent.rendered(z), optimizer.target_tokens
-        made = proposer.proposals(v, target, descent.mean, descent.std, rng)
-        x, proposed, maker = descent.place_proposals(made.x), True, int(made.makers[0])
+        made = proposer.propose(v, target, descent.mean, descent.std, rng)
+        x, proposed = descent.place_proposals(made), True
         z = descent.near(x)
-    return Candidate(state.population.drawn, x[0], z[0], proposed, late=True, maker=maker)
+    return Candidate(state.population.drawn, x[0], z[0], proposed, late=True)
 
 
 def _proposer(optimizer: FIDE) -> Proposer | None:

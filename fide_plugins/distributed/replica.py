@@ -75,6 +75,7 @@ class Replica:
 
     def __init__(self, optimizer: FIDE, snap: Callable[[Float64], Float64] = np.copy) -> None:
         self.optimizer = optimizer
+        optimizer.state.steps = None  # who takes one is told its result, and others are not
         self._snap = snap
         self.generation = 0
         """Number of the present generation."""
@@ -201,7 +202,7 @@ class Replica:
             known = self.candidate(slot)
             self._taken.add(slot)
             if slot >= self.size:
-                self._population.adopt(known.x, known.z, proposed=known.proposed, maker=known.maker)
+                self._population.adopt(known.x, known.z, proposed=known.proposed)
             return Role.MEMBER, known.x
         state = self.optimizer.state
         z = state.descent.near(x[None])[0]

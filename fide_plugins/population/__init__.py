@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from fide_plugins.population.candidate import Candidate
 from fide_plugins.population.population import (
-    Makers,
     Population,
     Propose,
     mirrored_pair,
     search_columns,
 )
 
-__all__ = ["Candidate", "Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
+__all__ = ["Candidate", "Population", "Propose", "mirrored_pair", "search_columns"]

@@ -23,7 +23,6 @@ class Candidate:
     z: (d,), what the search distribution learns from; into(z) = x.
     proposed: whether a proposer made it, and not the search distribution.
     late: whether it was told after its own generation was complete.
-    maker: which of several proposers made it, from 1; 0 where there is one, or none.
     mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
     extra: whether its generation does not need it.
     """
@@ -33,7 +32,6 @@ class Candidate:
     z: Float64
     proposed: bool = False
     late: bool = False
-    maker: int = 0
     mirrored: bool = False
     extra: bool = False
 
@@ -46,7 +44,6 @@ def pack(candidates: list[Candidate]) -> dict[str, Any]:
         "z": np.array([c.z for c in candidates]),
         "proposed": np.array([c.proposed for c in candidates], bool),
         "late": np.array([c.late for c in candidates], bool),
-        "maker": np.array([c.maker for c in candidates], np.int64),
         "mirrored": np.array([c.mirrored for c in candidates], bool),
         "extra": np.array([c.extra for c in candidates], bool),
     }
@@ -54,7 +51,7 @@ def pack(candidates: list[Candidate]) -> dict[str, Any]:
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    flags = [packed[name].tolist() for name in ("proposed", "late", "maker", "mirrored", "extra")]
+    flags = [packed[name].tolist() for name in ("proposed", "late", "mirrored", "extra")]
     columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
 
@@ -67,7 +64,6 @@ def form_of(n: str) -> Schema:
         "z": array(n, "d", low=-1e60, high=1e60),
         "proposed": array(n, kind="b"),
         "late": array(n, kind="b"),
-        "maker": array(n, kind="i"),
         "mirrored": array(n, kind="b"),
         "extra": array(n, kind="b"),
     }

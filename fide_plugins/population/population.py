@@ -35,11 +35,10 @@ from fide_plugins.population.candidate import Candidate, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64
 
-__all__ = ["Makers", "Population", "Propose", "mirrored_pair", "search_columns"]
+__all__ = ["Population", "Propose", "mirrored_pair", "search_columns"]
 
-Makers: TypeAlias = npt.NDArray[np.int64]
-Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64, Makers]]
-"""From samples (m, d): x and z of proposals, (m, d) each, and who made each, (m,)."""
+Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64]]
+"""From samples (m, d): x and z of proposals, (m, d) each."""
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
@@ -160,8 +159,8 @@ class Population:
         m = len(self._unmade) if n is None or not self._singly else n - len(self._queue)
         now = self._unmade[:m]
         made = zip(*self._propose(now), strict=True)
-        for index, (x, z, maker) in enumerate(made, self._unmade_from):
-            self._queue.append(Candidate(index, x, z, proposed=True, maker=int(maker)))
+        for index, (x, z) in enumerate(made, self._unmade_from):
+            self._queue.append(Candidate(index, x, z, proposed=True))
         self._unmade, self._unmade_from = self._unmade[len(now) :], self._unmade_from + len(now)
 
     def settle(self) -> None:
@@ -183,17 +182,17 @@ class Population:
         flags = [candidate.proposed for candidate in self._queue] + [True] * len(self._unmade)
         return np.array(flags[first : first + n], bool)
 
-    def replace(self, first: int, x: Float64, z: Float64, makers: Makers) -> None:
+    def replace(self, first: int, x: Float64, z: Float64) -> None:
         """Put points x (m, d) with their z (m, d) in the place of candidates, as late ones.
 
-        makers: (m,).  first: of those that remain, which is queued, or the next proposal.
+        first: of those that remain, which is queued, or the next proposal.
         """
-        for i, (point, drawn, maker) in enumerate(zip(x, z, makers.tolist(), strict=True), first):
+        for i, (point, drawn) in enumerate(zip(x, z, strict=True), first):
             if i == len(self._queue):
                 self._queue.append(Candidate(self._unmade_from, point, drawn, proposed=True))
                 self._unmade, self._unmade_from = self._unmade[1:], self._unmade_from + 1
             old = self._queue[i]
-            self._queue[i] = Candidate(old.index, point, drawn, old.proposed, True, maker)
+            self._queue[i] = Candidate(old.index, point, drawn, old.proposed, late=True)
 
     def hand_out_all(self) -> list[Candidate]:
         """All candidates of the generation that remain."""

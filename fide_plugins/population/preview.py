@@ -12,7 +12,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fide_plugins.population import Makers
 from fide_plugins.search.descent import Descent
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.state import State
@@ -23,7 +22,7 @@ __all__ = ["make_next", "previewed"]
 _ENOUGH = 1 / 2  # of the results of a generation
 _FEWEST = 4  # results; no generation has fewer
 
-_Propose = Callable[[Float64, Descent, np.random.Generator], tuple[Float64, Float64, Makers]]
+_Propose = Callable[[Float64, Descent, np.random.Generator], tuple[Float64, Float64]]
 
 
 def previewed(state: State) -> Descent | None:
@@ -64,7 +63,6 @@ def _draw_ahead(state: State, n: int, propose: _Propose) -> None:
     population.make_proposals(needed)
     x, z = descent.sample(m, state.rng)  # (m, d)
     proposed = population.proposed(needed, m)
-    makers = np.zeros(m, np.int64)
     if proposed.any():
-        x[proposed], z[proposed], makers[proposed] = propose(z[proposed], descent, state.rng)
-    population.replace(needed, x, z, makers)
+        x[proposed], z[proposed] = propose(z[proposed], descent, state.rng)
+    population.replace(needed, x, z)

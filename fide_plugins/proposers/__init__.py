@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING
 
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.options import Options
-from fide_plugins.proposers.base import Proposals, Proposer
+from fide_plugins.proposers.base import Proposer
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:
     from fide_plugins.proposers.forward import ForwardProposer
     from fide_plugins.proposers.linear import LinearProposer
+    from fide_plugins.proposers.steps import GaussNewtonSteps
 
-__all__ = ["Proposals", "Proposer", "make_proposer"]
+__all__ = ["Proposer", "make_proposer", "make_steps"]
 
 _MOST_REMEMBERED = 600  # candidates; a generation costs a regression on as many
+_MOST_FOR_JACOBIAN = 100  # parameters; every step costs eigenvectors of as many
 
 
 def make_proposer(
@@ -31,18 +33,24 @@ def make_proposer(
 
     learned: whether the search begins at hypotheses of a learned model.
     """
-    if options.proposer == "linear":
+    if options.proposer in ("linear", "both"):
         return _linear(options, dim, popsize, encoder, learned=learned)
     if options.proposer == "forward":
         return _forward(options, dim, popsize, encoder)
-    if options.proposer == "both":
-        from fide_plugins.proposers.ensemble import EnsembleProposer
-
-        inverse = _linear(options, dim, popsize, encoder, learned=learned)
-        return EnsembleProposer(inverse, _forward(options, dim, popsize, encoder))
     if options.proposer == "diffusion":
         return _diffusion(options, dim, seed, encoder)
     return None
+
+
+def make_steps(
+    options: Options, dim: int, popsize: int, encoder: PatchEncoder
+) -> GaussNewtonSteps | None:
+    """Gauss-Newton steps between the generations; None where the options name none."""
+    if options.proposer != "both" or are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN:
+        return None
+    from fide_plugins.proposers.steps import GaussNewtonSteps
+
+    return GaussNewtonSteps(_forward(options, dim, popsize, encoder))
 
 
 def _linear(

@@ -4,26 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population import Makers
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 
-__all__ = ["Previewed", "Proposals", "Proposer", "SingleProposer"]
-
-
-class Proposals(NamedTuple):
-    """Candidates x (m, d), which may leave the unit cube, and who made each, (m,).
-
-    makers: from 1, as of `proposers.ensemble`; 0 where there is only one proposer.
-    """
-
-    x: Float64
-    makers: Makers
+__all__ = ["Previewed", "Proposer", "SingleProposer"]
 
 
 class Proposer(Protocol):
@@ -64,14 +53,6 @@ class Proposer(Protocol):
         mean, std: (d,), of the distribution of z.  Values may leave the unit cube.
         """
 
-    def proposals(
-        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
-    ) -> Proposals:
-        """As `propose`, and who made each."""
-
-    def note_ranks(self, losses: Float64, makers: Makers) -> None:
-        """Note the losses (k,) of a generation and who made each candidate, (k,)."""
-
     def forget(self) -> None:
         """Another search begins."""
 
@@ -104,16 +85,6 @@ class SingleProposer(ABC):
         self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
     ) -> Float64:
         """See `Proposer.propose`."""
-
-    def proposals(
-        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
-    ) -> Proposals:
-        """As `propose`; there is one maker."""
-        x = self.propose(z, target, mean, std, rng)
-        return Proposals(x, np.zeros(len(z), np.int64))
-
-    def note_ranks(self, losses: Float64, makers: Makers) -> None:  # noqa: B027
-        """Nothing depends on it."""
 
 
 class Previewed(ABC):

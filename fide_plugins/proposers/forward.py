@@ -156,9 +156,7 @@ class ForwardProposer(Previewed, SingleProposer):
         low, high = np.log(self.damping)
         damping = np.exp(rng.uniform(low, high, size=(len(z), 1)))
         slope = self._slope(jacobian, target)  # (d,), in the basis of eigenvectors, as all below
-        penalty = damping * balanced(jacobian, slope) + jacobian.rounding + _TINY
-        steps = slope / (jacobian.values + penalty)  # (m, d)
-        steps *= self._cut(steps)
+        steps, penalty = self._damped(jacobian, slope, damping)  # (m, d), (m, 1)
         kept = self.kept * (1 - predicted_gain(jacobian, slope, steps))  # (m, 1)
         kept = np.maximum(kept, min(_LEAST_KEPT, self.kept))  # no two proposals are one point
         undetermined = penalty / (jacobian.values + penalty)  # (m, d), in [0, 1]
@@ -166,6 +164,27 @@ class ForwardProposer(Previewed, SingleProposer):
         steps += kept * undetermined * sampled
         proposals: Float64 = self._x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
         return proposals
+
+    def promised(self, target: Tensor, std: Float64) -> float:
+        """Share of the residual's |e*|^2 that its own step would remove, by the model; at most 1.
+
+        target: tokens (T, C).  std: (d,), of the search distribution.  The step has the damping
+        that balances the model's errors, and these count.
+        """
+        jacobian = self._jacobian(positive(std))
+        slope = self._slope(jacobian, target)
+        steps, _ = self._damped(jacobian, slope, np.ones((1, 1)))
+        residual = self._buffer.missing(target, jacobian.best)
+        removed = predicted_decrease(jacobian, slope, steps)[0]
+        return float(removed) / (float(residual @ residual) + _TINY)
+
+    def _damped(
+        self, jacobian: Jacobian, slope: Float64, damping: Float64
+    ) -> tuple[Float64, Float64]:
+        """Steps (m, d), none too long, and lambda (m, 1), of damping (m, 1); see `propose`."""
+        penalty: Float64 = damping * balanced(jacobian, slope) + jacobian.rounding + _TINY
+        steps = slope / (jacobian.values + penalty)
+        return steps * self._cut(steps), penalty
 
     def _cut(self, steps: Float64) -> Float64:
         """Factors (m, 1) that hold steps (m, d) to the longest that is allowed."""
@@ -228,13 +247,19 @@ def balanced(jacobian: Jacobian, slope: Float64) -> float:
 def predicted_gain(jacobian: Jacobian, slope: Float64, steps: Float64) -> Float64:
     """How much of the error that J could explain the steps (m, d) remove, (m, 1) in [0, 1].
 
-    Less what the model misses; `slope` and steps are in the basis of the eigenvectors.
+    `slope` and steps are in the basis of the eigenvectors.
     """
-    removed = steps @ (2 * slope) - np.square(steps) @ jacobian.values
-    removed -= jacobian.curvature * np.square(np.square(steps).sum(axis=1))
     explained = float((slope**2 / (jacobian.values + jacobian.rounding + _TINY)).sum())
-    gain: Float64 = np.clip(removed[:, None] / (explained + _TINY), 0.0, 1.0)
+    removed = predicted_decrease(jacobian, slope, steps)[:, None]
+    gain: Float64 = np.clip(removed / (explained + _TINY), 0.0, 1.0)
     return gain
+
+
+def predicted_decrease(jacobian: Jacobian, slope: Float64, steps: Float64) -> Float64:
+    """By how much steps (m, d) lower |e*|^2, less what the model misses, (m,); may be negative."""
+    decrease: Float64 = steps @ (2 * slope) - np.square(steps) @ jacobian.values
+    decrease -= jacobian.curvature * np.square(np.square(steps).sum(axis=1))
+    return decrease
 
 
 def _best_and_latest(losses: Float64, n: int) -> Indices:

@@ -12,7 +12,7 @@ from fide_plugins import encoders
 from fide_plugins.distributed.preview import preview_candidate
 from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.ensemble import EnsembleProposer
+from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.proposers.training_sample import columns
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float32, Float64
@@ -60,10 +60,9 @@ def test_some_are_proposals_that_know_the_results_so_far() -> None:
     state = replica.optimizer.state
     assert state.proposer is not None
     proposer = state.proposer.preview(*columns(state.samples), state.search.std)
-    assert isinstance(proposer, EnsembleProposer)
+    assert isinstance(proposer, LinearProposer)
     _, losses = replica.optimizer.state.population.members()
-    for model in (proposer.inverse, proposer.forward):
-        assert sorted(model.state_dict()["losses"][-6:]) == sorted(losses)
+    assert sorted(proposer.state_dict()["losses"][-6:]) == sorted(losses)
 
 
 def test_asking_for_them_changes_nothing() -> None:
@@ -114,11 +113,10 @@ def test_told_all_of_a_generation_the_copy_is_what_the_search_becomes() -> None:
 
 def test_a_copy_of_the_proposer_learns_alone() -> None:
     proposer = replica_in_the_midst(0).optimizer.state.proposer
-    assert isinstance(proposer, EnsembleProposer)
+    assert isinstance(proposer, LinearProposer)
     before = copy.deepcopy(proposer.state_dict())
     _, tokens = look(np.full(DIM, 0.5))
     other = proposer.copy()
     other.update(np.full((1, DIM), 0.5), tokens[None], np.ones(1), np.ones(DIM))
-    for name in ("inverse", "forward"):
-        assert len(other.state_dict()[name]["losses"]) == len(before[name]["losses"]) + 1
+    assert len(other.state_dict()["losses"]) == len(before["losses"]) + 1
     np.testing.assert_equal(proposer.state_dict(), before)

@@ -30,7 +30,7 @@ def one_by_one(opt: FIDE, render: Render, n: int) -> Float64:
     return np.concatenate(asked)
 
 
-@pytest.mark.parametrize("proposer", ["linear", "forward", "both"])
+@pytest.mark.parametrize("proposer", ["linear", "forward"])
 def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
     proposer: str, render: Render, target: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -55,7 +55,7 @@ def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
     assert len(known) == 8  # each was learned from once
 
 
-@pytest.mark.parametrize("proposer", ["linear", "both"])
+@pytest.mark.parametrize("proposer", ["linear", "forward"])
 def test_when_it_is_told_matters_and_in_which_pieces_does_not(
     proposer: str, render: Render, target: Float32
 ) -> None:
@@ -88,7 +88,8 @@ def test_saving_in_the_middle_makes_no_proposal_before_its_time(
     saved, other = (FIDE(6, target, proposer=proposer, **SETTINGS) for _ in range(2))
     one_by_one(saved, render, 28)
     one_by_one(other, render, 28)
-    assert saved.state.population.unmade > 0
+    while not saved.state.population.unmade:
+        np.testing.assert_array_equal(one_by_one(saved, render, 1), one_by_one(other, render, 1))
     for _ in range(6):
         saved.save(tmp_path / "c")
         copy = FIDE.load(tmp_path / "c")
@@ -101,21 +102,22 @@ def test_saving_in_the_middle_makes_no_proposal_before_its_time(
 def test_proposals_asked_together_are_made_by_one_call_a_generation(
     n: int, render: Render, target: Float32, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opt = FIDE(6, target, **SETTINGS)
+    opt = FIDE(6, target, proposer="linear", **SETTINGS)
     one_by_one(opt, render, 24)
     model = opt.state.proposer
     assert model is not None
     calls: list[int] = []
-    propose = model.proposals
+    propose = model.propose
 
     def counted(z: Float64, *others: Any) -> Any:
         calls.append(len(z))
         return propose(z, *others)
 
-    monkeypatch.setattr(model, "proposals", counted)
+    monkeypatch.setattr(model, "propose", counted)
     for _ in range(3):
         calls.clear()
         X = opt.ask(n)
-        made = sum(one[0].proposed for one in opt.state.population._pending.values())
+        pending = opt.state.population._pending.values()
+        made = sum(one.proposed for equal in pending for one in equal)
         assert sum(calls) == made and len(calls) <= -(-n // 8) + 1
         opt.tell(X, render(X))

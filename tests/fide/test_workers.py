@@ -193,7 +193,7 @@ def test_as_many_are_proposed_as_by_one_worker(target: Float32, render: Render) 
     """Proposals are the last of a generation: with eight workers nearly all are made ahead."""
     opt = FIDE(
         6, target, seed=0, popsize=10, proposal_fraction=0.5, fraction_rate=0.0,
-        guard_images=False, restarts="none",
+        guard_images=False, restarts="none", proposer="linear",
     )  # fmt: skip
     workers, asked = Workers(opt, render), {}
     for step in range(400):

@@ -187,7 +187,8 @@ def test_fractions_that_contradict_each_other() -> None:
 )  # fmt: skip
 def test_what_is_of_the_network_goes_with_a_network(name: str, value: Any) -> None:
     for preset in ("fast", "balanced", "accurate"):
-        with pytest.raises(OptionError, match=f"{name}=.*of the network.*'linear' has none"):
+        proposer = PRESETS[preset].proposer
+        with pytest.raises(OptionError, match=f"{name}=.*of the network.*'{proposer}' has none"):
             make_options(preset, {name: value})
         options = make_options(preset, {name: value, "proposer": "diffusion"})
         assert getattr(options.network, name) == value

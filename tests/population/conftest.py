@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.population import Makers, Population
+from fide_plugins.population import Population
 from fide_plugins.types import Float64
 
 PROPOSED = 2  # of each generation, the last ones
@@ -25,8 +25,8 @@ def index_of(population: Population, x: Float64, loss: float) -> int | None:
     return None if candidate is None else candidate.index
 
 
-def made_of(x: Float64, z: Float64) -> tuple[Float64, Float64, Makers]:
-    return x, z, np.full(len(x), 7)
+def made_of(x: Float64, z: Float64) -> tuple[Float64, Float64]:
+    return x, z
 
 
 def hand_out(population: Population, n: int) -> list[Float64]:

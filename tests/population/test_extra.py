@@ -146,13 +146,13 @@ def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
     """Of a sample and of a proposal, which is then never made."""
     population = drawn(4)
     hand_out(population, 1 - first)
-    x, makers = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([0, 5])
+    x = np.array([[0.1, 0.2], [0.3, 0.4]])
     assert population.proposed(first, 2).tolist() == [False, True]
-    population.replace(first, x, x + 2.0, makers)
+    population.replace(first, x, x + 2.0)
     assert population.remaining == 3 + first
     asked = hand_out(population, 3 + first)[first:]
     np.testing.assert_array_equal(asked[:2], x)
     np.testing.assert_array_equal(asked[2], np.random.default_rng(0).random((4, 2))[3])
     found = [population.record(row, 0.0) for row in asked]
-    flags = [(c.index, c.proposed, c.late, c.maker) for c in found if c is not None]
-    assert flags == [(1, False, True, 0), (2, True, True, 5), (3, True, False, 7)]
+    flags = [(c.index, c.proposed, c.late) for c in found if c is not None]
+    assert flags == [(1, False, True), (2, True, True), (3, True, False)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Makers, Population, mirrored_pair, population as book
+from fide_plugins.population import Population, mirrored_pair, population as book
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of, made_of
@@ -26,7 +26,6 @@ def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
         assert [c.index for c in members] == [0, 1, 2, 3, 4]
         np.testing.assert_array_equal(losses, [10, 11, 12, 13, 14])
         assert [c.proposed for c in members] == [False, False, False, True, True]
-        assert [c.maker for c in members] == [0, 0, 0, 7, 7]
         assert not any(c.late for c in members)
         for c in members:
             np.testing.assert_array_equal(c.z, c.x + 2.0)
@@ -45,7 +44,7 @@ def test_proposals_are_made_when_the_first_of_them_is_asked_for_and_only_then() 
     population, made = Population(), []
     x = np.linspace(0, 1, 5)[:, None]
 
-    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+    def propose(samples: Float64) -> tuple[Float64, Float64]:
         made.append(population.remaining)
         return made_of(samples, samples)
 
@@ -68,7 +67,7 @@ def test_single_proposals_are_made_one_by_one(saved: bool) -> None:
     population, made = Population(), []
     x = np.linspace(0, 1, 5)[:, None]
 
-    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+    def propose(samples: Float64) -> tuple[Float64, Float64]:
         made.append(samples.tolist())
         return made_of(samples, samples)
 
@@ -102,7 +101,7 @@ def test_single_proposals_that_are_asked_for_at_once_are_made_before_any_is_hand
 def test_proposals_that_fail_are_tried_again() -> None:
     population, answers = Population(), iter([ArithmeticError, None])
 
-    def propose(samples: Float64) -> tuple[Float64, Float64, Makers]:
+    def propose(samples: Float64) -> tuple[Float64, Float64]:
         error = next(answers)
         if error is not None:
             raise error

@@ -205,7 +205,7 @@ def test_a_copy_learns_alone() -> None:
 def test_it_is_for_more_parameters_than_candidates(dim: int, popsize: int, possible: bool) -> None:
     """By default with a learned model.  Robot's seven parameters are told apart by all tokens."""
     for wanted, learned in ((True, False), (None, True), (False, True), (None, False)):
-        options = make_options("balanced", {"screening": wanted})
+        options = make_options("balanced", {"screening": wanted, "proposer": "linear"})
         encoder = encoders.make("dense")
         proposer = make_proposer(options, dim, popsize, 0, encoder, learned=learned)
         assert isinstance(proposer, LinearProposer)
@@ -241,9 +241,9 @@ def test_a_search_goes_on_from_a_checkpoint_bit_for_bit() -> None:
 
 
 def test_a_checkpoint_without_screening_is_read() -> None:
-    opt = told(8)
+    opt = told(8, proposer="linear")
     saved = opt.state_dict()
     del saved["proposer"]["screening"]  # as it was before
-    other = told(0)
+    other = told(0, proposer="linear")
     other.load_state_dict(saved)
     np.testing.assert_array_equal(opt.ask(), other.ask())

@@ -1,0 +1,107 @@
+"""Gauss-Newton steps from the best candidate, between the generations of the search.
+
+Near the answer of a smooth scene one step of the forward model (`proposers.forward`) does more than
+a generation.  In a generation such steps would do harm: they rank first on the way to the next
+local optimum, too, and the search distribution would follow them there.  So they are evaluated
+between two generations, and the search learns no more from them than from points that a user tells
+(`FIDE.tell`).
+
+How many there are depends on what the model promises.  A step that would remove the share p of the
+residual, by the model, is worth trying p k times after a generation of k candidates, and not at all
+if p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
+little of the residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from fide_plugins.proposers.forward import ForwardProposer
+from fide_plugins.proposers.training_sample import (
+    SCHEMA as SAMPLE,
+    TrainingSample,
+    columns,
+    in_order,
+)
+from fide_plugins.runtime.schema import Schema, Sides, anything, check, each, flag, whole
+from fide_plugins.types import Float64
+
+__all__ = ["GaussNewtonSteps"]
+
+_MOST_NEW = 1000  # samples that wait to be learned from
+_SCHEMA: Schema = {"forward": anything, "new": each(SAMPLE), "due": flag, "left": whole()}
+
+
+class GaussNewtonSteps:
+    """Which steps come before the next generation.
+
+    forward: the model.
+    least_promise: share of the residual that a step must promise to remove, in [0, 1].
+    """
+
+    def __init__(self, forward: ForwardProposer, least_promise: float = 0.4) -> None:
+        self.forward, self.least_promise = forward, least_promise
+        self.forget()
+
+    def forget(self) -> None:
+        """Another search begins; its first generation comes first."""
+        self.forward.forget()
+        self._new: list[TrainingSample] = []  # the model does not know them yet
+        self._due = False  # whether a generation was completed and nobody has asked since
+        self._left = 0
+
+    def add(self, sample: TrainingSample) -> None:
+        """Note what was evaluated."""
+        self._new.append(sample)
+        del self._new[:-_MOST_NEW]
+
+    def after_generation(self) -> None:
+        """Note that a generation was completed."""
+        self._due = True
+
+    def left(self, popsize: int, target: Tensor, std: Float64) -> int:
+        """How many steps come before the next generation of popsize candidates.
+
+        target: tokens (T, C).  std: (d,), of the search distribution.
+        """
+        if not (self._due or self._left):
+            return 0
+        self._learn(std)
+        promise = self.forward.promised(target, std) if self.forward.ready else 0.0
+        if self._due:
+            self._due, self._left = False, round(min(max(promise, 0.0), 1.0) * popsize)
+        if not promise >= self.least_promise:
+            self._left = 0
+        return self._left
+
+    def take(
+        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
+    ) -> Float64:
+        """Steps (m, d) from m of those that are left; see `ForwardProposer.propose`."""
+        self._left -= len(z)
+        return self.forward.propose(z, target, mean, std, rng)
+
+    def _learn(self, std: Float64) -> None:
+        if self._new:
+            self.forward.update(*columns(in_order(self._new)), std)
+            self._new = []
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "forward": self.forward.state_dict(),
+            "new": [sample.state_dict() for sample in self._new],
+            "due": self._due,
+            "left": self._left,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
+        check(state, _SCHEMA, dict(sides), "steps")
+        self.forward.load_state_dict(state["forward"], sides)
+        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
+        self._due, self._left = state["due"], state["left"]

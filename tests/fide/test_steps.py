@@ -1,0 +1,137 @@
+"""Steps between two generations, as who asks sees them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.fide import FIDE
+from fide_plugins.types import Float32, Float64
+
+from .helpers import Render
+
+SETTINGS: dict[str, Any] = {"popsize": 8, "seed": 3}
+
+
+def steps_pending(opt: FIDE) -> int:
+    pending = opt.state.population._pending.values()
+    return sum(candidate.extra for equal in pending for candidate in equal)
+
+
+def one_by_one(opt: FIDE, render: Render, n: int) -> tuple[Float64, list[bool]]:
+    """Candidates (n, dim), and which were steps."""
+    asked, steps = [], []
+    for _ in range(n):
+        asked.append(opt.ask(1))
+        steps.append(steps_pending(opt) > 0)
+        opt.tell(asked[-1], render(asked[-1]))
+    return np.concatenate(asked), steps
+
+
+def first_step(opt: FIDE, render: Render) -> Float64:
+    """Ask and tell until a step is pending."""
+    for _ in range(200):
+        X = opt.ask(1)
+        if steps_pending(opt):
+            return X
+        opt.tell(X, render(X))
+    raise AssertionError("no step in 200 candidates")
+
+
+def test_they_come_between_two_generations_and_count_in_none(
+    render: Render, target: Float32
+) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    _, steps = one_by_one(opt, render, 120)
+    flags = np.array(steps)
+    assert 10 < flags.sum() < 60
+    assert not flags[:8].any()
+    members = np.cumsum(~flags)
+    begun = flags[1:] & ~flags[:-1]
+    assert (members[1:][begun] % 8 == 0).all()  # after whole generations only
+    assert opt.state.population.generations == members[-1] // 8
+
+
+def test_the_first_search_converges_faster_with_them(render: Render, target: Float32) -> None:
+    reached = []
+    for proposer in ("linear", "both"):
+        runs = []
+        for seed in range(5):
+            opt = FIDE(6, target, popsize=8, seed=seed, proposer=proposer)
+            one_by_one(opt, render, 100)
+            assert opt.best is not None
+            runs.append(opt.best.loss)
+        reached.append(np.exp(np.mean(np.log(np.array(runs) + 1e-15))))
+    assert reached[1] < reached[0] / 5
+
+
+def test_who_asks_for_a_generation_gets_just_that(render: Render, target: Float32) -> None:
+    opt = FIDE(6, target, restarts="none", **SETTINGS)
+    for _ in range(15):
+        X = opt.ask()
+        assert len(X) == 8 and not steps_pending(opt)
+        opt.tell(X, render(X))
+
+
+def test_who_asks_for_many_gets_steps_and_then_a_generation(
+    render: Render, target: Float32
+) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    opt.tell(X := first_step(opt, render), render(X))
+    X = opt.ask(20)
+    assert X.shape == (20, 6) and len(np.unique(X, axis=0)) == 20
+    assert 0 < steps_pending(opt) < 8
+    opt.tell(X, render(X))
+
+
+def test_a_step_is_a_guess_and_not_what_the_distribution_found(
+    render: Render, target: Float32
+) -> None:
+    """It is recommended as it is; and the best one is injected, as one that a user tells."""
+    opt = FIDE(6, target, **SETTINGS)
+    X = first_step(opt, render)
+    loss = opt.best.loss / 2 if opt.best is not None else 0.0
+    opt.tell(X, render(X), np.array([loss]))
+    assert opt.state.injected is not None
+    np.testing.assert_array_equal(opt.state.injected[0], X[0])
+    assert opt.state.best is not None and opt.state.best.search == 0
+    np.testing.assert_array_equal(opt.state.best.mean, X[0])
+
+
+def test_one_that_is_withdrawn_or_never_told_holds_nothing_up(
+    render: Render, target: Float32
+) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    opt.withdraw(first_step(opt, render))
+    generations = opt.state.population.generations
+    first_step(opt, render)  # never told
+    for _ in range(30):
+        X = opt.ask(1)
+        opt.tell(X, render(X))
+    assert opt.state.population.generations >= generations + 2
+
+
+def test_saved_between_two_steps_it_goes_on_bit_for_bit(
+    render: Render, target: Float32, tmp_path: Path
+) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    X = first_step(opt, render)
+    opt.save(tmp_path / "c")
+    copy = FIDE.load(tmp_path / "c")
+    for each in (opt, copy):
+        each.tell(X, render(X))
+    asked, steps = one_by_one(opt, render, 40)
+    assert any(steps)
+    np.testing.assert_array_equal(one_by_one(copy, render, 40)[0], asked)
+
+
+def test_images_that_say_nothing_bring_no_steps(target: Float32) -> None:
+    """Noise for images: the search is CMA-ES."""
+    opt, rng = FIDE(6, target, **SETTINGS), np.random.default_rng(0)
+    for _ in range(150):
+        X = opt.ask(1)
+        assert not steps_pending(opt)
+        images = rng.random((1, *target.shape)).astype(np.float32)
+        opt.tell(X, images, np.square(X - 0.3).sum(axis=1))

@@ -1,0 +1,140 @@
+"""Gauss-Newton steps between the generations: when, how many, and from what they learn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_plugins import encoders
+from fide_plugins.options import make_options
+from fide_plugins.proposers import make_steps
+from fide_plugins.proposers.forward import ForwardProposer
+from fide_plugins.proposers.steps import GaussNewtonSteps
+from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.types import Float64
+
+D, T, C, K = 3, 4, 5, 10
+STD, MEAN = np.full(D, 0.1), np.full(D, 0.5)
+MIXING = np.random.default_rng(1).standard_normal((D, T * C))
+TRUTH = np.full(D, 0.6)
+
+
+def image_of(x: Float64) -> Tensor:
+    return torch.as_tensor(((x - 0.5) @ MIXING).reshape(T, C))
+
+
+TARGET = image_of(TRUTH)
+UNLIKE = TARGET + torch.as_tensor(np.random.default_rng(2).standard_normal((T, C)))
+"""What no parameters make: a linear model explains little of it."""
+
+
+def taught(n: int = 12, *, least_promise: float = 0.4) -> GaussNewtonSteps:
+    steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), least_promise)
+    for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
+        loss = float(np.square(x - TRUTH).sum())
+        steps.add(TrainingSample(i, x, image_of(x), loss))
+    return steps
+
+
+def take(steps: GaussNewtonSteps, m: int = 1) -> Float64:
+    rng = np.random.default_rng(7)
+    z = rng.normal(MEAN, STD, (m, D))
+    return steps.take(z, TARGET, MEAN, STD, rng)
+
+
+def test_there_are_as_many_as_the_model_promises() -> None:
+    """It promises all of the residual of a linear scene, and less of what no parameters make."""
+    for target in (TARGET, UNLIKE):
+        steps = taught(least_promise=0.0)
+        steps.after_generation()
+        left = steps.left(K, target, STD)
+        promise = steps.forward.promised(target, STD)
+        assert left == round(promise * K)
+        assert (left == K) == (target is TARGET)
+    assert 0 < left < K
+
+
+def test_there_are_none_where_it_promises_too_little() -> None:
+    for least, expected in ((0.9, 0), (0.0, 1)):
+        steps = taught(least_promise=least)
+        steps.after_generation()
+        assert min(1, steps.left(K, UNLIKE, STD)) == expected
+
+
+def test_they_come_once_after_each_generation() -> None:
+    steps = taught()
+    assert steps.left(K, TARGET, STD) == 0  # none is complete
+    steps.after_generation()
+    for left in range(K, 0, -1):
+        assert steps.left(K, TARGET, STD) == left
+        take(steps)
+    assert steps.left(K, TARGET, STD) == 0
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == K
+
+
+def test_they_end_when_the_model_no_longer_promises_much() -> None:
+    steps = taught()
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == K
+    assert steps.left(K, UNLIKE * 3, STD) == 0
+    assert steps.left(K, TARGET, STD) == 0
+
+
+def test_before_it_knows_enough_there_are_none() -> None:
+    steps = taught(4)
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == 0
+
+
+def test_a_step_of_a_linear_scene_goes_to_the_answer() -> None:
+    steps = taught(40)
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == K
+    assert np.abs(take(steps, 5) - TRUTH).max(axis=1).min() < 1e-3
+
+
+def test_the_order_of_telling_does_not_matter() -> None:
+    first, other = taught(), taught()
+    other._new.reverse()
+    for steps in (first, other):
+        steps.after_generation()
+        assert steps.left(K, TARGET, STD) == K
+    np.testing.assert_array_equal(take(first, 4), take(other, 4))
+
+
+@pytest.mark.parametrize("learned", [False, True])
+def test_state(learned: bool) -> None:
+    first, second = taught(), GaussNewtonSteps(ForwardProposer(D, minimum=5))
+    first.after_generation()
+    if learned:
+        first.left(K, TARGET, STD)
+        take(first, 3)
+    second.load_state_dict(first.state_dict(), {"d": D, "T": T, "C": C}, torch.device("cpu"))
+    for steps in (first, second):
+        assert steps.left(K, TARGET, STD) == (K - 3 if learned else K)
+    np.testing.assert_array_equal(take(first, 4), take(second, 4))
+    broken = {**first.state_dict(), "left": -1}
+    with pytest.raises(ValueError, match="left"):
+        second.load_state_dict(broken, {"d": D, "T": T, "C": C}, torch.device("cpu"))
+
+
+def test_another_search_begins_with_a_generation() -> None:
+    steps = taught()
+    steps.after_generation()
+    steps.forget()
+    assert steps.left(K, TARGET, STD) == 0
+    assert not steps.forward.ready and not steps._new
+
+
+@pytest.mark.parametrize(
+    ("proposer", "dim", "popsize", "there"),
+    [("both", 40, 15, True), ("linear", 40, 15, False), ("both", 100, 30, True),
+     ("both", 101, 50, False), ("both", 80, 17, False)],
+)  # fmt: skip
+def test_which_searches_have_them(proposer: str, dim: int, popsize: int, there: bool) -> None:
+    options = make_options("balanced", {"proposer": proposer})
+    made = make_steps(options, dim, popsize, encoders.make("dense"))
+    assert (made is not None) == there
