@@ -172,7 +172,7 @@ class FIDE(Retargeting):
             moves=moves,
             gate=ImageGate(o, subsets, known=known),
             proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
-            steps=make_steps(o, self.dim, k, self.encoder),
+            steps=make_steps(o, self.dim, k, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
         )
 

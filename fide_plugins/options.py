@@ -101,8 +101,8 @@ class Options:
     popsize: k, candidates a generation; None: 4 + 3 ln d.
     proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
         on smooth scenes, greedy on others), "both" (linear, and between the generations steps of
-        the forward model, see `proposers.steps`; no steps with more than 100 parameters, or more
-        than 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
+        the forward model, see `proposers.steps`; none with a learned model, or with more than 100
+        parameters or 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
     restarts: where the next search begins: "moves" (they keep most of the best candidate, see
         `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
         images, and with nothing proposed, "moves" is "anew".

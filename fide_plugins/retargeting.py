@@ -106,6 +106,10 @@ class Retargeting(Readings):
         if state.proposer is not None:
             state.proposer.forget()
             _teach(state.proposer, recalled.samples, start.std, self.popsize)
+        if state.steps is not None:
+            state.steps.forget()
+            for sample in recalled.samples:
+                state.steps.add(sample)
         self.draw_generation()
         x = state.descent.place(recalled.hypotheses)
         state.population.put_first(x, state.descent.near(x))

@@ -43,10 +43,15 @@ def make_proposer(
 
 
 def make_steps(
-    options: Options, dim: int, popsize: int, encoder: PatchEncoder
+    options: Options, dim: int, popsize: int, encoder: PatchEncoder, *, learned: bool = False
 ) -> GaussNewtonSteps | None:
-    """Gauss-Newton steps between the generations; None where the options name none."""
-    if options.proposer != "both" or are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN:
+    """Gauss-Newton steps between the generations; None where the options name none.
+
+    Nor are there any where the search begins at hypotheses of a learned model, which are near the
+    answer in what the model knows and anywhere in the rest.
+    """
+    too_many = are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN
+    if options.proposer != "both" or too_many or learned:
         return None
     from fide_plugins.proposers.steps import GaussNewtonSteps
 

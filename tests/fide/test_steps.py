@@ -127,6 +127,21 @@ def test_saved_between_two_steps_it_goes_on_bit_for_bit(
     np.testing.assert_array_equal(one_by_one(copy, render, 40)[0], asked)
 
 
+def test_the_next_picture_begins_with_what_is_remembered(render: Render, target: Float32) -> None:
+    """With losses of the new picture, and a generation."""
+    opt = FIDE(6, target, **SETTINGS)
+    opt.tell(X := first_step(opt, render), render(X))
+    other = render(np.full((1, 6), 0.4))[0]
+    opt.retarget(other)
+    steps = opt.state.steps
+    assert steps is not None and not steps.forward.ready
+    best = min(steps._new, key=lambda sample: sample.loss)
+    errors = np.square(render(np.array([one.x for one in steps._new])) - other).mean(axis=(1, 2, 3))
+    assert np.square(render(best.x[None])[0] - other).mean() == errors.min()
+    _, flags = one_by_one(opt, render, 30)
+    assert not any(flags[:8]) and any(flags)
+
+
 def test_images_that_say_nothing_bring_no_steps(target: Float32) -> None:
     """Noise for images: the search is CMA-ES."""
     opt, rng = FIDE(6, target, **SETTINGS), np.random.default_rng(0)

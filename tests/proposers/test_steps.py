@@ -138,3 +138,4 @@ def test_which_searches_have_them(proposer: str, dim: int, popsize: int, there: 
     options = make_options("balanced", {"proposer": proposer})
     made = make_steps(options, dim, popsize, encoders.make("dense"))
     assert (made is not None) == there
+    assert make_steps(options, dim, popsize, encoders.make("dense"), learned=True) is None
