@@ -55,6 +55,7 @@ class Change(NamedTuple):
 DIFFUSION = "proposer: diffusion network"
 CONFIGURATIONS: dict[str, Change] = {
     "FIDE": Change({}),
+    "no steps": Change({"proposer": "linear"}),
     "nothing proposed": Change(NOTHING_PROPOSED),
     "nothing proposed, restarts anew (CMA-ES)": Change({"proposer": "none"}),
     "restarts anew": Change({"restarts": "anew"}),
@@ -67,7 +68,6 @@ CONFIGURATIONS: dict[str, Change] = {
     "no refinement": Change({}, without=(Refine,)),
     "no beginning anew": Change({}, without=(BeginAnew,)),
     "proposer: forward model": Change({"proposer": "forward"}),
-    "proposer: both models": Change({"proposer": "both"}),
     "patience of 10 generations": Change({"patience": 10}),
     "patience of 25 generations (accurate)": Change({"patience": 25}),
     "channels: the first 3": Change({"channel_subsets": (3,)}),

@@ -144,7 +144,7 @@ def run(planned_run: Row, optimizer: str, options: dict[str, Any]) -> Row:
     best, solved_at = np.inf, None
     marks: dict[str, float] = {}
     while opt.evaluations < planned_run["budget"] and solved_at is None:
-        X = opt.ask()
+        X = opt.ask_ready()  # as the run loop does: steps come one at a time
         images = render(X)
         losses = np.square(images - target, dtype=np.float64).mean(axis=(1, 2, 3))
         left = planned_run["budget"] - opt.evaluations  # the last generation may go beyond it
