@@ -192,11 +192,11 @@ class FIDE(Retargeting):
         n = None if n is None else whole_number("n", n, 1)
         with timed(self.times, "search"):
             if n is None:
-                return self._hand_out(None)
+                return self._ask(None)
             self.state.population.expect(n)
             steps = self._take_steps(n)
             rest = n - len(steps)
-            return np.concatenate([steps, self._hand_out(rest)]) if rest else steps
+            return np.concatenate([steps, self._ask(rest)]) if rest else steps
 
     def _take_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
@@ -213,10 +213,10 @@ class FIDE(Retargeting):
             x = state.steps.take(v, target, descent.mean, descent.std, state.rng)
         x = descent.place_proposals(x)
         for row in zip(x, descent.near(x), strict=True):
-            state.population.adopt(*row, proposed=True, extra=True)
+            state.population.adopt(*row, step=True)
         return x
 
-    def _hand_out(self, n: int | None) -> Float64:
+    def _ask(self, n: int | None) -> Float64:
         """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
         population = self.state.population
         if not population.remaining:

@@ -153,13 +153,12 @@ class State:
         if finite:
             if tokens is not None:
                 self._keep(TrainingSample(number, exact.copy(), tokens, loss))
-            in_search = self.stage is Stage.SEARCH
-            apart = candidate is None or (candidate.extra and in_search)  # told, or a step
+            apart = candidate is None or candidate.step
             if apart and (self.injected is None or loss < self.injected[1]):
                 self.injected = (x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 solution = Solution(x.copy(), loss, self.evaluations, _copied(image))
-                searched = in_search and not apart
+                searched = not apart and self.stage is Stage.SEARCH
                 if self.best is None or loss < self.improved_to - _GAIN * abs(self.improved_to):
                     self.improved_at, self.improved_to = self.evaluations, loss
                 mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)

@@ -25,6 +25,7 @@ class Candidate:
     late: whether it was told after its own generation was complete.
     mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
     extra: whether its generation does not need it.
+    step: whether it came between two generations, and is of none, see `proposers.steps`.
     """
 
     index: int
@@ -34,6 +35,7 @@ class Candidate:
     late: bool = False
     mirrored: bool = False
     extra: bool = False
+    step: bool = False
 
 
 def pack(candidates: list[Candidate]) -> dict[str, Any]:
@@ -46,12 +48,13 @@ def pack(candidates: list[Candidate]) -> dict[str, Any]:
         "late": np.array([c.late for c in candidates], bool),
         "mirrored": np.array([c.mirrored for c in candidates], bool),
         "extra": np.array([c.extra for c in candidates], bool),
+        "step": np.array([c.step for c in candidates], bool),
     }
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    flags = [packed[name].tolist() for name in ("proposed", "late", "mirrored", "extra")]
+    flags = [packed[name].tolist() for name in ("proposed", "late", "mirrored", "extra", "step")]
     columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
 
@@ -66,4 +69,5 @@ def form_of(n: str) -> Schema:
         "late": array(n, kind="b"),
         "mirrored": array(n, kind="b"),
         "extra": array(n, kind="b"),
+        "step": array(n, kind="b"),
     }

@@ -13,6 +13,7 @@ telling.
   arrives, marked as late: it is not of that generation's distribution.
 - A candidate that was asked before a restart, told twice, or never asked at all is *injected*: it
   tells about the renderer, not about the search distribution.
+- A *step* comes between two generations and counts in none (`proposers.steps`).
 - The proposals of a generation are its last candidates.  They are made when they are asked for,
   from all that was told by then, those that are asked together in one call; or all of them when
   the first one is.
@@ -232,7 +233,8 @@ class Population:
         self._lags = max(self._lags[0], lag), self._lags[1]
         if candidate.index < self._generation_from:
             candidate = replace(candidate, late=True)
-        (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
+        if not candidate.step:
+            (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
         return candidate
 
     def number(self) -> int:
@@ -243,7 +245,7 @@ class Population:
     def withdraw(self, x: Float64) -> None:
         """Say that x (d,) will not be told; if it is not pending, nothing happens."""
         candidate = self.take(x)
-        if candidate is not None and not candidate.extra:
+        if candidate is not None and not (candidate.extra or candidate.step):
             self._withdrawn += candidate.index >= self._generation_from
 
     def take(self, x: Float64) -> Candidate | None:

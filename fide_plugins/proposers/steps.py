@@ -32,7 +32,6 @@ from fide_plugins.types import Float64
 
 __all__ = ["GaussNewtonSteps"]
 
-_MOST_NEW = 1000  # samples that wait to be learned from
 _SCHEMA: Schema = {"forward": anything, "new": each(SAMPLE), "due": flag, "left": whole()}
 
 
@@ -41,6 +40,8 @@ class GaussNewtonSteps:
 
     forward: the model.
     least_promise: share of the residual that a step must promise to remove, in [0, 1].
+
+    The model is fitted only when somebody asks for steps.
     """
 
     def __init__(self, forward: ForwardProposer, least_promise: float = 0.4) -> None:
@@ -55,9 +56,9 @@ class GaussNewtonSteps:
         self._left = 0
 
     def add(self, sample: TrainingSample) -> None:
-        """Note what was evaluated."""
+        """Note what was evaluated; more than the model remembers, the latest."""
         self._new.append(sample)
-        del self._new[:-_MOST_NEW]
+        del self._new[: -self.forward.capacity]
 
     def after_generation(self) -> None:
         """Note that a generation was completed."""
@@ -72,10 +73,11 @@ class GaussNewtonSteps:
             return 0
         self._learn(std)
         promise = self.forward.promised(target, std) if self.forward.ready else 0.0
-        if self._due:
-            self._due, self._left = False, round(min(max(promise, 0.0), 1.0) * popsize)
-        if not promise >= self.least_promise:
+        if not promise >= self.least_promise:  # or it is NaN
             self._left = 0
+        elif self._due:
+            self._left = round(promise * popsize)
+        self._due = False
         return self._left
 
     def take(

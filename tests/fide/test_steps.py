@@ -17,7 +17,7 @@ SETTINGS: dict[str, Any] = {"popsize": 8, "seed": 3}
 
 def steps_pending(opt: FIDE) -> int:
     pending = opt.state.population._pending.values()
-    return sum(candidate.extra for equal in pending for candidate in equal)
+    return sum(candidate.step for equal in pending for candidate in equal)
 
 
 def one_by_one(opt: FIDE, render: Render, n: int) -> tuple[Float64, list[bool]]:

@@ -156,3 +156,22 @@ def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
     found = [population.record(row, 0.0) for row in asked]
     flags = [(c.index, c.proposed, c.late) for c in found if c is not None]
     assert flags == [(1, False, True), (2, True, True), (3, True, False)]
+
+
+def test_a_step_counts_in_no_generation() -> None:
+    """Told or withdrawn, beside members that were withdrawn or not."""
+    population = drawn(4)
+    xs, steps = hand_out(population, 4), np.array([[0.11, 0.2], [0.12, 0.2], [0.13, 0.2]])
+    for x in steps:
+        population.adopt(x, x, step=True)
+    assert population.pending == 7
+    candidate = population.record(steps[0], 0.0)
+    assert candidate is not None and candidate.step
+    population.withdraw(steps[1])
+    population.withdraw(xs[0])
+    assert population.missing == 4 and population.pending == 4
+    for x in (steps[2], *xs[1:]):
+        assert not population.complete
+        population.record(x, 1.0)
+    assert population.missing == 1 and not population.complete
+    assert len(population.members()[0]) == 3

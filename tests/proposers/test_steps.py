@@ -83,6 +83,18 @@ def test_they_end_when_the_model_no_longer_promises_much() -> None:
     assert steps.left(K, TARGET, STD) == 0
 
 
+def test_a_residual_beyond_all_numbers_brings_none() -> None:
+    steps = taught()
+    steps.after_generation()
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert steps.left(K, TARGET * 1e200, STD) == 0
+
+
+def test_what_waits_to_be_learned_from_is_bounded() -> None:
+    """Of who asks for whole generations, and never for steps."""
+    assert len(taught(500)._new) == 4 * D + 20
+
+
 def test_before_it_knows_enough_there_are_none() -> None:
     steps = taught(4)
     steps.after_generation()
