@@ -194,11 +194,13 @@ class FIDE(Retargeting):
             if n is None:
                 return self._ask(None)
             self.state.population.expect(n)
-            steps = self._take_steps(n)
+            steps = self._make_steps(n)
             rest = n - len(steps)
-            return np.concatenate([steps, self._ask(rest)]) if rest else steps
+            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
+            self._hand_out_steps(steps)  # at last, since asking for the rest may fail
+            return X
 
-    def _take_steps(self, n: int) -> Float64:
+    def _make_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
         state, descent, target = self.state, self.state.descent, self.target_tokens
         if not state.has_steps:
@@ -210,11 +212,17 @@ class FIDE(Retargeting):
                 return np.empty((0, self.dim))
             _, z = descent.sample(min(n, left), state.rng)
             v = descent.rendered(z)
-            x = state.steps.take(v, target, descent.mean, descent.std, state.rng)
-        x = descent.place_proposals(x)
-        for row in zip(x, descent.near(x), strict=True):
+            x = state.steps.propose(v, target, descent.mean, descent.std, state.rng)
+        return state.steps.new_ones(descent.place_proposals(x))
+
+    def _hand_out_steps(self, x: Float64) -> None:
+        """Count steps (m, dim) as asked."""
+        state = self.state
+        if len(x):
+            assert state.steps is not None
+            state.steps.taken(len(x))
+        for row in zip(x, state.descent.near(x), strict=True):
             state.population.adopt(*row, step=True)
-        return x
 
     def _ask(self, n: int | None) -> Float64:
         """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
@@ -242,7 +250,8 @@ class FIDE(Retargeting):
         While these are rendered the network trains, see `proposers.background`.
         """
         with timed(self.times, "search"):
-            if len(step := self._take_steps(1)):
+            if len(step := self._make_steps(1)):
+                self._hand_out_steps(step)
                 return step
             if not (population := self.state.population).remaining:
                 self.draw_generation()

@@ -75,7 +75,7 @@ class Replica:
 
     def __init__(self, optimizer: FIDE, snap: Callable[[Float64], Float64] = np.copy) -> None:
         self.optimizer = optimizer
-        optimizer.state.steps = None  # who takes one is told its result, and others are not
+        optimizer.state.steps = None  # they have no name that means the same to everybody
         self._snap = snap
         self.generation = 0
         """Number of the present generation."""

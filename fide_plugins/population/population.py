@@ -97,13 +97,16 @@ class Population:
 
     @property
     def awaited(self) -> int:
-        """Those of the pending that are not much later than all others: a lost one never comes."""
+        """Those of the pending that are not much later than all others: a lost one never comes.
+
+        But for steps: no generation waits for them.
+        """
         oldest = self._newest - _LONG * (self.size + max(self._lags))
         n = 0
         for several in reversed(self._pending.values()):  # the last that were handed out come first
             if several[-1].index < oldest:
                 break
-            n += len(several)
+            n += sum(not candidate.step for candidate in several)
         return n
 
     def draw(

@@ -165,6 +165,10 @@ class ForwardProposer(Previewed, SingleProposer):
         proposals: Float64 = self._x[jacobian.best] + scale * (steps @ jacobian.vectors.T)
         return proposals
 
+    def knows(self, x: Float64) -> bool:
+        """Whether x (d,) is among the candidates that are remembered."""
+        return bool((self._x == x).all(axis=1).any())
+
     def promised(self, target: Tensor, std: Float64) -> float:
         """Share of the residual's |e*|^2 that its own step would remove, by the model; at most 1.
 

@@ -56,9 +56,13 @@ class GaussNewtonSteps:
         self._left = 0
 
     def add(self, sample: TrainingSample) -> None:
-        """Note what was evaluated; more than the model remembers, the latest."""
+        """Note what was evaluated; more than the model remembers, the best half and the latest."""
         self._new.append(sample)
-        del self._new[: -self.forward.capacity]
+        most = max(self.forward.minimum, self.forward.capacity)
+        if len(self._new) > most:
+            earlier = self._new[: -(most // 2)]
+            earlier.remove(max(earlier, key=lambda one: one.loss))
+            self._new = earlier + self._new[-(most // 2) :]
 
     def after_generation(self) -> None:
         """Note that a generation was completed."""
@@ -66,6 +70,8 @@ class GaussNewtonSteps:
 
     def left(self, popsize: int, target: Tensor, std: Float64) -> int:
         """How many steps come before the next generation of popsize candidates.
+
+        The model learns what is new, and what it promises now may end them.
 
         target: tokens (T, C).  std: (d,), of the search distribution.
         """
@@ -80,12 +86,26 @@ class GaussNewtonSteps:
         self._due = False
         return self._left
 
-    def take(
+    def propose(
         self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
     ) -> Float64:
-        """Steps (m, d) from m of those that are left; see `ForwardProposer.propose`."""
-        self._left -= len(z)
+        """Steps (m, d); see `ForwardProposer.propose`."""
         return self.forward.propose(z, target, mean, std, rng)
+
+    def new_ones(self, x: Float64) -> Float64:
+        """Those of steps x (m, d), as they are rendered, before the first that is known already.
+
+        Integers and choices round steps to points that were evaluated; then the steps end.
+        """
+        for i, row in enumerate(x):
+            if self.forward.knows(row):
+                self._left = i
+                return x[:i]
+        return x
+
+    def taken(self, n: int) -> None:
+        """Note that n of those that are left were asked."""
+        self._left -= n
 
     def _learn(self, std: Float64) -> None:
         if self._new:

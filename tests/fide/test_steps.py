@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from fide_plugins.fide import FIDE
+from fide_plugins.space import Int, Space
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render
@@ -140,6 +142,53 @@ def test_the_next_picture_begins_with_what_is_remembered(render: Render, target:
     assert np.square(render(best.x[None])[0] - other).mean() == errors.min()
     _, flags = one_by_one(opt, render, 30)
     assert not any(flags[:8]) and any(flags)
+
+
+def test_what_fails_after_the_steps_hands_out_none(
+    render: Render, target: Float32, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    X = first_step(opt, render)
+    opt.tell(X, render(X))
+
+    def broken(*_: Any) -> None:
+        raise ArithmeticError
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fide_plugins.fide.make_next", broken)
+        with pytest.raises(ArithmeticError):
+            opt.ask(20)
+    assert opt.state.population.pending == 0
+    opt.tell(X := opt.ask(1), render(X))
+
+
+def test_integers_bring_no_step_twice() -> None:
+    space = Space({f"n{i}": Int(0, 9) for i in range(6)})
+    grid = np.linspace(0, 1, 24)
+
+    def draw(X: Float64) -> Float32:
+        waves = np.cos(np.outer(X.sum(axis=1), grid * 3) + X[:, :1] * 2)
+        return np.repeat(np.repeat(waves[:, None, :, None] / 2 + 0.5, 24, 1), 3, 3).astype("f4")
+
+    opt, seen = FIDE(space, draw(np.full((1, 6), 0.55))[0], popsize=8, seed=0), set()
+    for _ in range(300):
+        X = opt.ask(1)
+        if steps_pending(opt):
+            assert X.tobytes() not in seen
+        seen.add(X.tobytes())
+        opt.tell(X, draw(X))
+
+
+def test_eight_workers_get_no_more_ahead_for_steps_that_are_out(
+    render: Render, target: Float32
+) -> None:
+    """What the present generation needs is its own, whatever steps are pending."""
+    opt = FIDE(6, target, **SETTINGS)
+    opt.tell(X := first_step(opt, render), render(X))
+    opt.ask(20)
+    population = opt.state.population
+    steps = steps_pending(opt)
+    assert steps > 0 and population.awaited <= population.pending - steps
 
 
 def test_images_that_say_nothing_bring_no_steps(target: Float32) -> None:

@@ -41,7 +41,9 @@ def taught(n: int = 12, *, least_promise: float = 0.4) -> GaussNewtonSteps:
 def take(steps: GaussNewtonSteps, m: int = 1) -> Float64:
     rng = np.random.default_rng(7)
     z = rng.normal(MEAN, STD, (m, D))
-    return steps.take(z, TARGET, MEAN, STD, rng)
+    x = steps.propose(z, TARGET, MEAN, STD, rng)
+    steps.taken(m)
+    return x
 
 
 def test_there_are_as_many_as_the_model_promises() -> None:
@@ -93,6 +95,27 @@ def test_a_residual_beyond_all_numbers_brings_none() -> None:
 def test_what_waits_to_be_learned_from_is_bounded() -> None:
     """Of who asks for whole generations, and never for steps."""
     assert len(taught(500)._new) == 4 * D + 20
+
+
+def test_of_a_population_that_is_larger_the_best_are_learned_from() -> None:
+    steps = taught(500)
+    best = min(
+        np.square(x - TRUTH).sum() for x in np.random.default_rng(0).normal(MEAN, STD, (500, D))
+    )
+    assert min(sample.loss for sample in steps._new) == best
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == K
+
+
+def test_steps_end_at_one_that_is_known() -> None:
+    steps = taught(12)
+    steps.after_generation()
+    assert steps.left(K, TARGET, STD) == K
+    known = steps.forward._x[3]
+    x = np.stack([MEAN, known, MEAN + 0.01])
+    np.testing.assert_array_equal(steps.new_ones(x), x[:1])
+    steps.taken(1)
+    assert steps.left(K, TARGET, STD) == 0
 
 
 def test_before_it_knows_enough_there_are_none() -> None:
