@@ -53,9 +53,11 @@ class Change(NamedTuple):
 
 
 DIFFUSION = "proposer: diffusion network"
+NO_STEPS: dict[str, Any] = {"proposer": "linear"}
+"""Of all rows but the first."""
 CONFIGURATIONS: dict[str, Change] = {
     "FIDE": Change({}),
-    "no steps": Change({"proposer": "linear"}),
+    "no steps": Change({}),
     "nothing proposed": Change(NOTHING_PROPOSED),
     "nothing proposed, restarts anew (CMA-ES)": Change({"proposer": "none"}),
     "restarts anew": Change({"restarts": "anew"}),
@@ -136,7 +138,10 @@ def run(planned_run: Row) -> Row:
     """One run of FIDE with that change."""
     change = CONFIGURATIONS[planned_run["configuration"]]
     with moves_left_out(change.without):
-        return moves.run(planned_run, "fide", change.options)
+        options = (
+            change.options if planned_run["configuration"] == "FIDE" else NO_STEPS | change.options
+        )
+        return moves.run(planned_run, "fide", options)
 
 
 @contextmanager

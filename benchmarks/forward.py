@@ -6,7 +6,8 @@
 A run has a task, a target, a configuration, a seed and a budget, and is a line of the file
 benchmarks/results/forward.jsonl, appended when it is done; a second call does what is missing.
 A configuration is a proposer and a way to ask: whole generations (all), 8 at a time, or one by one;
-"more" proposes more from the beginning.  With options of --set it needs a name of its own, --label.
+"both" takes steps between the generations, but for whole ones; "more" proposes more from the
+beginning.  With options of --set it needs a name of its own, --label.
 A run ends at an MSE of 1e-11; marks beyond its end repeat the last value.
 """
 
@@ -62,7 +63,7 @@ def parse_arguments() -> argparse.Namespace:
     )
     add = parser.add_argument
     add("tasks", nargs="*", default=[*SCENES, "spline", "voronoi", "robot"])
-    add("--configurations", nargs="+", default=["inverse/all", "forward/all", "both/all", "both/1"])
+    add("--configurations", nargs="+", default=["inverse/all", "forward/all", "both/8", "both/1"])
     add("--targets", type=span, default=range(3), metavar="A-B")
     add("--seeds", type=int, default=1)
     add("--budget", type=int, default=2000)

@@ -247,7 +247,8 @@ class FIDE(Retargeting):
     def ask_ready(self) -> Float64:
         """As `ask`, but for proposals that wait for training: those come with the next call.
 
-        While these are rendered the network trains, see `proposers.background`.
+        While these are rendered the network trains, see `proposers.background`.  Between two
+        generations: one step.
         """
         with timed(self.times, "search"):
             if len(step := self._make_steps(1)):

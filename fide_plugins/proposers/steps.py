@@ -15,6 +15,7 @@ little of the residual.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -56,13 +57,13 @@ class GaussNewtonSteps:
         self._left = 0
 
     def add(self, sample: TrainingSample) -> None:
-        """Note what was evaluated; more than the model remembers, the best half and the latest."""
+        """Note what was evaluated; of twice what the model remembers, the best and the latest."""
         self._new.append(sample)
         most = max(self.forward.minimum, self.forward.capacity)
-        if len(self._new) > most:
-            earlier = self._new[: -(most // 2)]
-            earlier.remove(max(earlier, key=lambda one: one.loss))
-            self._new = earlier + self._new[-(most // 2) :]
+        if len(self._new) > 2 * most:
+            half = most // 2
+            best = sorted(self._new[:-half], key=attrgetter("loss"))[: most - half]
+            self._new = best + self._new[-half:]
 
     def after_generation(self) -> None:
         """Note that a generation was completed."""

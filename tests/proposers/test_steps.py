@@ -94,7 +94,7 @@ def test_a_residual_beyond_all_numbers_brings_none() -> None:
 
 def test_what_waits_to_be_learned_from_is_bounded() -> None:
     """Of who asks for whole generations, and never for steps."""
-    assert len(taught(500)._new) == 4 * D + 20
+    assert len(taught(500)._new) <= 2 * (4 * D + 20)
 
 
 def test_of_a_population_that_is_larger_the_best_are_learned_from() -> None:

@@ -6,6 +6,7 @@ after the other, so each is told at once: an interrupt or a failure loses no oth
 fixed because the same seed must give the same run: a size that depends on the renderer's speed
 would change the last bits of features that are computed in batches.  An optimizer that trains in
 the background first gives the candidates that need not wait for the training (`FIDE.ask_ready`).
+FIDE's steps between two generations come one at a time.
 
 Resuming gives the result of an uninterrupted run, bit for bit.  The state is saved only between
 pieces, together with the pending candidates, and each evaluation of a noisy renderer has its own
