@@ -31,7 +31,10 @@ def test_point_4_the_same_candidates_as_fide_alone(settings: dict[str, Any]) -> 
         np.testing.assert_allclose(candidate.value, X[0], atol=1e-12)
         optimizer.tell(candidate, render(candidate.value))
         alone.tell(X, [render(X[0])])
+        if alone.best is not None and alone.best.loss < 1e-8:
+            break  # from here on rounding decides
     assert alone.best is not None and alone.best.loss < 1e-3
+    assert alone.evaluations > 40
     assert optimizer.recommend().loss == pytest.approx(alone.best.loss, rel=1e-6)
 
 
