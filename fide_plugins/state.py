@@ -285,7 +285,7 @@ class State:
         if self.proposer is not None:
             self.proposer.load_state_dict(state["proposer"], sides)
         if state["steps"] is None:
-            self.steps = None  # of a replica, which takes none
+            self.steps = None  # it was saved where there are none, as in a replica
         elif self.steps is not None:
             self.steps.load_state_dict(state["steps"], sides, device)
         self.best = None if state["best"] is None else _unpack_best(state["best"])

@@ -60,7 +60,7 @@ from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
 from fide_plugins.types import Float64
 
-__all__ = ["ForwardProposer", "balanced"]
+__all__ = ["ForwardProposer", "balanced", "best_and_latest"]
 
 _SCHEMA: Schema = {
     "x": array("n", "d"),
@@ -133,13 +133,13 @@ class ForwardProposer(Previewed, SingleProposer):
         self._fit = None
         n = max(self.minimum, min(self.capacity, _MOST_BYTES // (8 * tokens[0].numel())))
         if len(x) > n:
-            kept = _best_and_latest(losses, n)
+            kept = best_and_latest(losses, n)
             x, tokens, losses = x[kept], tokens[torch.from_numpy(kept)], losses[kept]
         self._buffer.add(tokens, n + len(x))
         self._x = np.concatenate([self._x, x])
         self._losses = np.concatenate([self._losses, losses])
         if len(self._x) > n:
-            kept = _best_and_latest(self._losses, n)
+            kept = best_and_latest(self._losses, n)
             self._x, self._losses = self._x[kept], self._losses[kept]
             self._buffer.keep(kept)
 
@@ -266,7 +266,7 @@ def predicted_decrease(jacobian: Jacobian, slope: Float64, steps: Float64) -> Fl
     return decrease
 
 
-def _best_and_latest(losses: Float64, n: int) -> Indices:
+def best_and_latest(losses: Float64, n: int) -> Indices:
     """Indices, rising, of n of the candidates (k,), k > n: the latest half, and the best others."""
     earlier = len(losses) - n // 2
     best = np.argsort(losses[:earlier], kind="stable")[: n - n // 2]

@@ -15,13 +15,12 @@ little of the residual.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.proposers.forward import ForwardProposer
+from fide_plugins.proposers.forward import ForwardProposer, best_and_latest
 from fide_plugins.proposers.training_sample import (
     SCHEMA as SAMPLE,
     TrainingSample,
@@ -61,9 +60,8 @@ class GaussNewtonSteps:
         self._new.append(sample)
         most = max(self.forward.minimum, self.forward.capacity)
         if len(self._new) > 2 * most:
-            half = most // 2
-            best = sorted(self._new[:-half], key=attrgetter("loss"))[: most - half]
-            self._new = best + self._new[-half:]
+            losses = np.array([one.loss for one in self._new])
+            self._new = [self._new[i] for i in best_and_latest(losses, most)]
 
     def after_generation(self) -> None:
         """Note that a generation was completed."""
