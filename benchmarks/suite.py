@@ -1,4 +1,4 @@
-"""The suite image-fitting-v1 for many optimizers: a run at a time, over days and machines.
+"""A suite for many optimizers: a run at a time, over days and machines.
 
     python benchmarks/suite.py                        # what is missing; can be stopped at any time
     python benchmarks/suite.py --from runs/suite      # take over finished runs of `fide compare`
@@ -6,6 +6,7 @@
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
+    python benchmarks/suite.py --suite image-fitting-v2 --out benchmarks/results/suite_v2.jsonl
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
@@ -34,11 +35,10 @@ from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.suite import figures, profiles, read
+from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
-SUITE = read("image-fitting-v1")
 RESULTS = Path(__file__).parent / "results" / "suite.jsonl"
 OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
@@ -66,9 +66,9 @@ def long_enough(budget: int) -> Callable[[Row], bool]:
     return lambda row: str(budget) in row["losses"]
 
 
-def measure(problem: str, optimizer: str, budget: int) -> Row:
+def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
     """One run, as `fide compare --suite` has it with `--budget`."""
-    scene, _ = SUITE.problem(problem)
+    scene, _ = suite.problem(problem)
     configuration = Configuration.parse(optimizer)
     result = harness.run(
         problem,
@@ -76,32 +76,32 @@ def measure(problem: str, optimizer: str, budget: int) -> Row:
         scene.loss,
         budget,
         seed=int(problem.rpartition("-")[2]),
-        task_options={"suite": SUITE.name},
+        task_options={"suite": suite.name},
         options=configuration.options,
         keep=harness.Keep(film=False, summary=False, checkpoint=False),
     )
     best = np.fmin.accumulate(result.losses)
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
-    losses = {str(b): float(best[b - 1]) for b in SUITE.budgets if b <= budget}
+    losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
-def taken_over(found: results.Results) -> Iterator[Row]:
+def taken_over(suite: Suite, found: results.Results) -> Iterator[Row]:
     """Rows of the finished runs of a comparison of this suite, with its whole budget."""
-    if found.settings["task_options"] != {"suite": SUITE.name}:
-        sys.exit(f"this is no comparison of {SUITE.name}")
+    if found.settings["task_options"] != {"suite": suite.name}:
+        sys.exit(f"this is no comparison of {suite.name}")
     for run in found.runs:
         curve = run.curve
-        if run.status != "finished" or curve is None or curve.ends["renders"] < SUITE.budgets[-1]:
+        if run.status != "finished" or curve is None or curve.ends["renders"] < suite.budgets[-1]:
             continue
-        at = curve.reaches("renders", SUITE.problem(run.key.task)[0].solved)
-        losses = curve.value("renders", SUITE.budgets).tolist()
+        at = curve.reaches("renders", suite.problem(run.key.task)[0].solved)
+        losses = curve.value("renders", suite.budgets).tolist()
         yield row_of(
             run.key.task,
             run.key.configuration,
             int(at) if np.isfinite(at) else None,
-            dict(zip(map(str, SUITE.budgets), losses, strict=True)),
+            dict(zip(map(str, suite.budgets), losses, strict=True)),
             curve.ends["seconds"],
         )
 
@@ -119,14 +119,17 @@ def row_of(
     }
 
 
-def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
-    """Of the problems that all of these optimizers have finished, up to the budget."""
+def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
+    """Of the problems that all of these optimizers have finished, up to the budget.
+
+    Of several runs of one problem the longest counts.
+    """
     rows = [row for row in rows if row["optimizer"] in optimizers and long_enough(budget)(row)]
-    found = {key(row): row for row in rows}
+    found = {key(row): row for row in sorted(rows, key=lambda row: len(row["losses"]))}
     twice = {p for p, n in Counter((*key(row), *row["losses"]) for row in rows).items() if n > 1}
     if twice:
         sys.exit(f"two rows of one run: {twice}; keep one of them")
-    budgets = tuple(b for b in SUITE.budgets if b <= budget)
+    budgets = tuple(b for b in suite.budgets if b <= budget)
     there = dict.fromkeys(row["problem"] for row in rows)
     problems = [p for p in there if all((p, label) in found for label in optimizers)]
     if not problems:
@@ -135,7 +138,7 @@ def scores(rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
     t = np.array([[row["solved_at"] or np.inf for row in line] for line in table])
     losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in budgets]
     return Scores(
-        SUITE, tuple(optimizers), tuple(problems), len(problems), budgets,
+        suite, tuple(optimizers), tuple(problems), len(problems), budgets,
         profiles.within(t, budget), np.array(losses),
     )  # fmt: skip
 
@@ -150,11 +153,12 @@ def picture(found: Scores, *, performance: bool) -> bytes:
 def main() -> None:
     """Run what is missing, or show what was found."""
     arguments = parse_arguments()
-    scenes, _ = SUITE.chosen(arguments.scenes.split(","), None)
+    suite = read(arguments.suite)
+    scenes, _ = suite.chosen(arguments.scenes.split(","), None)
     optimizers, out, budget = arguments.optimizers.split(","), arguments.out, arguments.budget
     if arguments.table or arguments.picture:
         chosen = [row for row in rows_of(out) if row["problem"].rpartition("-")[0] in scenes]
-        found = scores(chosen, optimizers, budget)
+        found = scores(suite, chosen, optimizers, budget)
         if arguments.picture:
             drawn = picture(found, performance=arguments.performance)
             arguments.picture.write_bytes(drawn)
@@ -166,13 +170,14 @@ def main() -> None:
     elif arguments.folder:
         there = results.read(arguments.folder)
         made_by = {"commit": None, "packages": there.versions, "machine": there.machine}
-        for row in missing(taken_over(there), out, key, counts=long_enough(SUITE.budgets[-1])):
+        whole = long_enough(suite.budgets[-1])
+        for row in missing(taken_over(suite, there), out, key, counts=whole):
             append(out, row, made_by)
     else:
         runs = planned(scenes, optimizers, arguments.targets)
         run_missing(
             runs,
-            lambda run: measure(**run, budget=budget),
+            lambda run: measure(suite, **run, budget=budget),
             out,
             key,
             arguments.part,
@@ -186,13 +191,14 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--scenes", default=",".join(CHEAP), metavar="A,B", help=f"of {', '.join(SUITE.scenes)}")
+    add("--suite", default="image-fitting-v1", choices=names(), metavar="NAME")
+    add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
-    add("--targets", type=int, default=len(SUITE.targets), metavar="N", help="the first N")
+    add("--targets", type=int, default=10, metavar="N", help="the first N")
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
-    add("--budget", type=int, default=SUITE.budgets[-1], choices=SUITE.budgets, help="renders")
+    add("--budget", type=int, default=10_000, choices=(500, 2000, 10_000), help="renders")
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
     add("--performance", action="store_true", help="a performance profile as picture")

@@ -88,8 +88,10 @@ def read(name: str) -> Suite:
     if name not in names():
         raise UnknownNameError.of("suite", name, names())
     data = tomllib.loads((_FOLDER / f"{name}.toml").read_text("utf-8"))
-    scenes = {scene: _scene(scene, entry) for scene, entry in data["scenes"].items()}
     budgets, targets = tuple(data["budgets"]), tuple(data["targets"])
+    if "scenes_of" in data:
+        return Suite(name, budgets, targets, read(data["scenes_of"]).scenes)
+    scenes = {scene: _scene(scene, entry) for scene, entry in data["scenes"].items()}
     return Suite(name, budgets, targets, MappingProxyType(scenes))
 
 

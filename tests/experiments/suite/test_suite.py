@@ -29,7 +29,7 @@ def fide(*words: object) -> int:
 
 
 def test_the_definition() -> None:
-    assert suites.names() == ["image-fitting-v1"]
+    assert suites.names() == ["image-fitting-v1", "image-fitting-v2"]
     assert SUITE.budgets == (500, 2000, 10_000)
     assert len(set(SUITE.targets)) == 10
     groups = [scene.group for scene in SUITE.scenes.values()]
@@ -72,6 +72,16 @@ def test_a_program_finds_its_scene_wherever_the_package_lies(
     scene = definition._scene("own", entry)
     words = Template(scene.options["command"], Space(x=Float(0, 1))).command({"x": 0.5}, "o", "p")
     assert words == [sys.executable, str(tmp_path / folder / "scenes" / "scene.py"), "0.5", "o"]
+
+
+def test_the_second_suite_has_the_same_scenes_and_other_targets() -> None:
+    second = suites.read("image-fitting-v2")
+    assert second.scenes == SUITE.scenes
+    assert second.budgets == SUITE.budgets
+    assert len(second.targets) == 10
+    assert not set(second.targets) & set(SUITE.targets)
+    ours, theirs = (suites.make(suite, "lamps-0").target for suite in (SUITE, second))
+    assert not np.array_equal(ours, theirs)
 
 
 @pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
