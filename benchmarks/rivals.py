@@ -1,4 +1,4 @@
-"""Settings of the rivals that came last, chosen on targets that no table reports.
+"""Settings of rivals, chosen on targets that no table reports.
 
     python benchmarks/rivals.py --configurations "composite-bo, k = 4" --out runs/rivals.jsonl
     python benchmarks/rivals.py --table runs/rivals.jsonl
@@ -24,7 +24,7 @@ from rows import Row, read, run_missing
 
 from fide_plugins import optimizers
 
-MARKS = (50, 100, 200, 300, 500, 1000)
+MARKS = (50, 100, 200, 300, 500, 1000, 2000)
 SIZE = 64
 
 CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -39,6 +39,9 @@ CONFIGURATIONS |= {
     for k in (4, 10, 20)
 }
 CONFIGURATIONS["composite-bo, smallest = 0.5^12"] = ("composite-bo", {"smallest": 0.5**12})
+CONFIGURATIONS |= {f"eki, patience = {n}": ("eki", {"patience": n}) for n in (3, 5, 10, 20)}
+CONFIGURATIONS |= {f"eki, k = {k}": ("eki", {"popsize": k}) for k in (40, 60, 200)}
+CONFIGURATIONS["eki, as before"] = ("eki", {"patience": 20})  # rows of the code without Var Phi
 
 
 def main() -> None:

@@ -110,6 +110,7 @@ class FIDE(Retargeting):
     """
 
     name = "fide"
+    takes_space = True
 
     def __init__(
         self,
@@ -136,7 +137,7 @@ class FIDE(Retargeting):
         self.x0 = starting_point(x0, self.dim)
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
-        self.popsize = o.popsize or max(4, default_popsize(self.dim))
+        self.popsize = o.popsize or default_popsize(self.dim)
         self.evaluator = Evaluator(
             target,
             loss,
@@ -213,7 +214,7 @@ class FIDE(Retargeting):
             _, z = descent.sample(min(n, left), state.rng)
             v = descent.rendered(z)
             x = state.steps.propose(v, target, descent.mean, descent.std, state.rng)
-        return state.steps.new_ones(descent.place_proposals(x))
+        return state.steps.new_ones(descent.place_proposals(x), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
@@ -301,11 +302,11 @@ class FIDE(Retargeting):
             all ValueErrors, before anything changes.
         """
         points = as_points(X, self.dim)
-        n, judge = len(points), self.evaluator
-        batch = judge.as_batch(n, images, losses, features, self.state.warn_clipped)
+        n, evaluator = len(points), self.evaluator
+        batch = evaluator.as_batch(n, images, losses, features, self.state.warn_clipped)
         with timed(self.times, "encode"):
             encode = self.state.proposer is not None
-            results = judge.evaluate(n, batch, losses, features, version=version, encode=encode)
+            results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         with timed(self.times, "search"):
             self._enter(results.of(points))
         return results.losses
@@ -343,6 +344,8 @@ class FIDE(Retargeting):
         state, population = self.state, self.state.population
         extra = state.needs_its_own and population.pending + population.evaluated > 0
         self.draw(population, state.rng, extra=extra)
+        if state.steps is not None:
+            state.steps.end()  # they come before a generation, not in it
         if state.proposer is None or not state.proposer.background:
             population.settle()
 
@@ -351,7 +354,9 @@ class FIDE(Retargeting):
     ) -> None:
         """Draw a generation of the present stage into a population; changes nothing else.
 
-        rng: of the draw.  extra: whether it waits for its own; others, just enough if none is out.
+        rng: of the draw.
+        extra: the present generation needs only candidates that were drawn before; these are spare,
+            as many as it has, or, if nothing is pending, as many as it lacks.
         """
         state = self.state
         if extra:
@@ -432,9 +437,11 @@ class FIDE(Retargeting):
         state.descent.tell(members, losses, point)
         if state.best is not None and state.best.search == state.searches:
             state.best = replace(state.best, mean=state.search.mean)
-        guided = state.gate.guided if self.search_guided is None else self.search_guided
         if state.steps is not None:
             state.steps.after_generation()
+        guided = state.gate.guided if self.search_guided is None else self.search_guided
         over = state.descent.is_over(guided=guided) and self.options.restarts != "none"
-        if over if self.search_over is None else self.search_over:
+        if self.search_over is not None:
+            over = self.search_over
+        if over:
             state.finish_search(guided=self.options.restarts in _MOVES and guided)

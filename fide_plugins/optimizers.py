@@ -47,8 +47,6 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
 }
-_WITH_SPACE = ("fide",)
-"""Those that handle integers, choices and periodic parameters as such."""
 _FAMILIES = {
     "nevergrad": "fide_plugins.baselines.frameworks:nevergrad",
     "optuna": "fide_plugins.baselines.frameworks:optuna",
@@ -63,7 +61,11 @@ def names() -> list[str]:
 
 
 def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
-    """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`."""
+    """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`.
+
+    It may be a function that makes an optimizer, too.  A class with a true attribute `takes_space`
+    gets the `Space`, where there is one; others get its number of parameters.
+    """
     _CLASSES[name] = cls
 
 
@@ -81,7 +83,8 @@ def make(name: str, dim: int | Space, target: object = None, **settings: Any) ->
     if unknown:
         listed = ", ".join(known)
         raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
-    space = dim if name in _WITH_SPACE else getattr(dim, "dim", dim)
+    takes_space = getattr(cls, "takes_space", False)
+    space = dim if takes_space else getattr(dim, "dim", dim)
     blocks = getattr(dim, "largest_family", None)
     if blocks and space is not dim and "groups" in known:
         settings = {"groups": blocks, **settings}
@@ -117,9 +120,12 @@ def options(name: str) -> list[str]:
     resolved = _resolve(name)
     if hasattr(resolved, "option_names"):
         return list(resolved.option_names())
-    classes: tuple[Any, ...] = inspect.getmro(resolved)
-    for base in classes:  # an __init__ with **options hands them to the next class
-        parameters = inspect.signature(base.__init__).parameters.values()
+    is_class = inspect.isclass(resolved)
+    makers: list[Any] = (
+        [cls.__init__ for cls in inspect.getmro(resolved)] if is_class else [resolved]
+    )
+    for maker in makers:  # an __init__ with **options hands them to the next class
+        parameters = inspect.signature(maker).parameters.values()
         known.update(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
         if all(p.kind is not p.VAR_KEYWORD for p in parameters):
             return sorted(known)

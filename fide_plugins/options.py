@@ -182,7 +182,7 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         )
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, PRESETS)
-    changes = {_FORMER_NAMES.get(name, name): value for name, value in changes.items()}
+    changes = _renamed(changes)
     known = dict(_all_fields())
     for name in changes:
         if name not in known:
@@ -192,6 +192,24 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         made = replace(made, **{group: _changed(getattr(made, group), changes)})
     _check_together(made, PRESETS[preset])
     return made
+
+
+def without_images(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by name for a search that sees no image: CMA-ES, without those of a network."""
+    network = {f.name for f in fields(NetworkOptions)}
+    kept = {name: value for name, value in _renamed(changes).items() if name not in network}
+    return kept | {"proposer": "none", "encoder": "dense"}
+
+
+def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The changes by present names; OptionError if two names are of one option."""
+    renamed: dict[str, Any] = {}
+    for name, value in changes.items():
+        present = _FORMER_NAMES.get(name, name)
+        if present in renamed:
+            raise OptionError(f"{present} is given twice, once by a former name; give it once")
+        renamed[present] = value
+    return renamed
 
 
 def flat(options: Options) -> dict[str, Any]:

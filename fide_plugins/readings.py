@@ -13,6 +13,7 @@ from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
+from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.moves.optima import APART
 from fide_plugins.search.moves.status import Facts, Status, status_of
 from fide_plugins.space import Space
@@ -182,12 +183,16 @@ class Readings(Saved):
         """Name by which the loss can be made again; None for a user's own."""
         return self.evaluator.loss_name
 
+    @one_at_a_time
+    @one_thread
     def state_dict(self) -> dict[str, Any]:
         """The state, and the versions of encoder and loss."""
         return {**self.state.state_dict(), "versions": self.evaluator.versions}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        if not isinstance(state, Mapping) or "versions" not in state:
+            raise ValueError("this is no state of FIDE: it lacks 'versions'")
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
         (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape

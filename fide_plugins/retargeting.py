@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -108,11 +109,12 @@ class Retargeting(Readings):
             _teach(state.proposer, recalled.samples, start.std, self.popsize)
         if state.steps is not None:
             state.steps.forget()
-            for sample in recalled.samples:
-                state.steps.add(sample)
+            for i, sample in enumerate(recalled.samples):  # the best are the latest
+                state.steps.add(replace(sample, index=i))
         self.draw_generation()
-        x = state.descent.place(recalled.hypotheses)
-        state.population.put_first(x, state.descent.near(x))
+        x = state.descent.place(recalled.hypotheses)[: state.population.remaining]
+        none = np.zeros(len(x), bool)
+        state.population.replace(0, x, state.descent.near(x), proposed=none)
 
     @abstractmethod
     def draw_generation(self) -> None:

@@ -153,18 +153,27 @@ class State:
         if finite:
             if tokens is not None:
                 self._keep(TrainingSample(number, exact.copy(), tokens, loss))
-            apart = candidate is None or candidate.step
-            if apart and (self.injected is None or loss < self.injected[1]):
-                self.injected = (x, loss)
+            if candidate is None or candidate.step:
+                self._inject(x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 solution = Solution(x.copy(), loss, self.evaluations, _copied(image))
-                searched = not apart and self.stage is Stage.SEARCH
-                if self.best is None or loss < self.improved_to - _GAIN * abs(self.improved_to):
-                    self.improved_at, self.improved_to = self.evaluations, loss
-                mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)
-                self.best = Best(solution, number, mean, search)
+                searched = candidate is not None and self.stage is Stage.SEARCH
+                self._improve(solution, number, searched=searched)
         self.not_finite += not finite
         self.evaluations += 1
+
+    def _inject(self, x: Float64, loss: float) -> None:
+        """Note a point x (d,) that is no member of a generation."""
+        if self.injected is None or loss < self.injected[1]:
+            self.injected = (x, loss)
+
+    def _improve(self, solution: Solution, number: int, *, searched: bool) -> None:
+        """Note the best point so far, candidate `number`; whether a search has asked it."""
+        if self.best is None or solution.loss < self.improved_to - _GAIN * abs(self.improved_to):
+            self.improved_at, self.improved_to = self.evaluations, solution.loss
+        x = solution.x
+        mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)
+        self.best = Best(solution, number, mean, search)
 
     def _keep(self, sample: TrainingSample) -> None:
         """Remember a sample until the generation is complete; too many of them, the latest."""
@@ -268,6 +277,7 @@ class State:
             "search_best": None if found is None else found.state_dict(),
             "memory": self.memory.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN},
+            "times": dict(self.times),
         }
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
@@ -297,6 +307,7 @@ class State:
         self.memory.load_state_dict(state["memory"], sides, device)
         for name in _PLAIN:
             setattr(self, name, state[name])
+        self.times = dict(state["times"])
 
 
 def _copied(image: Images | None) -> Float32 | None:

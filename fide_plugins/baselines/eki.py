@@ -18,10 +18,10 @@ Every generation (Iglesias, Law and Stuart 2013)
 computed in the k dimensions of the ensemble: C_xe (C_ee + Gamma)^-1 = X^T (E E^T + gamma I)^-1 E.
 
 The images here have no noise of their own, so Gamma is what regularizes a step, and it is annealed
-as the data misfit controller of Iglesias and Yang (2021) does: gamma is the mean squared misfit of
-the ensemble, their alpha = 2 <Phi> / M with Phi = |e* - e_i|^2 / 2, so that it falls as the
-ensemble comes nearer.  Values that leave the box are put on its border.  The ensemble stays in its
-own span and collapses there: then another one starts around a random point.
+by the data misfit controller of Iglesias and Yang (2021, https://arxiv.org/abs/2006.14061),
+so that it falls as the ensemble comes nearer; see `annealed`.  Values that leave the box are put on
+its border.  The ensemble stays in its own span and collapses there: then another one starts around
+a random point.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, real, whole
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.points import whole_number
 
-__all__ = ["EKI", "kalman_update"]
+__all__ = ["EKI", "annealed", "kalman_update"]
 
 COLLAPSED = 1e-4  # mean standard deviation of an ensemble that is given up
 LEAST_NOISE = 1e-12  # variance; an ensemble that has collapsed on the answer is still updated
-STALLED = 20  # generations without a better loss after which it is given up
 
 
 class EKI(ImageBased, Stateful):
@@ -47,6 +47,7 @@ class EKI(ImageBased, Stateful):
 
     popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
     channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
+    patience: generations without a better loss after which an ensemble is given up.
 
     Raises OptionError, and ImageError without a target (ValueErrors).
     """
@@ -61,8 +62,15 @@ class EKI(ImageBased, Stateful):
     }
 
     def __init__(
-        self, dim: int, target: object = None, *, channels: int | None = 3, **options: Any
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        channels: int | None = 3,
+        patience: int = 5,
+        **options: Any,
     ) -> None:
+        self.patience = whole_number("patience", patience, 1)
         super().__init__(dim, target, channels=channels, **options)
         self._rng = np.random.default_rng(self.seed)
         self.starts = 0  # ensembles begun so far
@@ -86,12 +94,12 @@ class EKI(ImageBased, Stateful):
         assert features is not None
         self._population.forget_pending()  # a member is evaluated once
         misfit = self.target_features.astype(np.float64) - features  # (k, f)
-        gamma = float(np.square(misfit).mean())
-        updated = kalman_update(X, features.astype(np.float64), misfit, gamma, self._rng)
+        e = features.astype(np.float64)
+        updated = kalman_update(X, e, misfit, annealed(misfit), self._rng)
         self._members = np.clip(updated, 0.0, 1.0)
         self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
         self._lowest = min(self._lowest, float(losses.min()))
-        if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= STALLED:
+        if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= self.patience:
             self._start(self._rng.random(self.dim))
 
     def _default_popsize(self) -> int:
@@ -99,6 +107,9 @@ class EKI(ImageBased, Stateful):
 
     def _smallest_popsize(self) -> int:
         return 2
+
+    def _own_settings(self) -> dict[str, Any]:
+        return {**super()._own_settings(), "patience": self.patience}
 
     def _own_state(self) -> dict[str, Any]:
         return {
@@ -113,6 +124,16 @@ class EKI(ImageBased, Stateful):
         self._members, self._lowest = state["members"], state["lowest"]
         self._stalled, self.starts = state["stalled"], state["starts"]
         self._rng.bit_generator.state = state["rng"]
+
+
+def annealed(misfit: Float64) -> float:
+    """Variance of the noise for a step from misfits e* - e (k, f): the data misfit controller.
+
+    With Phi = |e* - e_i|^2 / 2 it is the lesser of 2 <Phi> / f and sqrt(2 Var Phi / f).
+    """
+    phi = np.square(misfit).sum(axis=1) / 2  # (k,)
+    f = misfit.shape[1]
+    return float(min(2 * phi.mean() / f, np.sqrt(2 * phi.var() / f)))
 
 
 def kalman_update(

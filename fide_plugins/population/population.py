@@ -134,16 +134,6 @@ class Population:
         self._unmade, self._unmade_from = unmade, self.drawn
         self.drawn += len(unmade)
 
-    def put_first(self, x: Float64, z: Float64) -> None:
-        """Put points x (m, d) with their z (m, d) in the place of the first that are queued.
-
-        They are not of the generation's distribution, and are told as late ones are.
-        """
-        for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
-            if i < len(self._queue):
-                index = self._queue[i].index
-                self._queue[i] = Candidate(index, point, drawn, late=True)
-
     def propose_by(self, propose: Propose, *, singly: bool) -> None:
         """Say what makes the proposals; a checkpoint cannot hold it.
 
@@ -186,17 +176,18 @@ class Population:
         flags = [candidate.proposed for candidate in self._queue] + [True] * len(self._unmade)
         return np.array(flags[first : first + n], bool)
 
-    def replace(self, first: int, x: Float64, z: Float64) -> None:
+    def replace(self, first: int, x: Float64, z: Float64, proposed: Mask) -> None:
         """Put points x (m, d) with their z (m, d) in the place of candidates, as late ones.
 
         first: of those that remain, which is queued, or the next proposal.
+        proposed: (m,), whether each is a proposal.
         """
-        for i, (point, drawn) in enumerate(zip(x, z, strict=True), first):
+        for i, (point, drawn, made) in enumerate(zip(x, z, proposed, strict=True), first):
             if i == len(self._queue):
-                self._queue.append(Candidate(self._unmade_from, point, drawn, proposed=True))
+                self._queue.append(Candidate(self._unmade_from, point, drawn))
                 self._unmade, self._unmade_from = self._unmade[1:], self._unmade_from + 1
-            old = self._queue[i]
-            self._queue[i] = Candidate(old.index, point, drawn, old.proposed, late=True)
+            index = self._queue[i].index
+            self._queue[i] = Candidate(index, point, drawn, proposed=bool(made), late=True)
 
     def hand_out_all(self) -> list[Candidate]:
         """All candidates of the generation that remain."""
@@ -250,6 +241,10 @@ class Population:
         candidate = self.take(x)
         if candidate is not None and not (candidate.extra or candidate.step):
             self._withdrawn += candidate.index >= self._generation_from
+
+    def is_pending(self, x: Float64) -> bool:
+        """Whether x (d,) was handed out and not yet told."""
+        return bool(self._pending.get(_key(x)))
 
     def take(self, x: Float64) -> Candidate | None:
         """Take x (d,) from the pending candidates; returns it, or None if it is not pending."""

@@ -65,4 +65,4 @@ def _draw_ahead(state: State, n: int, propose: _Propose) -> None:
     proposed = population.proposed(needed, m)
     if proposed.any():
         x[proposed], z[proposed] = propose(z[proposed], descent, state.rng)
-    population.replace(needed, x, z)
+    population.replace(needed, x, z, proposed)

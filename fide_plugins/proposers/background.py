@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.proposers.base import Proposer, SingleProposer
+from fide_plugins.proposers.base import Proposer, ProposerDefaults
 from fide_plugins.runtime.background import Background
 from fide_plugins.runtime.devices import as_here
 from fide_plugins.runtime.schema import Sides
@@ -29,7 +29,7 @@ from fide_plugins.types import Float64
 __all__ = ["BackgroundProposer"]
 
 
-class BackgroundProposer(SingleProposer):
+class BackgroundProposer(ProposerDefaults):
     """A proposer that learns in the background, on the device and its stream that are in use.
 
     What training raises is raised by whatever waits for it next: `propose`, the next `update`,

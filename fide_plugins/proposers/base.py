@@ -12,7 +12,7 @@ from torch import Tensor
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 
-__all__ = ["Previewed", "Proposer", "SingleProposer"]
+__all__ = ["Previewed", "Proposer", "ProposerDefaults"]
 
 
 class Proposer(Protocol):
@@ -69,8 +69,8 @@ class Proposer(Protocol):
         """What `update` would make of it now, without changing it; itself if that takes long."""
 
 
-class SingleProposer(ABC):
-    """What proposers have in common that work alone, in the foreground."""
+class ProposerDefaults(ABC):
+    """What most proposers have in common."""
 
     background = False
     singly = False

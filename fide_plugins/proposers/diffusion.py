@@ -32,7 +32,7 @@ from fide_plugins.denoiser.training import (
     load_adam_state,
 )
 from fide_plugins.errors import OptionError
-from fide_plugins.proposers.base import SingleProposer
+from fide_plugins.proposers.base import ProposerDefaults
 from fide_plugins.runtime.batch_size import BatchSize
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import (
@@ -55,7 +55,7 @@ Floats = NDArray[np.float64]
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
-class DiffusionProposer(SingleProposer):
+class DiffusionProposer(ProposerDefaults):
     """Diffusion in parameter space, conditioned on image features; defaults are the paper's.
 
     Parameters

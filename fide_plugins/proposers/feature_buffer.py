@@ -1,4 +1,4 @@
-"""Features of the images that the linear proposer remembers, and their scalar products.
+"""Features of the images that a proposer remembers, and their scalar products.
 
 A buffer holds one subset of the channels, of the tokens that vary.
 

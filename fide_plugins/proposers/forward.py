@@ -54,7 +54,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from fide_plugins.proposers.base import Previewed, SingleProposer
+from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
@@ -76,7 +76,7 @@ _MOST_BYTES = 2**28  # of features
 Indices = npt.NDArray[np.intp]
 
 
-class ForwardProposer(Previewed, SingleProposer):
+class ForwardProposer(Previewed, ProposerDefaults):
     """Gauss-Newton steps from the best candidate, with a Jacobian fitted to evaluated candidates.
 
     Parameters
@@ -207,8 +207,8 @@ class ForwardProposer(Previewed, SingleProposer):
     def _jacobian(self, std: Float64) -> Jacobian:
         """At the best candidate; fitted once for whatever was told."""
         if self._fit is None or not np.array_equal(self._fit[0], std):
-            u = (self._x - self._x[int(np.argmin(self._losses))]) / std
             best = int(np.argmin(self._losses))
+            u = (self._x - self._x[best]) / std
             fit = fit_jacobian(u, self._buffer.gram, best, self.ridge, self._buffer.rounding)
             self._fit = std.copy(), fit
         return self._fit[1]
@@ -241,8 +241,8 @@ def balanced(jacobian: Jacobian, slope: Float64) -> float:
 
     slope: (d,), J e* in the basis of the eigenvectors.  Within a factor of 1.5, on a grid.
     """
-    largest = max(float(jacobian.values.mean()), jacobian.rounding, _SMALLEST_PENALTY)
-    grid = largest * np.logspace(-10, 2, 73)
+    scale = max(float(jacobian.values.mean()), jacobian.rounding, _SMALLEST_PENALTY)
+    grid = scale * np.logspace(-10, 2, 73)
     lengths = np.square(slope / (jacobian.values + grid[:, None])).sum(axis=1)  # |delta|^2
     enough = grid >= 2 * jacobian.curvature * lengths
     return float(grid[int(np.argmax(enough)) if enough.any() else -1])

@@ -54,7 +54,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from fide_plugins.proposers.base import Previewed, SingleProposer
+from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
@@ -91,7 +91,7 @@ class _Regression(NamedTuple):
     """(f, d): what features say beyond their products, see `proposers.screening`."""
 
 
-class LinearProposer(Previewed, SingleProposer):
+class LinearProposer(Previewed, ProposerDefaults):
     """Ridge regression from features to parameters, weighted by rank.
 
     Parameters

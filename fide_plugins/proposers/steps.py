@@ -14,7 +14,7 @@ little of the residual.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -91,13 +91,16 @@ class GaussNewtonSteps:
         """Steps (m, d); see `ForwardProposer.propose`."""
         return self.forward.propose(z, target, mean, std, rng)
 
-    def new_ones(self, x: Float64) -> Float64:
-        """Those of steps x (m, d), as they are rendered, before the first that is known already.
+    def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
+        """Those of steps x (m, d), as they are rendered, before the first that is not new.
 
-        Integers and choices round steps to points that were evaluated; then the steps end.
+        Integers, choices and walls bring steps to points that were evaluated, that are out, or that
+        an earlier step has; then the steps end.
+
+        is_out: whether a point (d,) was asked and not yet told.
         """
         for i, row in enumerate(x):
-            if self.forward.knows(row):
+            if self.forward.knows(row) or is_out(row) or (x[:i] == row).all(axis=1).any():
                 self._left = i
                 return x[:i]
         return x
@@ -105,6 +108,10 @@ class GaussNewtonSteps:
     def taken(self, n: int) -> None:
         """Note that n of those that are left were asked."""
         self._left -= n
+
+    def end(self) -> None:
+        """Take no more before the generation that begins now."""
+        self._due, self._left = False, 0
 
     def _learn(self, std: Float64) -> None:
         if self._new:

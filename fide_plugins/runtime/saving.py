@@ -74,6 +74,7 @@ class Saved(Locked, ABC):
         """
         checkpoint.write(path, self.name, self.snapshot())
 
+    @one_at_a_time
     def snapshot(self) -> dict[str, Any]:
         """Input of `restore`: nested dicts of arrays, tensors and numbers, not copies."""
         return {"settings": self.settings(), "loss": self.loss_name, "state": self.state_dict()}

@@ -21,7 +21,11 @@ from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.injection import with_injected
 from fide_plugins.search.mixed import Cells, Mixed
 from fide_plugins.search.moves.base import Start
-from fide_plugins.search.termination import Termination, default_patience, patience_alone
+from fide_plugins.search.termination import (
+    Termination,
+    default_patience,
+    default_patience_alone,
+)
 from fide_plugins.types import Float64
 
 __all__ = ["Descent", "Setting"]
@@ -73,7 +77,7 @@ class Descent:
             start.patience * patience,
             options.improvement,
             goal,
-            patience_alone(dim, self.popsize),
+            default_patience_alone(dim, self.popsize),
             np.inf if start.brisk_above is None else start.brisk_above,
             start.to_the_end,
         )

@@ -4,8 +4,8 @@ Notation: e_i, features of the remembered images; e*, those of the new picture; 
 whose image is nearest to it; D = |e* - e_b|, what is wrong with that image.
 
 *Losses.*  The images themselves are not kept, so their true losses to the new picture cannot be
-computed.  They are estimated from distances of features: the image that is the n-th nearest to the
-new picture gets the loss that the image of about the same distance had to the old one.
+computed.  They are estimated from distances of features: an image gets the loss that images at its
+distance had to the old picture, that is the n-th lowest, if n of them were nearer.
 
 *Step size.*  How far do parameters move when the image changes by D?  The remembered candidates
 whose images differ from that of b by about D say so: their root mean square difference from b, one

@@ -21,7 +21,13 @@ import numpy as np
 
 from fide_plugins.types import Float64
 
-__all__ = ["Termination", "default_patience", "has_stalled", "is_hopeless", "patience_alone"]
+__all__ = [
+    "Termination",
+    "default_patience",
+    "default_patience_alone",
+    "has_stalled",
+    "is_hopeless",
+]
 
 _COLLAPSED = 6e-3  # of sigma0: a thousandth of the box for sigma0 = 1/6
 _TO_THE_END = 1e-7  # of sigma0: pixels are single precision, and say nothing of smaller steps
@@ -40,7 +46,7 @@ def default_patience(dim: int, popsize: int) -> int:
     return max(5, dim // popsize)
 
 
-def patience_alone(dim: int, popsize: int) -> int:
+def default_patience_alone(dim: int, popsize: int) -> int:
     """Generations without any improvement that end a search by losses alone."""
     return 100 + 30 * dim // popsize
 

@@ -15,6 +15,7 @@ from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import FeaturesError, LossError
 from fide_plugins.losses.base import LossOfTarget, as_losses
 from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.features import as_features
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
@@ -137,6 +138,7 @@ class Evaluator:
         Versions of a user's own loss are not known.
         """
         own = self.versions
+        check(saved, dict.fromkeys(own, anything), {}, "versions")
         if saved["encoder"] != own["encoder"]:
             raise ValueError(
                 f"features of the encoder {saved['encoder']}; the one here is {own['encoder']}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.baselines.eki import EKI, kalman_update
+from fide_plugins.baselines.eki import EKI, annealed, kalman_update
 from fide_plugins.types import Float32, Float64
 
 
@@ -36,6 +36,22 @@ def kalman_update_in_blocks(
     parts = [slice(i, i + 200) for i in range(0, len(x), 200)]
     several = [kalman_update(x[p], e[p], data - e[p], gamma, rng) for p in parts]
     return np.concatenate(several)
+
+
+def test_the_noise_follows_the_data_misfit_controller() -> None:
+    """Phi is 2 and 4 for three features, so <Phi> = 3 and Var Phi = 1."""
+    misfit = np.array([[2.0, 0.0, 0.0], [2.0, 2.0, 0.0]])
+    assert annealed(misfit) == np.sqrt(2 / 3)  # below 2 <Phi> / f = 2
+    far_apart = np.array([[0.0, 0.0, 0.0], [0.0, 6.0, 0.0]])  # Phi: 0 and 18
+    assert annealed(far_apart) == 6.0  # 2 <Phi> / f, below sqrt(2 * 81 / 3) = 7.3
+
+
+def test_an_ensemble_without_progress_is_given_up() -> None:
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=2)
+    images = np.full((6, 16, 16, 3), 0.5, np.float32)
+    for started in (1, 1, 2):
+        opt.tell(opt.ask(), images, np.full(6, 0.5))
+        assert opt.starts == started
 
 
 def test_a_collapsed_ensemble_stays_finite() -> None:

@@ -91,15 +91,17 @@ def test_who_asks_for_many_gets_steps_and_then_a_generation(
 def test_a_step_is_a_guess_and_not_what_the_distribution_found(
     render: Render, target: Float32
 ) -> None:
-    """It is recommended as it is; and the best one is injected, as one that a user tells."""
+    """The mean of its search is recommended, and the best one is injected, as one that is told."""
     opt = FIDE(6, target, **SETTINGS)
     X = first_step(opt, render)
     loss = opt.best.loss / 2 if opt.best is not None else 0.0
     opt.tell(X, render(X), np.array([loss]))
     assert opt.state.injected is not None
     np.testing.assert_array_equal(opt.state.injected[0], X[0])
-    assert opt.state.best is not None and opt.state.best.search == 0
-    np.testing.assert_array_equal(opt.state.best.mean, X[0])
+    assert opt.best is not None and opt.best.loss == loss
+    np.testing.assert_array_equal(
+        opt.recommend(), opt.state.descent.render_mean(opt.state.search.mean)
+    )
 
 
 def test_one_that_is_withdrawn_or_never_told_holds_nothing_up(
@@ -162,21 +164,42 @@ def test_what_fails_after_the_steps_hands_out_none(
     opt.tell(X := opt.ask(1), render(X))
 
 
-def test_integers_bring_no_step_twice() -> None:
-    space = Space({f"n{i}": Int(0, 9) for i in range(6)})
+@pytest.mark.parametrize(("n", "out"), [(1, 1), (1, 6), (12, 12)])
+def test_integers_bring_no_step_twice(n: int, out: int) -> None:
+    """Asked n at a time, and told when so many are out."""
+    space = Space(a=Int(0, 20), b=Int(0, 20))
     grid = np.linspace(0, 1, 24)
 
     def draw(X: Float64) -> Float32:
-        waves = np.cos(np.outer(X.sum(axis=1), grid * 3) + X[:, :1] * 2)
-        return np.repeat(np.repeat(waves[:, None, :, None] / 2 + 0.5, 24, 1), 3, 3).astype("f4")
+        bumps = np.exp(-np.square((grid - X[:, :1]) * 4))[:, :, None]
+        images = bumps * np.exp(-np.square((grid - X[:, 1:]) * 4))[:, None]
+        return np.repeat(images[..., None], 3, 3).astype(np.float32)
 
-    opt, seen = FIDE(space, draw(np.full((1, 6), 0.55))[0], popsize=8, seed=0), set()
-    for _ in range(300):
-        X = opt.ask(1)
-        if steps_pending(opt):
-            assert X.tobytes() not in seen
-        seen.add(X.tobytes())
-        opt.tell(X, draw(X))
+    steps = 0
+    for seed in range(6):
+        opt, seen = FIDE(space, draw(np.array([[0.62, 0.4]]))[0], popsize=8, seed=seed), set()
+        queue: list[Float64] = []
+        while opt.evaluations < 150:
+            before = steps_pending(opt)
+            X = opt.ask(n)
+            new = steps_pending(opt) - before  # which come first
+            for i, x in enumerate(X):
+                assert i >= new or x.tobytes() not in seen
+                seen.add(x.tobytes())
+            steps += new
+            queue += list(X)
+            while len(queue) >= out:
+                opt.tell(queue[0][None], draw(queue.pop(0)[None]))
+    assert steps > 0
+
+
+def test_who_began_a_generation_gets_no_step_in_it(render: Render, target: Float32) -> None:
+    opt = FIDE(6, target, **SETTINGS)
+    opt.tell(X := first_step(opt, render), render(X))
+    X = opt.ask()
+    opt.tell(X[:2], render(X[:2]))
+    opt.ask(3)
+    assert not steps_pending(opt)
 
 
 def test_eight_workers_get_no_more_ahead_for_steps_that_are_out(

@@ -148,7 +148,7 @@ def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
     hand_out(population, 1 - first)
     x = np.array([[0.1, 0.2], [0.3, 0.4]])
     assert population.proposed(first, 2).tolist() == [False, True]
-    population.replace(first, x, x + 2.0)
+    population.replace(first, x, x + 2.0, np.array([False, True]))
     assert population.remaining == 3 + first
     asked = hand_out(population, 3 + first)[first:]
     np.testing.assert_array_equal(asked[:2], x)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers.background import BackgroundProposer
-from fide_plugins.proposers.base import SingleProposer
+from fide_plugins.proposers.base import ProposerDefaults
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 
@@ -23,7 +23,7 @@ Z = np.zeros((2, 3))
 RNG = np.random.default_rng(0)
 
 
-class Slow(SingleProposer):
+class Slow(ProposerDefaults):
     """Learns as soon as it is let, and says in which thread."""
 
     ready = True

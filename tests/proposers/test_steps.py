@@ -107,13 +107,15 @@ def test_of_a_population_that_is_larger_the_best_are_learned_from() -> None:
     assert steps.left(K, TARGET, STD) == K
 
 
-def test_steps_end_at_one_that_is_known() -> None:
+@pytest.mark.parametrize("why", ["evaluated", "out", "an earlier step"])
+def test_steps_end_at_one_that_is_not_new(why: str) -> None:
     steps = taught(12)
     steps.after_generation()
     assert steps.left(K, TARGET, STD) == K
-    known = steps.forward._x[3]
-    x = np.stack([MEAN, known, MEAN + 0.01])
-    np.testing.assert_array_equal(steps.new_ones(x), x[:1])
+    second = {"evaluated": steps.forward._x[3], "out": MEAN + 0.02, "an earlier step": MEAN}[why]
+    x = np.stack([MEAN, second, MEAN + 0.01])
+    kept = steps.new_ones(x, lambda row: bool((row == MEAN + 0.02).all()))
+    np.testing.assert_array_equal(kept, x[:1])
     steps.taken(1)
     assert steps.left(K, TARGET, STD) == 0
 

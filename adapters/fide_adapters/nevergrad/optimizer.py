@@ -115,14 +115,21 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         """Image to find, float32 (H, W, 3) in [0, 1], read-only; None if there is none.
 
         For several views it is a list.  Set it to any target that `fide_plugins.FIDE` takes, before
-        the first `ask` or `tell`; raises ImageError or ProtocolError otherwise.
+        the first `ask` or `tell`; raises ImageError or ProtocolError otherwise.  A mask and weights
+        stay; then the sizes must, too.
         """
         views = self._search.target
         return None if views is None else views.targets
 
     @target.setter
     def target(self, image: object) -> None:
-        self._search.target = None if image is None else Views.read(image)
+        former = self._search.target
+        if image is None:
+            self._search.target = None
+        elif former is None or former.weights is None:
+            self._search.target = Views.read(image)
+        else:
+            self._search.target = former.retargeted(image)
 
     @property
     def fide(self) -> FIDE:

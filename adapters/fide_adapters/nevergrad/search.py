@@ -85,20 +85,20 @@ class Search:
     def start(self, cube: Cube, rng: np.random.RandomState) -> None:
         """Make FIDE, with the seed of the settings or one from `rng`."""
         from fide_plugins.fide import FIDE
-        from fide_plugins.options import make_options
+        from fide_plugins.options import make_options, without_images
         from fide_plugins.search.cma_es import default_popsize
 
         s = self._settings
         options = {**(s["options"] or {}), "encoder": s["encoder"]}
         size = make_options(s["preset"], {**options, "popsize": s["popsize"]}).popsize
         if self.target is None:
-            options |= {"proposer": "none", "encoder": "dense"}
+            options = without_images(options)
         options = {"memory_mb": 0.0, **options}  # for the next target, which there never is
         self._fide = FIDE(
             cube.dim,
             _NO_TARGET if self.target is None else self.target,
             loss=None if self.target is None else s["loss"],
-            popsize=max(size or max(4, default_popsize(cube.dim)), self._workers),
+            popsize=max(size or default_popsize(cube.dim), self._workers),
             x0=cube.mean,
             sigma0=cube.std,
             preset=s["preset"],

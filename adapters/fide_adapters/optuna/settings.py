@@ -17,7 +17,7 @@ from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.options import make_options
+from fide_plugins.options import make_options, without_images
 from fide_plugins.validation.evaluation import Evaluator
 from fide_plugins.validation.points import standard_deviation
 from fide_plugins.views import Views
@@ -88,7 +88,7 @@ class OptimizerSettings:
         target: object = self.target
         if target is None:
             target = _NO_TARGET
-            options |= {"proposer": "none", "encoder": "dense"}
+            options = without_images(options)
         elif images is not None:
             options["encoder"], loss = images.evaluator.encoder, images.evaluator.loss
         return FIDE(

@@ -78,11 +78,14 @@ class _Worker:
     def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
         """Start `work` on an item."""
         try:
-            self._pid = self._pid or self._pool.submit(os.getpid).result()
-            return self._pool.submit(_busy, work, item)
+            return self._submit(work, item)
         except BrokenProcessPool:  # the process died while it was idle
             self.restart()
-            return self._pool.submit(_busy, work, item)
+            return self._submit(work, item)
+
+    def _submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
+        self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
+        return self._pool.submit(_busy, work, item)
 
     def restart(self) -> None:
         """Replace the process after it died."""

@@ -242,6 +242,7 @@ class MovePolicy:
         known.removal.forget()
         known.values.forget()
         self.hypotheses.forget()
+        self.alone = 0
         self.move, self.start = None, start
         self._go(Stage.SEARCH)
 
