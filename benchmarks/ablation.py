@@ -42,7 +42,7 @@ NOTHING_PROPOSED: dict[str, Any] = {
 
 
 class Change(NamedTuple):
-    """Options of FIDE that differ from their defaults, and moves that are never possible.
+    """Options of FIDE without steps that differ from their defaults, and moves that are left out.
 
     budget: renders, where not all can be afforded.
     """
@@ -54,9 +54,9 @@ class Change(NamedTuple):
 
 DIFFUSION = "proposer: diffusion network"
 NO_STEPS: dict[str, Any] = {"proposer": "linear"}
-"""Of all rows but the first."""
+"""Of all rows that say nothing else."""
 CONFIGURATIONS: dict[str, Change] = {
-    "FIDE": Change({}),
+    "FIDE": Change({"proposer": "both"}),
     "no steps": Change({}),
     "nothing proposed": Change(NOTHING_PROPOSED),
     "nothing proposed, restarts anew (CMA-ES)": Change({"proposer": "none"}),
@@ -138,10 +138,7 @@ def run(planned_run: Row) -> Row:
     """One run of FIDE with that change."""
     change = CONFIGURATIONS[planned_run["configuration"]]
     with moves_left_out(change.without):
-        options = (
-            change.options if planned_run["configuration"] == "FIDE" else NO_STEPS | change.options
-        )
-        return moves.run(planned_run, "fide", options)
+        return moves.run(planned_run, "fide", NO_STEPS | change.options)
 
 
 @contextmanager

@@ -52,9 +52,9 @@ import torch
 from authors_zerograds import BEST, EVALUATIONS, OFFSETS, zerograds
 from baselines import SMALL_DIBO, in_the_unit_cube
 from rows import Row, read, run_missing
-from scipy.stats import binomtest
 
 from fide_plugins import optimizers
+from fide_plugins.experiments.suite.tables import sign_test
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"
@@ -296,10 +296,10 @@ def line(head: str, rows: list[Row], test: bool = True) -> list[str]:
     """Of some pairs; none if there are no pairs."""
     if not rows:
         return []
-    ratios = [row["ours"] / row["theirs"] for row in rows]
-    n, lower = len(ratios), sum(ratio < 1 for ratio in ratios)
-    p = f"{binomtest(lower, n).pvalue:.2g}" if test else ""
-    return [f"| {head} | {lower} of {n} | {np.median(ratios):.2f} | {p} |"]
+    ours, theirs = (np.array([row[whose] for row in rows]) for whose in ("ours", "theirs"))
+    lower, ratio = int((ours < theirs).sum()), float(np.median(ours / theirs))
+    p = f"{sign_test(ours, theirs):.2g}" if test else ""
+    return [f"| {head} | {lower} of {len(rows)} | {ratio:.2f} | {p} |"]
 
 
 def main() -> None:

@@ -23,7 +23,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import literal
 from numpy.typing import NDArray
 from rows import Row, append, missing, read, report
 
@@ -31,6 +30,7 @@ import fide_tasks
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import as_renderer
+from fide_plugins.validation import key_value
 
 RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"
 SHARES = (0.5, 0.8, 0.9, 0.95)
@@ -135,7 +135,7 @@ def main() -> None:
     left = list(missing(({**about, "scaled": scaled} for scaled in kinds), arguments.out, key))
     if not left:
         return
-    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in arguments.task_set)}
+    options = dict(key_value.parse(pair) for pair in arguments.task_set)
     x, images = pictures(model, arguments.scene, options, arguments.pictures)
     for row in left:
         found = measure(row, model, x, images)

@@ -6,15 +6,14 @@
 A run has a task, a target, a configuration, a seed and a budget, and is a line of the file
 benchmarks/results/forward.jsonl, appended when it is done; a second call does what is missing.
 A configuration is a proposer and a way to ask: whole generations (all), 8 at a time, or one by one;
-"both" takes steps between the generations, but for whole ones; "more" proposes more from the
-beginning.  With options of --set it needs a name of its own, --label.
+"both" takes steps between the generations when asked for 8 or 1; whole generations have none.
+With options of --set a configuration needs a name of its own, --label.
 A run ends at an MSE of 1e-11; marks beyond its end repeat the last value.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Iterator
@@ -31,17 +30,15 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import optimizers
+from fide_plugins.validation import key_value
 
 MARKS = (100, 200, 300, 500, 1000, 2000)
 GOALS = (1e-4, 1e-6)
 RESULTS = Path(__file__).parent / "results" / "forward.jsonl"
-MORE = {"share": 0.5, "share_rate": 0.3}
 PROPOSERS: dict[str, dict[str, Any]] = {
     "inverse": {"proposer": "linear"},
     "forward": {"proposer": "forward"},
     "both": {"proposer": "both"},
-    "inverse-more": {"proposer": "linear", **MORE},
-    "both-more": {"proposer": "both", **MORE},
 }
 TASKS: dict[str, dict[str, Any]] = {"spline": {"target": "random"}, "voronoi": {}, "robot": {}}
 
@@ -105,8 +102,7 @@ def run(cell: Row, arguments: argparse.Namespace) -> Row:
     """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
     task = make_task(cell["task"], cell["target"])
     name, _, asked = cell["configuration"].removesuffix(arguments.label).partition("/")
-    settings = dict(pair.split("=", 1) for pair in arguments.set)
-    options = {option: json.loads(value) for option, value in settings.items()}
+    options = dict(key_value.parse(pair) for pair in arguments.set)
     if name in PROPOSERS:
         options = {**PROPOSERS[name], **options}
         optimizer = optimizers.make("fide", task.dim, task.target, seed=cell["seed"], **options)
@@ -137,7 +133,7 @@ def make_task(name: str, target: int) -> Any:
 
 
 def table(rows: list[Row], arguments: argparse.Namespace) -> str:
-    """Geometric means at the marks; median renders until the goals, and how many got there."""
+    """Geometric means at the marks; median renders until the goals, and how many get there."""
     columns = ["task", "configuration", "n", *map(str, MARKS), "until 1e-4", "until 1e-6", "ms"]
     lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
     rows = [row for row in rows if row["task"] in arguments.tasks]
@@ -154,8 +150,10 @@ def table(rows: list[Row], arguments: argparse.Namespace) -> str:
 
 
 def _reached(renders: list[int | None]) -> str:
-    there = [r for r in renders if r is not None]
-    return f"{np.median(there):.0f} ({len(there)}/{len(renders)})" if there else "-"
+    """Median of all runs, "-" where half of them do not get there, and how many do."""
+    median = float(np.median([np.inf if r is None else r for r in renders]))
+    shown = f"{median:.0f}" if np.isfinite(median) else "-"
+    return f"{shown} ({sum(r is not None for r in renders)}/{len(renders)})"
 
 
 if __name__ == "__main__":

@@ -26,13 +26,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from moves import literal, span
+from moves import span
 from numpy.typing import NDArray
 from rows import Row, read, run_missing
 from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
 from fide_plugins import FIDE
+from fide_plugins.validation import key_value
 
 RESULTS = Path(__file__).parent / "results" / "learned_beads.jsonl"
 MARKS = (500, 1000, 3000)
@@ -144,7 +145,7 @@ def main() -> None:
     name, *pairs = arguments.configuration
     if name == "learned" and not arguments.model:
         parser.error("the configuration 'learned' needs --model; without one name it otherwise")
-    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
+    options = dict(key_value.parse(pair) for pair in pairs)
     run_missing(
         cells(arguments, name),
         lambda cell: measure(cell, arguments.model, options),

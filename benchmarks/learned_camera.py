@@ -31,12 +31,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 from learned_beads import cells, key, kind_of
-from moves import literal, span
+from moves import span
 from numpy.typing import NDArray
 from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE
+from fide_plugins.validation import key_value
 
 RESULTS = Path(__file__).parent / "results" / "learned_camera.jsonl"
 NEAR = (0.005, 0.01, 0.02, 0.05)
@@ -151,7 +152,7 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
-    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
+    options = dict(key_value.parse(pair) for pair in pairs)
     left = missing(cells(arguments, name), arguments.out, key)
     add((measure(row, arguments.model, options) for row in left), arguments.out)
 

@@ -11,7 +11,6 @@ A configuration is an optimizer with options, `--configuration NAME OPTIMIZER ke
 from __future__ import annotations
 
 import argparse
-import ast
 import os
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -27,6 +26,7 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import optimizers
+from fide_plugins.validation import key_value
 
 MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)
 
@@ -96,7 +96,7 @@ def parse_arguments() -> argparse.Namespace:
         parser.error(f"a scene is one of {', '.join(SCENES)}, not {', '.join(sorted(unknown))}")
     arguments.configuration, *rest = arguments.configuration
     arguments.optimizer, *pairs = rest or ["fide"]
-    arguments.options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in pairs)}
+    arguments.options = dict(key_value.parse(pair) for pair in pairs)
     return arguments
 
 
@@ -104,14 +104,6 @@ def span(text: str) -> range:
     """A range such as 40-49, or one number."""
     first, _, last = text.partition("-")
     return range(int(first), int(last or first) + 1)
-
-
-def literal(text: str) -> Any:
-    """A Python literal, or the text itself."""
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
 
 
 def planned_runs(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -205,18 +197,17 @@ def _sheet(things: NDArray[np.float64], size: int) -> NDArray[np.float32]:
 def table(rows: list[Row]) -> str:
     """Share solved by each mark, and the median of renders, in Markdown."""
     lines = [
-        "| scene | configuration | runs | solved by " + " / ".join(map(str, MARKS)) + " | median |"
+        f"| scene | configuration | px | runs | solved by {' / '.join(map(str, MARKS))} | median |",
+        "|---|---|---:|---:|---|---:|",
     ]
-    lines.append("|---|---|---:|---|---:|")
-    names = ("scene", "configuration")
+    names = ("scene", "configuration", "size", "budget")
     for kind in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
         group = [row for row in rows if tuple(row[name] for name in names) == kind]
-        at = np.array([row["solved_at"] or np.inf for row in group])
-        most = max(row["budget"] for row in group)
-        counts = [str(int((at <= mark).sum())) for mark in MARKS if mark <= most]
-        middle = float(np.sort(at)[len(at) // 2])
-        solved = " / ".join(counts)
-        lines.append(f"| {kind[0]} | {kind[1]} | {len(group)} | {solved} | {middle:.0f} |")
+        scene, configuration, size, budget = kind
+        at = [row["solved_at"] or np.inf for row in group]
+        counts = [str(sum(n <= mark for n in at)) for mark in MARKS if mark <= budget]
+        line = (scene, configuration, size, len(group), " / ".join(counts), f"{np.median(at):.0f}")
+        lines.append(f"| {' | '.join(map(str, line))} |")
     return "\n".join(lines)
 
 

@@ -83,6 +83,7 @@ def section(task: str, loss: str, rows: list[Row], configurations: list[str]) ->
     paths = f", {TASK_OPTIONS[task]['spp']} paths a pixel" if task in TASK_OPTIONS else ""
     most = max(row["budget"] for row in rows)
     marks = [m for m in MARKS if int(m) <= most]
+    marks[-1] = str(most)
     columns = ["", "targets", *(f"{name}, {int(m):,}" for name in METRICS for m in marks)]
     columns += ["lowest", "solved"]
     lines = [f"### {task}, minimized `{loss}`{paths}", "", "| " + " | ".join(columns) + " |"]
@@ -124,11 +125,15 @@ def end(row: Row) -> dict[str, float]:
 
 
 def lowest(group: list[Row], rows: list[Row]) -> str:
-    """On how many targets a group has the lowest minimized loss of all rows, where others ran."""
+    """Of the targets that others ran, too: on how many the group's loss is the lowest.
+
+    Ties count.
+    """
     raced = won = 0
     for row in group:
         rivals = [other for other in rows if other["target"] == row["target"]]
-        mark = min(r["budget"] for r in rivals if r["configuration"] not in AFFORDABLE)
+        whole = [r["budget"] for r in rivals if r["configuration"] not in AFFORDABLE]
+        mark = min(whole, default=row["budget"])
         raced += len(rivals) > 1
         won += len(rivals) > 1 and loss_at(row, mark) == min(loss_at(r, mark) for r in rivals)
     return f"{won} of {raced}" if raced else "-"

@@ -1,4 +1,4 @@
-"""Loss against renders: FIDE, its presets, and CMA-ES at three populations, in one run.
+"""Loss against renders: FIDE, its presets, CMA-ES at three populations and PGPE, in one run.
 
     python benchmarks/quality.py voronoi spline --out runs/quality.jsonl
     python benchmarks/quality.py --table runs/quality.jsonl
@@ -20,10 +20,10 @@ from typing import Any, TypeAlias
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from moves import literal
 from rows import Row, read, run_missing
 
 from fide_plugins.experiments import run as harness
+from fide_plugins.validation import key_value
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
 RIVAL = "CMA-ES"
@@ -86,7 +86,10 @@ def run_configurations(
     share: str,
     run: Callable[[Row, str, dict[str, Any]], Row] | None = None,
 ) -> None:
-    """Run those of a share "i/n" of the cells that are not in the file yet; by `measure`."""
+    """Run those of a share "i/n" of the cells that are not in the file yet.
+
+    run: makes the row of a cell with its optimizer and options; None: `measure`.
+    """
     measured = run or measure
     run_missing(
         cells,
@@ -99,7 +102,7 @@ def run_configurations(
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
-    options = {k: literal(v) for k, v in (pair.split("=", 1) for pair in arguments.task_set)}
+    options = dict(key_value.parse(pair) for pair in arguments.task_set)
     more = {"task_options": options} if options else {}
     for seed in range(arguments.seeds):
         for task in arguments.tasks:
@@ -159,7 +162,7 @@ def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
     lines: list[str] = []
     for scene in dict.fromkeys(map(scene_of, rows)):
         mine = [row for row in rows if scene_of(row) == scene]
-        lines += [f"### {scene}, {mine[0]['size']}x{mine[0]['size']}", ""]
+        lines += [f"### {scene}", ""]
         marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in mine)]
         lines += ["| | runs | " + " | ".join(f"{int(m):,}" for m in marks) + " |"]
         lines += ["|---" * (len(marks) + 2) + "|"]
@@ -187,15 +190,17 @@ def table(rows: list[Row], order: Iterable[str] = CONFIGURATIONS) -> str:
 
 
 def scene_of(row: Row) -> str:
-    """Task of a row, with its options."""
+    """Task of a row, with its options and size."""
     options = row.get("task_options", {}).items()
-    return ", ".join([row["task"], *(f"{name} = {value}" for name, value in options)])
+    words = [row["task"], *(f"{name} = {value}" for name, value in options)]
+    return ", ".join([*words, f"{row['size']}x{row['size']}"])
 
 
 def medians_of(rows: list[Row], configuration: str, marks: list[str]) -> dict[str, Any]:
-    """Median best loss of a configuration at each mark it reached."""
+    """Median best loss of a configuration at each mark that all of its runs have reached."""
     group = [row["best"] for row in rows if row["configuration"] == configuration]
-    return {m: statistics.median(b[m] for b in group if m in b) for m in marks if m in group[0]}
+    reached = [m for m in marks if all(m in best for best in group)]
+    return {m: statistics.median(best[m] for best in group) for m in reached}
 
 
 def leads(medians: dict[str, dict[str, Any]], marks: list[str]) -> str:

@@ -120,11 +120,9 @@ def options(name: str) -> list[str]:
     resolved = _resolve(name)
     if hasattr(resolved, "option_names"):
         return list(resolved.option_names())
-    is_class = inspect.isclass(resolved)
-    makers: list[Any] = (
-        [cls.__init__ for cls in inspect.getmro(resolved)] if is_class else [resolved]
-    )
-    for maker in makers:  # an __init__ with **options hands them to the next class
+    classes: tuple[Any, ...] = inspect.getmro(resolved) if inspect.isclass(resolved) else ()
+    for maker in [cls.__init__ for cls in classes] or [resolved]:
+        # an __init__ with **options hands them to the next class
         parameters = inspect.signature(maker).parameters.values()
         known.update(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
         if all(p.kind is not p.VAR_KEYWORD for p in parameters):

@@ -20,6 +20,7 @@ from fide_plugins.errors import (
     PointsError,
     UnknownNameError,
 )
+from fide_plugins.space import Float, Int, Space
 from fide_plugins.types import Float64
 
 from .conftest import sphere
@@ -257,3 +258,32 @@ def test_the_registry_knows_names_and_options(tmp_path: Path) -> None:
     opt = optimizers.make("random", 2, seed=1)
     opt.save(tmp_path / "c")
     np.testing.assert_array_equal(optimizers.load("random", tmp_path / "c").ask(), opt.ask())
+
+
+class TakesSpaces(Random):
+    """An optimizer that sees names and kinds of the parameters."""
+
+    takes_space = True
+
+    def __init__(self, space: Any, target: object = None, **options: Any) -> None:
+        super().__init__(space.dim, target, **options)
+        self.space = space
+
+
+def a_function(dim: int, target: object = None, *, seed: int = 0) -> Random:
+    return Random(dim, target, seed=seed)
+
+
+def test_functions_and_classes_that_take_a_space_can_be_registered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(optimizers, "_CLASSES", {})
+    optimizers.register("function", a_function)
+    optimizers.register("spaces", TakesSpaces)
+    space = Space(a=Float(0, 1), b=Int(0, 3))
+    assert optimizers.options("function") == ["seed"]
+    assert optimizers.make("function", space, seed=3).ask().shape[1] == 2
+    with pytest.raises(OptionError, match="no option 'sed'"):
+        optimizers.make("function", 2, sed=3)
+    made: Any = optimizers.make("spaces", space, seed=3)
+    assert made.space is space and made.dim == 2

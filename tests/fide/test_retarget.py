@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 import fide_tasks
-from fide_plugins import Choice, Float, Space
+from fide_plugins import Choice, Float, Space, retargeting
 from fide_plugins.errors import ImageError, LossError, UnknownNameError
 from fide_plugins.fide import FIDE
+from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render, StateOf
@@ -186,3 +187,33 @@ def test_what_is_remembered_is_bounded(target: Float32, render: Render) -> None:
     kept = opt.state.memory.samples
     assert sum(one.tokens.nbytes + one.x.nbytes for one in kept) <= 0.05 * 2**20
     assert copy.deepcopy(opt.state.memory).samples[0].index == kept[0].index
+
+
+def test_all_hypotheses_are_asked_first_however_few_samples_a_generation_has(
+    target: Float32, render: Render, answer: Float64, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a generation of six, nearly all are proposals, which are made when they are asked for."""
+    recalled: list[Recalled] = []
+
+    def noted(*of: Any) -> Recalled:
+        recalled.append(recall(*of))
+        return recalled[-1]
+
+    monkeypatch.setattr(retargeting, "recall", noted)
+    most = 0
+    for seed in range(6):
+        opt = FIDE(6, target, popsize=6, seed=seed, smallest_fraction=0.8)
+        go_on(opt, render, 20)
+        opt.retarget(render(np.clip(answer + 0.2, 0, 1)[None])[0])
+        hypotheses = recalled[-1].hypotheses
+        np.testing.assert_array_equal(opt.ask(len(hypotheses)), hypotheses)
+        most = max(most, len(hypotheses))
+    assert most > 1
+
+
+def test_restarts_by_losses_alone_are_counted_anew(target: Float32, render: Render) -> None:
+    opt = FIDE(6, target, popsize=8, seed=1)
+    go_on(opt, render, 10)
+    opt.state.moves.alone = 5
+    opt.retarget(1 - target)
+    assert opt.state.moves.alone == 0

@@ -366,3 +366,32 @@ def test_values_that_no_file_can_hold_are_refused_before_anything_is_written(
     with pytest.raises(SpaceError, match=r"'x.color' has the value \(255, 0, 0\).*use texts"):
         opt.save(path)
     assert path.read_text() == "an earlier one" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("state", [{}, {"versions": {}}, {"versions": None}, None])
+def test_what_is_no_state_is_a_value_error(target: Float32, state: Any) -> None:
+    with pytest.raises(ValueError):
+        FIDE(6, target).load_state_dict(state)
+
+
+def test_two_optimizers_of_one_state_have_their_own_times(target: Float32, render: Render) -> None:
+    opt = begun(target, render, {"popsize": 8})
+    held = opt.state_dict()
+    seconds = dict(held["times"])
+    other = FIDE(6, target, popsize=8)
+    other.load_state_dict(held)
+    go_on(opt, render, 3)
+    assert held["times"] == other.times == seconds != opt.times
+
+
+def test_a_state_is_read_between_two_calls_of_other_threads(
+    target: Float32, render: Render
+) -> None:
+    opt = begun(target, render, {"popsize": 8})
+    for method in (opt.state_dict, opt.snapshot):
+        reader = threading.Thread(target=method)
+        with opt._lock:
+            reader.start()
+            reader.join(0.2)
+            assert reader.is_alive()
+        reader.join()

@@ -17,6 +17,7 @@ from fide_plugins.options import (
     ProposalOptions,
     flat,
     make_options,
+    without_images,
 )
 from fide_plugins.search.termination import default_patience
 
@@ -109,6 +110,18 @@ def test_names_of_version_0_1_are_understood(former: str, name: str, value: Any)
     options = make_options("balanced", {former: value})
     assert options == make_options("balanced", {name: value}) != PRESETS["balanced"]
     assert flat(options)[name] == value and former not in flat(options)
+
+
+def test_one_option_by_two_names_is_refused() -> None:
+    with pytest.raises(OptionError, match="proposal_fraction is given twice"):
+        make_options("balanced", {"share": 0.3, "proposal_fraction": 0.5})
+
+
+def test_a_search_that_sees_no_image_has_no_options_of_a_network() -> None:
+    given = {"epochs": 5, "popsize": 8, "memory": 5}
+    kept = {"popsize": 8, "buffer_generations": 5, "proposer": "none", "encoder": "dense"}
+    assert without_images(given) == kept
+    make_options("paper", without_images({"epochs": 5}))
 
 
 def test_the_options_of_users_come_first_where_one_is_unknown() -> None:

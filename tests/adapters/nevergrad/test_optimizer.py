@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fide_adapters.nevergrad import ImageLoss
+from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 
 from .conftest import TARGET, box, fide, mse, objective, render
@@ -172,3 +173,24 @@ def test_point_23_an_objective_that_fails_can_be_mended() -> None:
     broken[0] = False
     optimizer.minimize(sometimes)
     assert optimizer.num_tell == optimizer.num_images == 20
+
+
+@pytest.mark.filterwarnings("ignore::fide_adapters.nevergrad.NoImagesWarning")
+def test_without_a_target_options_of_the_network_mean_nothing() -> None:
+    optimizer = fide(target=None, preset="paper", popsize=4, options={"epochs": 5})
+    for _ in range(6):
+        candidate = optimizer.ask()
+        optimizer.tell(candidate, float(np.square(candidate.value).sum()))
+    assert optimizer.num_tell == 6
+
+
+def test_another_target_keeps_the_mask() -> None:
+    mask = np.zeros(TARGET.shape[:2], np.float32)
+    mask[4:] = 1
+    optimizer = fide(mask=mask)
+    optimizer.target = 1 - TARGET
+    optimizer.ask()
+    np.testing.assert_array_equal(optimizer.target, 1 - TARGET)
+    np.testing.assert_array_equal(optimizer.fide.weights, mask)
+    with pytest.raises(ImageError, match="size"):
+        fide(mask=mask).target = np.zeros((8, 8, 3))
