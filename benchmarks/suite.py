@@ -138,7 +138,7 @@ def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int
     t = np.array([[row["solved_at"] or np.inf for row in line] for line in table])
     losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in budgets]
     return Scores(
-        suite, tuple(optimizers), tuple(problems), len(problems), budgets,
+        suite, tuple(optimizers), tuple(problems), budgets,
         profiles.within(t, budget), np.array(losses),
     )  # fmt: skip
 

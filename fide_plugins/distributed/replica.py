@@ -179,8 +179,7 @@ class Replica:
         """Raise what `FIDE.tell` raises, before anything changes."""
         as_points(x[None], self.optimizer.dim)
         features = None if tokens is None else tokens[None]
-        judge = self.optimizer.evaluator
-        judge.evaluate(1, None, np.array([loss]), features)
+        self.optimizer.evaluator.evaluate(1, None, np.array([loss]), features)
 
     def _open(self) -> None:
         """Draw the candidates of the generation; what is still out of others is forgotten."""

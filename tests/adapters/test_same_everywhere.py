@@ -1,4 +1,7 @@
-"""Acceptance point 4 in full length: FIDE alone, in Nevergrad and in Optuna are one optimizer."""
+"""Acceptance point 4 in full length: Nevergrad asks what FIDE asks by `ask(1)`, Optuna by `ask()`.
+
+The two differ by the steps between the generations, of which `ask()` has none.
+"""
 
 from __future__ import annotations
 

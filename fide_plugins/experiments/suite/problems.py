@@ -15,7 +15,7 @@ from fide_plugins.experiments.suite.definition import Suite
 if TYPE_CHECKING:
     from fide_plugins.experiments.run.task import Task
 
-__all__ = ["SuitePlan", "plan", "unavailable"]
+__all__ = ["SuitePlan", "make", "plan", "unavailable"]
 
 
 @dataclass(frozen=True)

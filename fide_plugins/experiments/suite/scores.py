@@ -27,7 +27,7 @@ __all__ = ["Scores", "scores"]
 class Scores:
     """Results of S optimizers on P problems; those that every optimizer has finished or failed.
 
-    labels: of the optimizers.  problems: names.  planned: number of problems in the plan.
+    labels: of the optimizers.  problems: names.
     budgets: renders at which results are read.
     t: (P, S), renders after which a problem was solved; infinite if it was not.
     losses: (B, P, S), lowest loss by each budget.
@@ -38,7 +38,6 @@ class Scores:
     suite: Suite
     labels: tuple[str, ...]
     problems: tuple[str, ...]
-    planned: int
     budgets: tuple[int, ...]
     t: Float64
     losses: Float64
@@ -94,7 +93,7 @@ def scores(results: Results) -> Scores:
     t = np.array([[_renders(suite, run) for run in row] for row in rows])
     losses = np.array([[[_loss(run, b) for run in row] for row in rows] for b in budgets])
     left_out = tuple(run for run in results.runs if run.status not in _ENDED)
-    return Scores(suite, labels, tuple(whole), len(table), budgets, t, losses, failed, left_out)
+    return Scores(suite, labels, tuple(whole), budgets, t, losses, failed, left_out)
 
 
 _ENDED = ("finished", "failed")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,27 @@ from fide_plugins.types import Float64
 __all__ = ["by_scene", "lowest", "sign_test", "totals"]
 
 
+class _Counted(NamedTuple):
+    """What a table counts, and how it compares two optimizers.
+
+    heading: of the columns.  test: what p is.
+    counts: (P, S) for each budget, 1 for a problem that counts.
+    values: (P, S) for each budget, what the test compares; the higher the better.
+    """
+
+    caption: str
+    heading: str
+    test: str
+    counts: Sequence[NDArray[Any]]
+    values: Sequence[Float64]
+
+
 def totals(found: Scores, names: list[str]) -> Table:
     """Solved problems of each optimizer at each budget, and p against the best one."""
     solved = [found.solved(budget) for budget in found.budgets]
     caption = f"Problems solved, of {len(found.problems)}"
     test = "exact McNemar test against the optimizer that solves most, adjusted"
-    return _by_budget(found, names, caption, "solved by", solved, solved, test)
+    return _by_budget(found, names, _Counted(caption, "solved by", test, solved, solved))
 
 
 def lowest(found: Scores, names: list[str]) -> Table:
@@ -30,40 +45,36 @@ def lowest(found: Scores, names: list[str]) -> Table:
     first = [(x <= x.min(axis=1, keepdims=True)) & np.isfinite(x) for x in losses]
     caption = f"Problems with the lowest loss, of {len(found.problems)}"
     test = "sign test of losses against the optimizer that has the lowest most often, adjusted"
-    return _by_budget(found, names, caption, "lowest by", first, [-x for x in losses], test)
+    values = [-x for x in losses]
+    return _by_budget(found, names, _Counted(caption, "lowest by", test, first, values))
 
 
-def _by_budget(
-    found: Scores,
-    names: list[str],
-    caption: str,
-    heading: str,
-    counted: Sequence[NDArray[Any]],
-    compared: Sequence[Float64],
-    test: str,
-) -> Table:
-    """Counts of problems and p by budget; both lists have arrays (P, S), one a budget.
-
-    counted: 1 for a problem that counts.  compared: what the test compares, the higher the better.
-    """
+def _by_budget(found: Scores, names: list[str], what: _Counted) -> Table:
+    """Counts by budget; p, and on how many problems the first is ahead of and behind the row."""
     columns = [("optimizer", "name and options")]
-    cells: list[list[Entry]] = [
-        [Entry(name, name, series=s)] for s, name in enumerate(names)
-    ]  # rows by optimizer
-    for budget, these, values in zip(found.budgets, counted, compared, strict=True):
+    rows: list[list[Entry]] = [[Entry(name, name, series=s)] for s, name in enumerate(names)]
+    for budget, counts, values in zip(found.budgets, what.counts, what.values, strict=True):
         columns += [
-            (f"{heading} {number(budget)}", f"problems of {len(found.problems)}"),
-            ("p", test),
+            (f"{what.heading} {number(budget)}", f"problems of {len(found.problems)}"),
+            ("p", f"{what.test}; on how many problems that one is better : worse"),
         ]
-        counts = these.sum(axis=0)
-        best = int(counts.argmax())
+        sums = counts.sum(axis=0)
+        best = int(sums.argmax())
         rivals = [s for s in range(len(names)) if s != best]
         p = statistics.adjusted([sign_test(values[:, best], values[:, s]) for s in rivals])
         of = dict(zip(rivals, p, strict=True))
-        for s, row in enumerate(cells):
-            row.append(Entry(f"{counts[s]:.0f}", float(counts[s]), counts[s] == counts.max() > 0))
-            row.append(Entry(f"{of[s]:.2g}", of[s]) if s in of else Entry("", -1.0))
-    return Table(caption, tuple(columns), tuple(tuple(row) for row in cells))
+        for s, row in enumerate(rows):
+            row.append(Entry(f"{sums[s]:.0f}", float(sums[s]), sums[s] == sums.max() > 0))
+            row.append(_against(values[:, best], values[:, s], of[s]) if s in of else _NO_TEST)
+    return Table(what.caption, tuple(columns), tuple(tuple(row) for row in rows))
+
+
+def _against(best: Float64, other: Float64, p: float) -> Entry:
+    """P with the pairs (P,) that it comes from: a small one need not speak for the best."""
+    return Entry(f"{p:.2g} ({(best > other).sum()} : {(best < other).sum()})", p)
+
+
+_NO_TEST = Entry("", -1.0)
 
 
 def by_scene(found: Scores, names: list[str]) -> Table:

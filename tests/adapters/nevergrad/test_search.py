@@ -25,9 +25,12 @@ from .conftest import TARGET, box, fide, mse, objective, render, told
 
 @pytest.mark.parametrize("settings", [{}, {"preset": "fast", "popsize": 12}])
 def test_point_4_the_same_candidates_as_fide_alone(settings: dict[str, Any]) -> None:
+    """Steps between the generations, too, where there are some."""
     optimizer, alone = fide(**settings), FIDE(6, TARGET, seed=0, **settings)
+    steps = 0
     for _ in range(150):
         candidate, X = optimizer.ask(), alone.ask(1)
+        steps += alone.state.population.is_pending(X[0]) and not alone.state.population.awaited
         np.testing.assert_allclose(candidate.value, X[0], atol=1e-12)
         optimizer.tell(candidate, render(candidate.value))
         alone.tell(X, [render(X[0])])
@@ -35,6 +38,7 @@ def test_point_4_the_same_candidates_as_fide_alone(settings: dict[str, Any]) -> 
             break  # from here on rounding decides
     assert alone.best is not None and alone.best.loss < 1e-3
     assert alone.evaluations > 40
+    assert (steps > 0) == ("preset" not in settings)
     assert optimizer.recommend().loss == pytest.approx(alone.best.loss, rel=1e-6)
 
 

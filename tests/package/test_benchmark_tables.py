@@ -1,0 +1,115 @@
+"""Tables of the benchmarks, from rows made by hand: what pages say is copied from these."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def program(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Imports a program of `benchmarks/`."""
+    monkeypatch.setenv("OMP_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))  # they set it
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    before = set(sys.modules)
+
+    def load(name: str) -> ModuleType:
+        return importlib.import_module(name)
+
+    yield load
+    for name in set(sys.modules) - before:
+        if str(BENCHMARKS) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+def test_moves_count_runs_of_one_budget_and_take_the_middle_of_two(program: Any) -> None:
+    def row(solved_at: int | None, budget: int) -> dict[str, Any]:
+        return {"scene": "arm", "configuration": "fide", "size": 64, "budget": budget,
+                "solved_at": solved_at}  # fmt: skip
+
+    rows = [row(300, 500), row(None, 500), row(400, 1000), row(900, 1000)]
+    lines = program("moves").table(rows).splitlines()[2:]
+    assert lines == [
+        "| arm | fide | 64 | 2 | 0 / 1 | inf |",
+        "| arm | fide | 64 | 2 | 0 / 1 / 2 | 650 |",
+    ]
+
+
+def test_forward_counts_runs_that_do_not_get_there(program: Any) -> None:
+    reached = program("forward")._reached
+    assert reached([10, 30, None]) == "30 (2/3)"
+    assert reached([10, None, None]) == "- (1/3)"
+
+
+def test_quality_has_medians_where_all_runs_are(program: Any) -> None:
+    quality = program("quality")
+    rows = [
+        {"configuration": "FIDE", "best": {"500": loss, **more}}
+        for loss, more in ((0.1, {"1000": 0.01}), (0.3, {}), (0.2, {"1000": 0.02}))
+    ]
+    assert quality.medians_of(rows, "FIDE", ["500", "1000"]) == {"500": 0.2}
+    task = {"task": "voronoi", "size": 64, "task_options": {"cells": 3}}
+    assert quality.scene_of(task) == "voronoi, cells = 3, 64x64"
+    medians = {"FIDE": {"500": 0.1}, "CMA-ES, k = 50": {"500": 0.4}, "CMA-ES": {"500": 0.2}}
+    assert quality.leads(medians, ["500", "1000"]) == "0.50 | "
+
+
+def paper_row(configuration: str, budget: int, loss: float, target: int = 0) -> dict[str, Any]:
+    marks = [m for m in (1000, 5000, 10_000) if m < budget] + [budget]
+    return {
+        "task": "voronoi", "loss": "mse", "size": 112, "seed": 0, "target": target,
+        "configuration": configuration, "budget": budget,
+        "best": {str(m): loss * (2 if m < budget else 1) for m in marks},
+        "cross": {str(m): {"mse": loss * (2 if m < budget else 1)} for m in marks},
+    }  # fmt: skip
+
+
+def test_of_the_paper_only_the_longest_run_counts(program: Any) -> None:
+    paper_tables = program("paper_tables")
+    short, long = paper_row("FIDE", 5000, 0.3), paper_row("FIDE", 25_000, 0.1)
+    assert paper_tables.longest([long, short]) == [long]
+    other = paper_row("ZeroGrads", 25_000, 0.2)
+    assert paper_tables.lowest([long], [long, other]) == "1 of 1"
+    assert paper_tables.lowest([other], [long, other]) == "0 of 1"
+    alone = paper_row(next(iter(paper_tables.AFFORDABLE)), 600, 0.2)
+    assert paper_tables.lowest([alone], [alone]) == "-"
+
+
+def test_of_the_paper_the_last_column_is_the_end(program: Any) -> None:
+    rows = [paper_row("FIDE", 20_000, 0.1)]
+    lines = program("paper_tables").section("voronoi", "mse", rows, ["FIDE", "ZeroGrads"])
+    assert "| mse, 1,000 | mse, 5,000 | mse, 20,000 |" in lines[2]
+    assert lines[4].startswith("| FIDE | 1 | 0.2 | 0.2 | 0.1 |")
+    assert lines[5].startswith("| ZeroGrads | 0 | - |")
+
+
+def test_races_with_authors_count_ties_for_nobody(program: Any) -> None:
+    rows = [{"ours": ours, "theirs": 1.0} for ours in (0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0)]
+    (line,) = program("authors").line("x", rows)
+    assert line == "| x | 5 of 7 | 0.50 | 0.062 |"
+
+
+def test_of_a_suite_the_longest_run_of_a_problem_counts(program: Any) -> None:
+    suite = program("suite")
+    definition = suite.read("image-fitting-v1")
+
+    def row(solved_at: int | None, *losses: float) -> dict[str, Any]:
+        marks = dict(zip(("500", "2000", "10000"), losses, strict=False))
+        return {"problem": "lamps-0", "optimizer": "fide", "solved_at": solved_at, "losses": marks}
+
+    rows = [row(None, 0.1, 0.1), row(400, 1e-6, 1e-6, 1e-7)]
+    for order in (rows, rows[::-1]):
+        found = suite.scores(definition, order, ["fide"], 2000)
+        assert found.t.tolist() == [[400]] and found.budgets == (500, 2000)
+        np.testing.assert_array_equal(found.losses[:, 0, 0], 1e-6)
+    with pytest.raises(SystemExit, match="two rows of one run"):
+        suite.scores(definition, [rows[0], rows[0]], ["fide"], 2000)
