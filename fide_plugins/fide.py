@@ -365,7 +365,7 @@ class FIDE(Retargeting):
             population.draw(x, x, extra=True)
             return
         if state.stage is not Stage.SEARCH:
-            x = state.descent.place(state.moves.draw(rng))
+            x = state.descent.clipped(state.moves.draw(rng))
             population.draw(x, x)
             return
         k = state.descent.popsize

@@ -112,7 +112,7 @@ class Retargeting(Readings):
             for i, sample in enumerate(recalled.samples):  # the best are the latest
                 state.steps.add(replace(sample, index=i))
         self.draw_generation()
-        x = state.descent.place(recalled.hypotheses)[: state.population.remaining]
+        x = state.descent.clipped(recalled.hypotheses)[: state.population.remaining]
         none = np.zeros(len(x), bool)
         state.population.replace(0, x, state.descent.near(x), proposed=none)
 

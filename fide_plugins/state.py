@@ -147,7 +147,7 @@ class State:
         candidate = self.population.record(x, loss)
         number = self.population.number() if candidate is None else candidate.index
         if candidate is None:
-            exact = x = self.descent.place(x[None])[0]  # what is rendered at x
+            exact = x = self.descent.clipped(x[None])[0]  # what is rendered at x
         else:
             exact = candidate.x  # x may have lost digits on its way
         if finite:

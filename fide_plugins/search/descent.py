@@ -99,20 +99,20 @@ class Descent:
 
     def render_mean(self, mean: Float64) -> Float64:
         """Point (d,) of the cube that a mean (d,) stands for."""
-        x: Float64 = self._mixed.place(mean[None])[0]
+        x: Float64 = self._mixed.reflected(mean[None])[0]
         return x
 
     def rendered(self, z: Float64) -> Float64:
         """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
         return self._mixed.stretched(z, self.mean)
 
-    def place(self, x: Float64) -> Float64:
-        """Points of the cube for any (n, d), whose values may leave it."""
-        return self._mixed.place_proposals(x)
+    def clipped(self, x: Float64) -> Float64:
+        """Points of the cube for any (n, d), clipped at its walls, or wrapped."""
+        return self._mixed.clipped(x)
 
     def place_proposals(self, x: Float64) -> Float64:
         """Points of the cube for proposals (n, d), with the values that this search holds."""
-        return self._held(self.place(x))
+        return self._held(self.clipped(x))
 
     def _held(self, x: Float64) -> Float64:
         """Points (n, d) with the coordinates of the start on the axes that are held."""

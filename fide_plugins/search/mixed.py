@@ -87,15 +87,15 @@ class Mixed:
 
     def into(self, z: Float64, mean: Float64) -> Float64:
         """Points x (n, d) that candidates z (n, d) stand for."""
-        return self.place(self.stretched(z, mean))
+        return self.reflected(self.stretched(z, mean))
 
-    def place(self, v: Float64) -> Float64:
-        """Points x (n, d) of the cube for v (n, d)."""
+    def reflected(self, v: Float64) -> Float64:
+        """Points x (n, d) of the cube for v (n, d), reflected at its walls, or wrapped."""
         if self._discrete is not None and self.cells is not None:
             v = self.cells.snap(v)
         return boundary.into(v, self._periodic)
 
-    def place_proposals(self, proposed: Float64) -> Float64:
+    def clipped(self, proposed: Float64) -> Float64:
         """Points x (n, d) of the cube for proposals (n, d), which are clipped or wrapped."""
         x = boundary.inside(proposed, self._periodic)
         return x if self._discrete is None or self.cells is None else self.cells.snap(x)

@@ -28,9 +28,9 @@ def test_without_cells_it_is_the_boundary_to_the_bit(cells: object) -> None:
     x = boundary.into(z)
     mixed = Mixed(None if cells is None else NUMBERS.layout)
     np.testing.assert_array_equal(mixed.into(z, mean), x)
-    np.testing.assert_array_equal(mixed.place(z), x)
+    np.testing.assert_array_equal(mixed.reflected(z), x)
     np.testing.assert_array_equal(mixed.near(x, mean), boundary.near(x, mean))
-    np.testing.assert_array_equal(mixed.place_proposals(z), np.clip(z, 0, 1))
+    np.testing.assert_array_equal(mixed.clipped(z), np.clip(z, 0, 1))
     std = np.array([1 / 6, 0.01])
     assert mixed.widened(std) is std
     search = CMAES(mean, 0.3, 6)
@@ -50,7 +50,7 @@ def test_what_comes_from_elsewhere_stands_for_itself() -> None:
 def test_samples_are_snapped_and_ends_reach_to_infinity() -> None:
     mixed = Mixed(SPACE.layout)
     z = np.array([[1.25, 1.25, 1.25, -0.2, -0.3, -0.4, -5.0]])
-    np.testing.assert_allclose(mixed.place(z), [[0.75, 0.25, 0.95, 0.75, 0.25, 0.25, 0.25]])
+    np.testing.assert_allclose(mixed.reflected(z), [[0.75, 0.25, 0.95, 0.75, 0.25, 0.25, 0.25]])
 
 
 def shifted(space: Space, x: Float64) -> Float64:
@@ -74,7 +74,7 @@ def minimum(seed: int, *, margin: bool) -> tuple[float, Mixed, CMAES]:
         search.tell(z, losses, np.zeros(9, bool))
         if margin:
             mixed.correct(search)
-    best = mixed.place(search.mean[None])
+    best = mixed.reflected(search.mean[None])
     return float(shifted(SPACE, best)[0]), mixed, search
 
 

@@ -90,7 +90,7 @@ class MovePolicy:
         self.known = Known(
             x0, sigma0, target, channels,
             Exchangeability(dim, channels, groups, axes), Removal(),
-            Sensitivity(dim, channels, axes), axes, Mixed(cells).place_proposals,
+            Sensitivity(dim, channels, axes), axes, Mixed(cells).clipped,
             values=Values(axes, cells),
         )  # fmt: skip
         self._candidates = max(_CANDIDATES, popsize)

@@ -118,7 +118,7 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     for points in (X, descent.place_proposals(rng.random((200, SPACE.dim)))):
         np.testing.assert_array_equal(points[:, floor], np.tile(x[floor], (200, 1)))
         assert len({one["n"] for one in SPACE.decode_many(points)}) > 2
-    free = descent.place(SPACE.snap(rng.random((50, SPACE.dim))))
+    free = descent.clipped(SPACE.snap(rng.random((50, SPACE.dim))))
     assert len({one["floor"] for one in SPACE.decode_many(free)}) == 3, "a user's own point"
 
 
