@@ -42,7 +42,8 @@ _METHOD = (
     "share that it solves.",
     "p is that of the exact McNemar test (a sign test of the problems that one of two optimizers "
     "solves and the other does not) against the optimizer that solves most, adjusted for all "
-    "rivals (Benjamini and Hochberg).",
+    "rivals (Benjamini and Hochberg). In brackets: on how many problems that optimizer is ahead of "
+    "the one in this row, and on how many it is behind.",
     "An optimizer has the lowest loss on a problem if nobody's is lower; several may share it. The "
     "losses of all who have solved the problem count as equal. p is that of the exact sign test, "
     "which compares two losses on each problem, against the optimizer that has the lowest loss on "
