@@ -82,8 +82,7 @@ def section(task: str, loss: str, rows: list[Row], configurations: list[str]) ->
     """One table, a row for each configuration, with "-" for what is missing."""
     paths = f", {TASK_OPTIONS[task]['spp']} paths a pixel" if task in TASK_OPTIONS else ""
     most = max(row["budget"] for row in rows)
-    marks = [m for m in MARKS if int(m) <= most]
-    marks[-1] = str(most)
+    marks = [*(m for m in MARKS if int(m) < most), str(most)]
     columns = ["", "targets", *(f"{name}, {int(m):,}" for name in METRICS for m in marks)]
     columns += ["lowest", "solved"]
     lines = [f"### {task}, minimized `{loss}`{paths}", "", "| " + " | ".join(columns) + " |"]

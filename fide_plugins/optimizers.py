@@ -63,8 +63,8 @@ def names() -> list[str]:
 def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`.
 
-    It may be a function that makes an optimizer, too.  A class with a true attribute `takes_space`
-    gets the `Space`, where there is one; others get its number of parameters.
+    It may be a function that makes an optimizer, too; `load` needs a class.  A class with a true
+    attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
     """
     _CLASSES[name] = cls
 

@@ -56,8 +56,8 @@ class Best:
 
     solution: the point.
     index: number of its candidate.
-    mean: (d,), mean of the search distribution that found it; the point itself if none did.
-    search: number of the search that found it; 0 for none.
+    mean: (d,), mean of the search that asked it; the point itself if none did.
+    search: number of the search that asked it; 0 for none.
     """
 
     solution: Solution

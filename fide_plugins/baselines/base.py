@@ -246,15 +246,17 @@ class Baseline(Saved):
         """Name by which the loss can be made again; None for a user's own."""
         return self._loss.spec
 
+    @one_at_a_time
     def state_dict(self) -> dict[str, Any]:
         """The best point, the counts, and what the search knows."""
         return {
             "evaluations": self.evaluations,
             "best": None if self._best is None else _pack(self._best),
-            "times": self.times,
+            "times": dict(self.times),
             "search": self._search_state(),
         }
 
+    @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if `state` is impossible."""
         check(state, _SCHEMA, self._sides())

@@ -19,13 +19,15 @@ computed in the k dimensions of the ensemble: C_xe (C_ee + Gamma)^-1 = X^T (E E^
 
 The images here have no noise of their own, so Gamma is what regularizes a step, and it is annealed
 by the data misfit controller of Iglesias and Yang (2021, https://arxiv.org/abs/2006.14061),
-so that it falls as the ensemble comes nearer; see `annealed`.  Values that leave the box are put on
-its border.  The ensemble stays in its own span and collapses there: then another one starts around
-a random point.
+so that it falls as the ensemble comes nearer; see `annealed`.  Their bound of 1 / gamma, at which a
+run ends, is left out: images have no level of noise at which to stop.  Values that leave the box
+are put on its border.  The ensemble stays in its own span and collapses there: then another one
+starts around a random point.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -107,6 +109,14 @@ class EKI(ImageBased, Stateful):
 
     def _smallest_popsize(self) -> int:
         return 2
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor from the `settings` of a checkpoint.
+
+        A run from before the option `patience` existed keeps what it had then.
+        """
+        return {"patience": 20, **super().arguments(settings)}
 
     def _own_settings(self) -> dict[str, Any]:
         return {**super()._own_settings(), "patience": self.patience}

@@ -106,8 +106,8 @@ class GaussNewtonSteps:
         return x
 
     def taken(self, n: int) -> None:
-        """Note that n of those that are left were asked."""
-        self._left -= n
+        """Note that n of those that are left were asked; none are, once a generation has begun."""
+        self._left = max(0, self._left - n)
 
     def end(self) -> None:
         """Take no more before the generation that begins now."""

@@ -85,3 +85,10 @@ def test_every_member_is_evaluated_once() -> None:
     members = opt.ask()
     opt.tell(second, picture(second))  # late: it is not of this generation
     np.testing.assert_array_equal(opt.ask(), members)
+
+
+def test_a_checkpoint_from_before_the_option_keeps_its_patience() -> None:
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6)
+    settings = opt.settings()
+    assert EKI(**EKI.arguments(settings)).patience == settings.pop("patience") == 5
+    assert EKI(**EKI.arguments(settings)).patience == 20

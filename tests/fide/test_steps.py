@@ -78,20 +78,24 @@ def test_who_asks_for_a_generation_gets_just_that(render: Render, target: Float3
 
 
 def test_who_asks_for_many_gets_steps_and_then_a_generation(
-    render: Render, target: Float32
+    render: Render, target: Float32, tmp_path: Path
 ) -> None:
     opt = FIDE(6, target, **SETTINGS)
     opt.tell(X := first_step(opt, render), render(X))
     X = opt.ask(20)
     assert X.shape == (20, 6) and len(np.unique(X, axis=0)) == 20
     assert 0 < steps_pending(opt) < 8
+    opt.save(tmp_path / "c")
+    FIDE.load(tmp_path / "c")
+    while opt.state.population.remaining:
+        opt.ask(1)
+    opt.ask(1)  # of the next generation
     opt.tell(X, render(X))
 
 
-def test_a_step_is_a_guess_and_not_what_the_distribution_found(
+def test_the_best_step_is_injected_and_the_mean_of_its_search_recommended(
     render: Render, target: Float32
 ) -> None:
-    """The mean of its search is recommended, and the best one is injected, as one that is told."""
     opt = FIDE(6, target, **SETTINGS)
     X = first_step(opt, render)
     loss = opt.best.loss / 2 if opt.best is not None else 0.0

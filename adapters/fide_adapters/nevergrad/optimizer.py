@@ -126,7 +126,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         former = self._search.target
         if image is None:
             self._search.target = None
-        elif former is None or former.weights is None:
+        elif former is None or all(view.weights is None for view in former.views):
             self._search.target = Views.read(image)
         else:
             self._search.target = former.retargeted(image)

@@ -50,7 +50,7 @@ def lowest(found: Scores, names: list[str]) -> Table:
 
 
 def _by_budget(found: Scores, names: list[str], what: _Counted) -> Table:
-    """Counts by budget; p, and on how many problems the first is ahead of and behind the row."""
+    """Counts by budget; p, and on how many problems the one that counts most is better : worse."""
     columns = [("optimizer", "name and options")]
     rows: list[list[Entry]] = [[Entry(name, name, series=s)] for s, name in enumerate(names)]
     for budget, counts, values in zip(found.budgets, what.counts, what.values, strict=True):

@@ -194,3 +194,9 @@ def test_another_target_keeps_the_mask() -> None:
     np.testing.assert_array_equal(optimizer.fide.weights, mask)
     with pytest.raises(ImageError, match="size"):
         fide(mask=mask).target = np.zeros((8, 8, 3))
+
+
+def test_without_a_mask_another_target_may_have_any_size() -> None:
+    optimizer = fide(target=[TARGET, TARGET])
+    optimizer.target = np.zeros((8, 8, 3))
+    assert optimizer.target.shape == (8, 8, 3)
