@@ -15,6 +15,7 @@ import pytest
 from fide_plugins import optimizers
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+pytestmark = pytest.mark.skipif(not BENCHMARKS.exists(), reason="the benchmarks are not here")
 
 
 @pytest.fixture
