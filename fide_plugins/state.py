@@ -346,10 +346,10 @@ _PLAIN: dict[str, Schema] = {
     "over_at": whole(),
     "retargeted_at": whole(),
     "clip_warned": flag,
-    "times": {"encode": real(), "train": real(), "search": real()},
 }
 _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
+    "times": {"encode": real(), "train": real(), "search": real()},
     # the parts check their own
     **dict.fromkeys(
         ("population", "descent", "moves", "gate", "proposer", "steps", "memory"), anything
