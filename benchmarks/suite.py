@@ -6,7 +6,7 @@
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
-    python benchmarks/suite.py --suite image-fitting-v2 --out benchmarks/results/suite_v2.jsonl
+    python benchmarks/suite.py --suite image-fitting-v2
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
@@ -35,11 +35,13 @@ from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
+from fide_plugins.experiments.suite import Suite, figures, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
-RESULTS = Path(__file__).parent / "results" / "suite.jsonl"
+RESULTS = Path(__file__).parent / "results"
+FILES = {"image-fitting-v1": "suite.jsonl", "image-fitting-v2": "suite_v2.jsonl"}
+"""Of each suite its own: problems of two suites have the same names."""
 OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
     "zerograds",
@@ -155,7 +157,8 @@ def main() -> None:
     arguments = parse_arguments()
     suite = read(arguments.suite)
     scenes, _ = suite.chosen(arguments.scenes.split(","), None)
-    optimizers, out, budget = arguments.optimizers.split(","), arguments.out, arguments.budget
+    optimizers, budget = arguments.optimizers.split(","), arguments.budget
+    out = arguments.out or RESULTS / FILES[suite.name]
     if arguments.table or arguments.picture:
         chosen = [row for row in rows_of(out) if row["problem"].rpartition("-")[0] in scenes]
         found = scores(suite, chosen, optimizers, budget)
@@ -191,12 +194,12 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--suite", default="image-fitting-v1", choices=names(), metavar="NAME")
+    add("--suite", default="image-fitting-v1", choices=FILES, metavar="NAME")
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
     add("--targets", type=int, default=10, metavar="N", help="the first N")
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
-    add("--out", type=Path, default=RESULTS, metavar="FILE")
+    add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
     add("--budget", type=int, default=10_000, choices=(500, 2000, 10_000), help="renders")
     add("--table", action="store_true")
