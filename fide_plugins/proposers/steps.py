@@ -6,9 +6,9 @@ local optimum, too, and the search distribution would follow them there.  So the
 between two generations, and the search learns no more from them than from points that a user tells
 (`FIDE.tell`).
 
-How many there are depends on what the model promises.  A step that would remove the share p of the
-residual, by the model, is worth trying p k times after a generation of k candidates, and not at all
-if p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
+How many there are depends on what the model promises.  Where a step would remove the share p of the
+residual, by the model, up to 3 p k come after a generation of k candidates, and none once
+p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
 little of the residual.
 """
 
@@ -32,6 +32,8 @@ from fide_plugins.types import Float64
 
 __all__ = ["GaussNewtonSteps"]
 
+_MOST = 3  # generations' worth of steps between two of them, where all of the residual is promised
+
 _SCHEMA: Schema = {"forward": anything, "new": each(SAMPLE), "due": flag, "left": whole()}
 
 
@@ -39,12 +41,13 @@ class GaussNewtonSteps:
     """Which steps come before the next generation.
 
     forward: the model.
-    least_promise: share of the residual that a step must promise to remove, in [0, 1].
+    least_promise: share of the residual that a step must promise to remove, in [0, 1].  It and the
+        number of steps were measured, see `docs/measurements/moves.md`.
 
     The model is fitted only when somebody asks for steps.
     """
 
-    def __init__(self, forward: ForwardProposer, least_promise: float = 0.4) -> None:
+    def __init__(self, forward: ForwardProposer, least_promise: float = 0.25) -> None:
         self.forward, self.least_promise = forward, least_promise
         self.forget()
 
@@ -81,7 +84,7 @@ class GaussNewtonSteps:
         if not promise >= self.least_promise:  # or it is NaN
             self._left = 0
         elif self._due:
-            self._left = round(promise * popsize)
+            self._left = round(_MOST * promise * popsize)
         self._due = False
         return self._left
 
