@@ -40,7 +40,11 @@ from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
 RESULTS = Path(__file__).parent / "results"
-FILES = {"image-fitting-v1": "suite.jsonl", "image-fitting-v2": "suite_v2.jsonl"}
+FILES = {
+    "image-fitting-v1": "suite.jsonl",
+    "image-fitting-v2": "suite_v2.jsonl",
+    "image-fitting-v3": "suite_v3.jsonl",
+}
 """Of each suite its own: problems of two suites have the same names."""
 OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
@@ -177,7 +181,7 @@ def main() -> None:
         for row in missing(taken_over(suite, there), out, key, counts=whole):
             append(out, row, made_by)
     else:
-        runs = planned(scenes, optimizers, arguments.targets)
+        runs = planned(scenes, optimizers, arguments.targets or len(suite.targets))
         run_missing(
             runs,
             lambda run: measure(suite, **run, budget=budget),
@@ -197,7 +201,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--suite", default="image-fitting-v1", choices=FILES, metavar="NAME")
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
-    add("--targets", type=int, default=10, metavar="N", help="the first N")
+    add("--targets", type=int, metavar="N", help="the first N (default: all)")
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
     add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")

@@ -29,7 +29,7 @@ def fide(*words: object) -> int:
 
 
 def test_the_definition() -> None:
-    assert suites.names() == ["image-fitting-v1", "image-fitting-v2"]
+    assert suites.names() == ["image-fitting-v1", "image-fitting-v2", "image-fitting-v3"]
     assert SUITE.budgets == (500, 2000, 10_000)
     assert len(set(SUITE.targets)) == 10
     groups = [scene.group for scene in SUITE.scenes.values()]
@@ -74,13 +74,15 @@ def test_a_program_finds_its_scene_wherever_the_package_lies(
     assert words == [sys.executable, str(tmp_path / folder / "scenes" / "scene.py"), "0.5", "o"]
 
 
-def test_the_second_suite_has_the_same_scenes_and_other_targets() -> None:
-    second = suites.read("image-fitting-v2")
-    assert second.scenes == SUITE.scenes
-    assert second.budgets == SUITE.budgets
-    assert len(second.targets) == 10
-    assert not set(second.targets) & set(SUITE.targets)
-    ours, theirs = (suites.make(suite, "lamps-0").target for suite in (SUITE, second))
+@pytest.mark.parametrize("name", suites.names()[1:])
+def test_later_suites_have_the_same_scenes_and_other_targets(name: str) -> None:
+    later = suites.read(name)
+    assert later.scenes == SUITE.scenes
+    assert later.budgets == SUITE.budgets
+    assert len(set(later.targets)) == len(later.targets) >= 10
+    for other in set(suites.names()) - {name}:
+        assert not set(later.targets) & set(suites.read(other).targets)
+    ours, theirs = (suites.make(suite, "lamps-0").target for suite in (SUITE, later))
     assert not np.array_equal(ours, theirs)
 
 
