@@ -6,7 +6,7 @@
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
-    python benchmarks/suite.py --suite image-fitting-v2
+    python benchmarks/suite.py --suite image-fitting-v2   # or -v3
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
@@ -181,7 +181,8 @@ def main() -> None:
         for row in missing(taken_over(suite, there), out, key, counts=whole):
             append(out, row, made_by)
     else:
-        runs = planned(scenes, optimizers, arguments.targets or len(suite.targets))
+        targets = len(suite.targets) if arguments.targets is None else arguments.targets
+        runs = planned(scenes, optimizers, targets)
         run_missing(
             runs,
             lambda run: measure(suite, **run, budget=budget),

@@ -7,8 +7,8 @@ between two generations, and the search learns no more from them than from point
 (`FIDE.tell`).
 
 How many there are depends on what the model promises.  Where a step would remove the share p of the
-residual, by the model, up to 3 p k come after a generation of k candidates, and none once
-p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
+residual, by the model, up to 3 p k steps come after a generation of k candidates.  They end as soon
+as p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
 little of the residual.
 """
 

@@ -31,8 +31,8 @@ UNLIKE = TARGET + torch.as_tensor(np.random.default_rng(2).standard_normal((T, C
 """What no parameters make: a linear model explains little of it."""
 
 
-def taught(n: int = 12, *, least_promise: float = 0.25) -> GaussNewtonSteps:
-    steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), least_promise)
+def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
+    steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), **options)
     for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
         loss = float(np.square(x - TRUTH).sum())
         steps.add(TrainingSample(i, x, image_of(x), loss))
@@ -64,6 +64,17 @@ def test_there_are_none_where_it_promises_too_little() -> None:
         steps = taught(least_promise=least)
         steps.after_generation()
         assert min(1, steps.left(K, UNLIKE, STD)) == expected
+
+
+def test_by_default_they_come_where_a_quarter_of_the_residual_is_promised() -> None:
+    promises = []
+    for share in np.linspace(0.3, 0.8, 26):
+        steps, target = taught(), TARGET + share * (UNLIKE - TARGET)
+        steps.after_generation()
+        left = steps.left(K, target, STD)
+        promises.append(steps.forward.promised(target, STD))
+        assert (left > 0) == (promises[-1] >= 0.25)
+    assert np.histogram(promises, [0.2, 0.25, 0.3])[0].all()
 
 
 def test_they_come_once_after_each_generation() -> None:
