@@ -84,9 +84,11 @@ def test_who_asks_for_many_gets_steps_and_then_a_generation(
 ) -> None:
     opt = FIDE(6, target, **SETTINGS)
     opt.tell(X := first_step(opt, render), render(X))
+    assert opt.state.steps is not None
+    left = opt.state.steps._left
     X = opt.ask(40)
     assert X.shape == (40, 6) and len(np.unique(X, axis=0)) == 40
-    assert 0 < steps_pending(opt) < 3 * 8
+    assert 0 < steps_pending(opt) == left < 3 * 8
     opt.save(tmp_path / "c")
     FIDE.load(tmp_path / "c")
     while opt.state.population.remaining:
