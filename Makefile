@@ -31,7 +31,7 @@ DOCS   := $(VENV)/.docs
 SITE   := build/docs/html
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-kernels lint format docs docs-links wheel clean
+.PHONY: setup demo test test-kernels test-gpu lint format docs docs-links wheel clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -58,6 +58,10 @@ test: setup
 test-kernels: setup
 	$(KEEP) OMP_NUM_THREADS=1 $(HASWELL) $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERIC)
 	$(KEEP) OMP_NUM_THREADS=2 $(SANDYBRIDGE) $(BIN)/python -m pytest -q $(CORE)
+
+# What computes on an NVIDIA GPU, in one process; all other tests do not see it.
+test-gpu: setup
+	$(KEEP) $(BIN)/python -m pytest -q -m gpu
 
 lint: setup
 	$(BIN)/ruff check .

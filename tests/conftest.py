@@ -40,6 +40,17 @@ def pytest_collection() -> Iterator[None]:
     gc.enable()
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Hide the GPU from tests that do not ask for it: they compare bits, and fork."""
+    if "gpu" not in config.option.markexpr:
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("gpu") and not torch.cuda.is_available():
+        pytest.skip("needs an NVIDIA GPU, and pytest -m gpu")
+
+
 State: TypeAlias = dict[str, Tensor]
 
 # Shapes of the convolutions as torchvision names them: number in `features`: (out, in, side).

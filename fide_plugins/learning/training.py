@@ -24,6 +24,7 @@ from fide_plugins.learning.augmentation import augmented
 from fide_plugins.learning.network import as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.trainable import Trainable
+from fide_plugins.runtime.devices import repeatable
 from fide_plugins.types import Float64
 
 __all__ = ["Curve", "Progress", "Training", "held_out"]
@@ -113,8 +114,9 @@ class Training:
             self.curve.pop()  # the unfinished pass begins again
         while not self.over:
             start = time.monotonic()
-            loss, seen = self._pass(start)
-            test = self.test()
+            with repeatable(self.network.device):
+                loss, seen = self._pass(start)
+                test = self.test()
             self.curve.append([float(self.passed * n + seen), loss, test])
             self.passed += seen == n
             self.spent += time.monotonic() - start

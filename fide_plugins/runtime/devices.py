@@ -10,7 +10,7 @@ import torch
 from fide_plugins.errors import DeviceError
 from fide_plugins.types import Float32
 
-__all__ = ["as_here", "has_bfloat16", "on_device", "resolve_device"]
+__all__ = ["as_here", "has_bfloat16", "on_device", "repeatable", "resolve_device"]
 
 
 def resolve_device(
@@ -58,6 +58,24 @@ def as_here(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
                 stream.synchronize()
 
     return there
+
+
+@contextmanager
+def repeatable(device: torch.device) -> Iterator[None]:
+    """Context in which the gradients of convolutions are the same every time, on a GPU, too.
+
+    Otherwise cuDNN may add in another order each time.  The setting is PyTorch's, for the process;
+    it is as before afterwards.
+    """
+    if device.type != "cuda":
+        yield
+        return
+    cudnn = torch.backends.cudnn
+    before, cudnn.deterministic = cudnn.deterministic, True
+    try:
+        yield
+    finally:
+        cudnn.deterministic = before
 
 
 def on_device(batch: Float32, device: torch.device) -> torch.Tensor:

@@ -105,6 +105,12 @@ class MitsubaTask(Task):
                 "denoise=True needs Mitsuba's OptiX denoiser, which runs with variant 'cuda' only; "
                 f"here it is {self.variant}: leave denoise out, and raise spp for less noise"
             )
+        if denoise and (problem := mitsuba_variant.problem_with_denoiser()):
+            raise ValueError(
+                "denoise=True needs Mitsuba's OptiX denoiser, which does not run here "
+                f"({problem}): it needs nvoptix.bin, a file of the NVIDIA driver; "
+                "install that, or leave denoise out"
+            )
         return denoise
 
     @property

@@ -28,7 +28,6 @@ from fide_plugins.learning.training import Training
 
 from .conftest import SIDE, SPACE, disk
 
-on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 BLOCKS = [[0, 1], [2, 3]]
 
 
@@ -73,9 +72,6 @@ def test_blocks_are_matched_on_the_cpu_and_taken_back() -> None:
 
 @pytest.mark.parametrize("device", ["cuda", "rubbish", 3.5])
 def test_a_device_that_is_not_there_is_refused_before_anything_is_rendered(device: str) -> None:
-    if device == "cuda" and torch.cuda.is_available():
-        pytest.skip("it is there")
-
     def never(params: object) -> None:
         raise AssertionError("it rendered")
 
@@ -104,7 +100,7 @@ def trainings(kind: str, augment: str = "none") -> list[Training]:
     return [Training(network, x, images, 1, augment=augment) for network in networks]
 
 
-@on_gpu
+@pytest.mark.gpu
 @pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
 def test_a_pass_of_training_as_on_the_processor(head: str) -> None:
     there, here = trainings(head)
@@ -115,7 +111,7 @@ def test_a_pass_of_training_as_on_the_processor(head: str) -> None:
     assert there.network.device.type == "cuda"
 
 
-@on_gpu
+@pytest.mark.gpu
 def test_a_pass_of_an_emulator_as_on_the_processor() -> None:
     """It explains as much of renders, at random places that are others there.
 
@@ -140,7 +136,7 @@ def test_a_pass_of_an_emulator_as_on_the_processor() -> None:
     torch.testing.assert_close(*errors, rtol=1e-2, atol=1e-6)
 
 
-@on_gpu
+@pytest.mark.gpu
 @pytest.mark.parametrize(
     ("kind", "augment"), [("autoregressive", "photograph"), ("emulator", "none")]
 )
@@ -155,7 +151,22 @@ def test_a_training_goes_on_there_and_on_the_processor(kind: str, augment: str) 
         assert len(training.curve) == 2
 
 
-@on_gpu
+@pytest.mark.gpu
+@pytest.mark.parametrize("kind", ["autoregressive", "mixture", "set", "emulator"])
+def test_a_training_gives_the_same_weights_every_time_there(kind: str) -> None:
+    before = torch.backends.cudnn.deterministic
+    weights = []
+    for _ in range(3):
+        training = trainings(kind)[0]
+        training.passes = 2
+        training.run()
+        weights.append([w.detach().cpu() for w in training.network.parameters()])
+    for again in weights[1:]:
+        torch.testing.assert_close(again, weights[0], rtol=0, atol=0)
+    assert torch.backends.cudnn.deterministic == before
+
+
+@pytest.mark.gpu
 @pytest.mark.parametrize("augment", AUGMENT)
 def test_images_are_changed_there(augment: str) -> None:
     images = as_input(np.zeros((8, 16, 16, 3), np.uint8), "cuda")
@@ -164,7 +175,7 @@ def test_images_are_changed_there(augment: str) -> None:
     torch.testing.assert_close(*changed)
 
 
-@on_gpu
+@pytest.mark.gpu
 def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     model = learn(disk, SPACE, renders=1200, size=SIDE, passes=6, device="cuda")
     assert model.network.device.type == "cpu"
@@ -172,7 +183,7 @@ def test_a_model_that_was_learned_there_computes_on_the_processor() -> None:
     assert model.sample(disk({"x": 0.3, "y": 0.6, "gray": 0.5}), 4).shape == (4, 4)
 
 
-@on_gpu
+@pytest.mark.gpu
 def test_an_emulator_that_was_learned_there_computes_on_the_processor() -> None:
     words: dict[str, Any] = {"size": SIDE, "passes": 1, "groups": [[0], [1]], "device": "cuda"}
     model = learn(disk, SPACE, renders=200, **words)

@@ -211,8 +211,8 @@ def test_what_cannot_be_computed_there_is_computed_here(device: PretendedDevice)
 # -- a real one ------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-@pytest.mark.parametrize("size", [(112, 112), (90, 101), (7, 5), (1, 40)])
+@pytest.mark.gpu
+@pytest.mark.parametrize("size", [(112, 112), (90, 101), (7, 5), (2, 40)])
 def test_on_cuda(size: tuple[int, int]) -> None:
     images = picture(*size, n=5)
     there = torch.from_numpy(images).cuda()

@@ -128,7 +128,7 @@ def test_half_precision_of_a_gpu(
     assert asked == [torch.device("cuda", 1)]
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.gpu
 def test_cuda_computes_in_half_precision(dino_folders: dict[str, Path]) -> None:
     variant = str(dino_folders["dinov3"])
     images = RNG.random((70, 32, 32, 3), dtype=np.float32)

@@ -1,0 +1,69 @@
+"""Mitsuba on a GPU: its frames, and its denoiser.
+
+A frame is the sum of its paths, which a GPU adds in another order every time.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fide_tasks
+from fide_tasks import Task, mitsuba_variant
+
+pytest.importorskip(
+    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
+)
+ROUNDING = 1e-5
+
+
+def make(variant: str = "cuda", **options: Any) -> Task:
+    return fide_tasks.make("beads", 32, **{"spp": 16, "variant": variant, **options})
+
+
+def test_a_denoiser_that_cannot_run_is_refused_before_it_aborts_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As where the driver has no file with its weights."""
+    monkeypatch.setattr(mitsuba_variant, "choose", lambda variant: "cuda_ad_rgb")
+    problem = "it aborts the process (signal 6)"
+    monkeypatch.setattr(mitsuba_variant, "problem_with_denoiser", lambda: problem)
+    with pytest.raises(ValueError, match=r"denoise=True.*signal 6.*nvoptix\.bin.*denoise out"):
+        make(denoise=True)
+    make()  # which needs none
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", ["beads", "san_miguel"])
+def test_a_seed_determines_a_frame_up_to_rounding(name: str) -> None:
+    task, other = (fide_tasks.make(name, 32, spp=4, variant="cuda") for _ in range(2))
+    x = np.random.default_rng(0).random((3, task.dim))
+    frames = task.render(x, seed=5)
+    for again in (task.render(x, seed=5), other.render(x, seed=5)):
+        np.testing.assert_allclose(again, frames, atol=ROUNDING)
+    assert (np.abs(task.render(x, seed=6) - frames) > ROUNDING).mean() > 0.2
+
+
+@pytest.mark.gpu
+def test_with_many_paths_it_is_the_image_of_a_processor() -> None:
+    x = np.random.default_rng(0).random(18)
+    there, here = (make(variant, reference_spp=512).reference(x) for variant in ("cuda", "scalar"))
+    noise = make(spp=512).noise_level(x)
+    off = np.abs(there - here)
+    assert (off > 6 * np.hypot(noise, noise) + 0.01).mean() < 0.02
+    assert abs(float((there - here).mean())) < 3e-3
+
+
+@pytest.mark.gpu
+def test_the_denoiser_removes_noise_or_is_refused() -> None:
+    if mitsuba_variant.problem_with_denoiser() is not None:
+        with pytest.raises(ValueError, match="does not run here"):
+            make(denoise=True)
+        return
+    plain, denoising = make(), make(denoise=True)
+    x = np.random.default_rng(0).random(18)
+    truth = plain.reference(x)
+    errors = [np.square(t.render(x[None])[0] - truth).mean() for t in (plain, denoising)]
+    assert errors[1] < 0.7 * errors[0]
