@@ -35,23 +35,22 @@ from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.suite import Suite, figures, profiles, read
+from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
 RESULTS = Path(__file__).parent / "results"
-FILES = {
-    "image-fitting-v1": "suite.jsonl",
-    "image-fitting-v2": "suite_v2.jsonl",
-    "image-fitting-v3": "suite_v3.jsonl",
-}
-"""Of each suite its own: problems of two suites have the same names."""
 OPTIMIZERS = (
     "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
     "zerograds",
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
+
+
+def file_of(suite: Suite) -> Path:
+    """Of each suite its own: problems of two suites have the same names."""
+    return RESULTS / f"suite_{suite.name.rpartition('-')[2]}.jsonl"
 
 
 def planned(scenes: Sequence[str], optimizers: Sequence[str], targets: int) -> Iterator[Row]:
@@ -162,7 +161,7 @@ def main() -> None:
     suite = read(arguments.suite)
     scenes, _ = suite.chosen(arguments.scenes.split(","), None)
     optimizers, budget = arguments.optimizers.split(","), arguments.budget
-    out = arguments.out or RESULTS / FILES[suite.name]
+    out = arguments.out or file_of(suite)
     if arguments.table or arguments.picture:
         chosen = [row for row in rows_of(out) if row["problem"].rpartition("-")[0] in scenes]
         found = scores(suite, chosen, optimizers, budget)
@@ -199,7 +198,7 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--suite", default="image-fitting-v1", choices=FILES, metavar="NAME")
+    add("--suite", default="image-fitting-v1", choices=names(), metavar="NAME")
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
     add("--targets", type=int, metavar="N", help="the first N (default: all)")
