@@ -1,7 +1,7 @@
 """Find the knobs of a procedural material: marble, drawn by a fragment shader (OpenGL, moderngl).
 
     python examples/shader.py          # a short run
-    python examples/shader.py 6000     # the run of the gallery, with its film
+    python examples/shader.py 2000     # the run of the gallery, with its film
 
 Writes a film of the best image so far.  Without moderngl or OpenGL it says so and ends.
 """
@@ -84,7 +84,7 @@ class Marble:
 
 
 class Film:
-    """Callback that keeps the best image whenever the number of renders has grown by a fifth."""
+    """Callback that keeps the best image whenever renders have grown by a twentieth."""
 
     def __init__(self, target: NDArray[np.uint8]) -> None:
         self.target, self.frames, self.next = target, list[Image.Image](), 1.0
@@ -94,7 +94,7 @@ class Film:
         if event.loss == event.best_loss:
             self.best = np.rint(255 * np.asarray(event.image)).astype(np.uint8)
         if event.evaluation + 1 >= self.next and self.best is not None:
-            self.next *= 1.2
+            self.next *= 1.05
             pair = np.concatenate([self.target, self.best], axis=1)
             self.frames.append(Image.fromarray(pair).resize((4 * SIDE, 2 * SIDE)))
 

@@ -5,7 +5,7 @@ features of an image minus those of the target, within a trust region (Gauss-New
 derivatives).  It needs dim + 1 renders to begin and then one at a time.
 
 Through the authors' own package, which is under the GPL and therefore an optional extra:
-pip install 'fide-plugins[dfols]'.
+pip install DFO-LS.
 """
 
 from __future__ import annotations
@@ -72,9 +72,7 @@ class DFOLS(ImageBased, Sequential):
         try:
             import dfols  # noqa: F401
         except ImportError as error:
-            raise DependencyError(
-                "dfols needs the package DFO-LS: pip install 'fide-plugins[dfols]'"
-            ) from error
+            raise DependencyError("dfols needs the package DFO-LS: pip install DFO-LS") from error
         self.radius, self.noisy, self.soft_restarts = float(radius), noisy, soft_restarts
         self._rng = np.random.default_rng(self.seed)
         self._global_random = GlobalRandom(self.seed)

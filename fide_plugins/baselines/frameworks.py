@@ -163,7 +163,7 @@ def nevergrad(method: str) -> type[Nevergrad]:
             from nevergrad import optimizers
     except ImportError as error:
         raise DependencyError(
-            f"nevergrad:{method} needs Nevergrad: pip install 'fide-plugins[nevergrad]'"
+            f"nevergrad:{method} needs Nevergrad: pip install nevergrad"
         ) from error
     if method not in optimizers.registry:
         raise UnknownNameError.of("optimizer of Nevergrad", method, optimizers.registry)
@@ -178,9 +178,7 @@ def optuna(method: str) -> type[Optuna]:
     try:
         from optuna import samplers
     except ImportError as error:
-        raise DependencyError(
-            f"optuna:{method} needs Optuna: pip install 'fide-plugins[optuna]'"
-        ) from error
+        raise DependencyError(f"optuna:{method} needs Optuna: pip install optuna") from error
     known = [name for name in samplers.__all__ if _takes_seed(getattr(samplers, name))]
     if method not in known:
         raise UnknownNameError.of("sampler of Optuna", method, known)

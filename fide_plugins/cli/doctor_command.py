@@ -14,16 +14,18 @@ from fide_plugins.runtime import opencv_distributions
 
 __all__ = ["add_arguments", "execute"]
 
-_EXTRAS = {  # extra: a distribution that it installs
+_EXTRAS = {  # extra: what it installs
     "nevergrad": "nevergrad",
     "optuna": "optuna",
     "robot": "mujoco",
     "mitsuba": "mitsuba",
-    "dinov3": "transformers",
+    "dinov3": "transformers safetensors",
     "dask": "distributed",
     "botorch": "botorch",
     "sbi": "sbi",
+    "dfols": "DFO-LS",
     "report": "jinja2",
+    "tensorboard": "tensorboard",
 }
 
 
@@ -49,7 +51,7 @@ def _summary() -> str:
 
     versions, computer = machine.versions(), machine.machine()
     first = ("fide-plugins", "python", "torch", "numpy")
-    extras = {extra: machine.version_of(package) for extra, package in _EXTRAS.items()}
+    extras = _versions_of_extras()
     missing = [extra for extra, version in extras.items() if not version]
     lines = [
         ", ".join(f"{name} {versions[name]}" for name in first if name in versions),
@@ -57,12 +59,19 @@ def _summary() -> str:
         f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
     ]
     if missing:
-        lines.append(f"missing: pip install 'fide-plugins[{','.join(missing)}]'")
+        lines.append(f"missing: pip install {' '.join(_EXTRAS[extra] for extra in missing)}")
     if collision := opencv_distributions.collision():
         lines.append(f"OpenCV: {collision}")
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
+
+
+def _versions_of_extras() -> dict[str, str | None]:
+    """Of the first package of each."""
+    from fide_plugins.experiments.run import machine
+
+    return {extra: machine.version_of(packages.split()[0]) for extra, packages in _EXTRAS.items()}
 
 
 def _gpu(torch_version: str) -> str:
@@ -85,7 +94,7 @@ def examine() -> dict[str, Any]:
         "opencv": _try_opencv(),
         "mitsuba": _try_mitsuba(),
         **{kind: problems(kind) for kind in KINDS},
-        "extras": {extra: machine.version_of(package) for extra, package in _EXTRAS.items()},
+        "extras": _versions_of_extras(),
     }
 
 
@@ -132,6 +141,6 @@ def _text(facts: dict[str, Any]) -> str:
     lines.append("\nextras")
     width = max(map(len, facts["extras"]))
     for extra, version in facts["extras"].items():
-        state = version or f"not installed: pip install 'fide-plugins[{extra}]'"
+        state = version or f"not installed: pip install {_EXTRAS[extra]}"
         lines.append(f"  {extra:{width}}  {state}")
     return "\n".join(lines)

@@ -44,7 +44,7 @@ def posterior_of(
     from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks
 
     if isinstance(learned, str | os.PathLike):
-        learned = Model.load(learned)
+        learned = _model_at(learned)
     if not isinstance(learned, Model):
         raise OptionError(f"learned is a model or its file, not {type(learned).__name__}")
     learned.check_space(space)
@@ -62,6 +62,17 @@ def posterior_of(
         x[0] = _middle(x, np.array(learned.periodic))
     refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
     return Posterior(x, refined)
+
+
+def _model_at(path: str | os.PathLike[str]) -> Model:
+    """Model of a file; where there is none the error says what makes one."""
+    from fide_plugins.learning.model import Model
+
+    try:
+        return Model.load(path)
+    except FileNotFoundError as error:
+        why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
+        raise FileNotFoundError(why) from error
 
 
 def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
@@ -88,7 +99,7 @@ def model_for(learned: Any, render: object) -> Any:
         return None
     from fide_plugins.learning.model import Model
 
-    model = Model.load(learned) if isinstance(learned, str | os.PathLike) else learned
+    model = _model_at(learned) if isinstance(learned, str | os.PathLike) else learned
     if isinstance(model, Model):
         _check_renderer(model, render)
     return model

@@ -28,7 +28,7 @@ def connected(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError as error:
         raise DependencyError(
-            "--dask needs the package distributed: pip install 'fide-plugins[dask]'"
+            "--dask needs the package distributed: pip install distributed"
         ) from error
     try:
         client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]

@@ -68,7 +68,7 @@ _INSTALL_LLVM = (
 REMEDIES = {
     "cuda": "it needs an NVIDIA GPU and its driver",
     "llvm": _INSTALL_LLVM,
-    "scalar": "pip install 'fide-plugins[mitsuba]'",
+    "scalar": "pip install mitsuba",
 }
 """What to do where a variant, by its short name, does not run."""
 
@@ -85,8 +85,7 @@ def choose(variant: str) -> str:
     one_of("variant", variant, ("auto", *names))
     if importlib.util.find_spec("mitsuba") is None:
         raise ImportError(
-            "this task renders with Mitsuba 3, which is not installed: "
-            "pip install 'fide-plugins[mitsuba]'"
+            "this task renders with Mitsuba 3, which is not installed: pip install mitsuba"
         )
     if variant == "auto":
         return _best()

@@ -46,8 +46,7 @@ def import_mujoco() -> Any:
         if error.name != "mujoco":
             raise
         raise ImportError(
-            "this task renders with MuJoCo, which is not installed: "
-            "pip install 'fide-plugins[robot]'"
+            "this task renders with MuJoCo, which is not installed: pip install mujoco"
         ) from None
     except (AttributeError, OSError, RuntimeError) as error:  # it loads what MUJOCO_GL names
         setting = os.environ.get("MUJOCO_GL", "")

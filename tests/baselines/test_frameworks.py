@@ -78,7 +78,7 @@ def test_without_the_package_its_extra_is_named(
 ) -> None:
     for module in [family, *(name for name in sys.modules if name.startswith(f"{family}."))]:
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(DependencyError, match=rf"pip install 'fide-plugins\[{family}\]'"):
+    with pytest.raises(DependencyError, match=f"pip install {family}"):
         optimizers.make(f"{family}:Unheard", 2)
 
 

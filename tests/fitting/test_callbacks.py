@@ -58,7 +58,7 @@ def test_an_event_says_what_was_evaluated() -> None:
 
 def test_tensorboard_is_asked_for_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(DependencyError, match=r"pip install 'fide-plugins\[tensorboard\]'"):
+    with pytest.raises(DependencyError, match=r"pip install tensorboard"):
         TensorBoard("nowhere")
 
 

@@ -189,3 +189,11 @@ def test_the_next_picture_is_not_searched_at_hypotheses_of_the_first(
         X = one.ask()
         one.tell(X, losses=np.arange(len(X)) + 1.0)
     np.testing.assert_array_equal(opt.ask(), again.ask())
+
+
+def test_a_file_that_is_missing_is_named_with_what_makes_one(tmp_path: Path) -> None:
+    absent, said = tmp_path / "absent.fide", r"no model at .*absent\.fide: .fide learn. or .learn"
+    with pytest.raises(FileNotFoundError, match=said):
+        FIDE(SPACE, PICTURE, learned=absent)
+    with pytest.raises(FileNotFoundError, match=said):
+        fit(disk, PICTURE, SPACE, budget=10, learned=absent, workers=0)

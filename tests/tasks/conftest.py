@@ -25,7 +25,7 @@ def render_elsewhere() -> Callable[..., str | None]:
 def opengl() -> None:
     """Skip the test where MuJoCo or OpenGL is missing; this process is not touched."""
     if importlib.util.find_spec("mujoco") is None:
-        pytest.skip("MuJoCo is not installed: pip install 'fide-plugins[robot]'")
+        pytest.skip("MuJoCo is not installed: pip install mujoco")
     problem = _render_elsewhere({})
     if problem is not None:
         pytest.skip(problem)

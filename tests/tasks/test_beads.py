@@ -16,9 +16,7 @@ import fide_tasks
 from fide_tasks import Task, mitsuba_task, mitsuba_variant
 from fide_tasks.mitsuba_variant import problem_with
 
-pytest.importorskip(
-    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-)
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 
 RADIUS = 0.25
 Array = NDArray[np.float64]

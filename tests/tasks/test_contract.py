@@ -56,9 +56,7 @@ def make(request: pytest.FixtureRequest) -> Make:
 def task(request: pytest.FixtureRequest) -> Task:
     """A small task, noisy or not; the same in all tests, since targets take time to draw."""
     if request.param in NOISY:
-        pytest.importorskip(
-            "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-        )
+        pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
     if request.param == "robot":
         request.getfixturevalue("opengl")
     return _small(request.param)

@@ -13,9 +13,7 @@ import pytest
 import fide_tasks
 from fide_tasks import Task, mitsuba_variant
 
-pytest.importorskip(
-    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-)
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 ROUNDING = 1e-5
 
 

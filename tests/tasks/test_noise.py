@@ -25,9 +25,7 @@ from numpy.typing import NDArray
 import fide_tasks
 from fide_tasks import Task
 
-pytest.importorskip(
-    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-)
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 
 NAMES = ["beads", "san_miguel"]
 ALPHA = 0.01

@@ -22,9 +22,7 @@ from fide_plugins.experiments import run as harness
 from fide_tasks import mitsuba_task, render_workers
 from fide_tasks.render_workers import RenderWorkerError
 
-pytest.importorskip(
-    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-)
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 
 
 def make(workers: int, **options: Any) -> Any:

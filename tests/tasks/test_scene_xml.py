@@ -14,9 +14,7 @@ import pytest
 from fide_tasks import scene_file, scene_xml
 from fide_tasks.mitsuba_variant import in_variant
 
-pytest.importorskip(
-    "mitsuba", reason="Mitsuba is not installed: pip install 'fide-plugins[mitsuba]'"
-)
+pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 
 LIT = '<sensor type="perspective"/><emitter type="constant"/>'
 SHAPE = '<shape type="obj"><string name="filename" value="{}"/></shape>'

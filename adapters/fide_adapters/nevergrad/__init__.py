@@ -23,7 +23,7 @@ try:
     from nevergrad.optimization.base import registry
 except ImportError as error:
     raise DependencyError(
-        "fide_adapters.nevergrad needs Nevergrad: pip install 'fide-plugins[nevergrad]'"
+        "fide_adapters.nevergrad needs Nevergrad: pip install nevergrad"
     ) from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef

@@ -23,9 +23,7 @@ from fide_plugins.errors import DependencyError
 try:
     import optuna  # noqa: F401  # fails here, with a remedy, where Optuna is not installed
 except ImportError as error:
-    raise DependencyError(
-        "fide_adapters.optuna needs Optuna: pip install 'fide-plugins[optuna]'"
-    ) from error
+    raise DependencyError("fide_adapters.optuna needs Optuna: pip install optuna") from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef
 from fide_adapters.optuna.sampler import FIDESampler, image_objective

@@ -217,4 +217,4 @@ def import_sbi(name: str) -> None:
         with seeded(0):
             import sbi.inference  # noqa: F401
     except ImportError as error:
-        raise DependencyError(f"{name} needs sbi: pip install 'fide-plugins[sbi]'") from error
+        raise DependencyError(f"{name} needs sbi: pip install sbi") from error

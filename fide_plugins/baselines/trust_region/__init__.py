@@ -11,5 +11,5 @@ Every round (Eriksson et al. 2019, "Scalable global optimization via local Bayes
    become small, all is forgotten and the search begins anew.
 
 The processes, the draws and the quasi-random points are those of BoTorch and GPyTorch:
-pip install 'fide-plugins[botorch]'.
+pip install botorch.
 """

@@ -211,6 +211,4 @@ def _import(name: str) -> None:
         with quietly():
             import botorch  # noqa: F401
     except ImportError as error:
-        raise DependencyError(
-            f"{name} needs BoTorch: pip install 'fide-plugins[botorch]'"
-        ) from error
+        raise DependencyError(f"{name} needs BoTorch: pip install botorch") from error

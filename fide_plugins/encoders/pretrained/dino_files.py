@@ -136,5 +136,5 @@ def library(module: str = "transformers") -> Any:
         return import_module(module)
     except ImportError as error:
         raise DependencyError(
-            "the encoder 'dinov3' needs transformers: pip install 'fide-plugins[dinov3]'"
+            "the encoder 'dinov3' needs transformers: pip install transformers safetensors"
         ) from error

@@ -69,9 +69,7 @@ def environment() -> Any:
     try:
         import jinja2
     except ImportError as error:
-        raise DependencyError(
-            "a report needs Jinja2: pip install 'fide-plugins[report]'"
-        ) from error
+        raise DependencyError("a report needs Jinja2: pip install jinja2") from error
     from markupsafe import Markup
 
     folder = resources.files("fide_plugins.experiments.report") / "templates"

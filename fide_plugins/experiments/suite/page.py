@@ -142,7 +142,7 @@ def _part(found: Scores) -> str:
     if len(found.problems) == whole and found.budgets == suite.budgets:
         return f"This is the whole suite {suite.name}."
     here, all_of_it = (", ".join(map(number, b)) for b in (found.budgets, suite.budgets))
-    budget = "" if here == all_of_it else f"; read at {here} renders, not at {all_of_it}"
+    budget = "" if here == all_of_it else f"; by {here} renders only, of {all_of_it}"
     left_out = [name for name in suite.scenes if name not in found.scenes]
     without = f"; without {', '.join(left_out)}" if left_out else ""
     return (

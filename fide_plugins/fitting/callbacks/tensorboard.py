@@ -42,8 +42,7 @@ class TensorBoard:
             writer = import_module("torch.utils.tensorboard").SummaryWriter
         except ImportError as error:
             raise DependencyError(
-                "TensorBoard's event files need the package tensorboard: "
-                "pip install 'fide-plugins[tensorboard]'"
+                "TensorBoard's event files need the package tensorboard: pip install tensorboard"
             ) from error
         self._make: Callable[[], Any] = lambda: writer(os.fspath(logdir))
         self._every = max(1, every)
