@@ -59,7 +59,7 @@ test-kernels: setup
 	$(KEEP) OMP_NUM_THREADS=1 $(HASWELL) $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERIC)
 	$(KEEP) OMP_NUM_THREADS=2 $(SANDYBRIDGE) $(BIN)/python -m pytest -q $(CORE)
 
-# What computes on an NVIDIA GPU, in one process; all other tests do not see it.
+# What computes on an NVIDIA GPU, in one process; CUDA does not see it in the other tests.
 test-gpu: setup
 	$(KEEP) $(BIN)/python -m pytest -q -m gpu
 

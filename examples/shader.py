@@ -84,7 +84,7 @@ class Marble:
 
 
 class Film:
-    """Callback that keeps the best image whenever renders have grown by a twentieth."""
+    """Callback that keeps the best image after each render, later after a twentieth more."""
 
     def __init__(self, target: NDArray[np.uint8]) -> None:
         self.target, self.frames, self.next = target, list[Image.Image](), 1.0

@@ -41,10 +41,10 @@ def posterior_of(
     """
     if learned is None:
         return None
-    from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks
+    from fide_plugins.learning.model import Model, model_at  # takes a second: PyTorch's networks
 
     if isinstance(learned, str | os.PathLike):
-        learned = _model_at(learned)
+        learned = model_at(learned)
     if not isinstance(learned, Model):
         raise OptionError(f"learned is a model or its file, not {type(learned).__name__}")
     learned.check_space(space)
@@ -62,17 +62,6 @@ def posterior_of(
         x[0] = _middle(x, np.array(learned.periodic))
     refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
     return Posterior(x, refined)
-
-
-def _model_at(path: str | os.PathLike[str]) -> Model:
-    """Model of a file; where there is none the error says what makes one."""
-    from fide_plugins.learning.model import Model
-
-    try:
-        return Model.load(path)
-    except FileNotFoundError as error:
-        why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
-        raise FileNotFoundError(why) from error
 
 
 def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
@@ -97,9 +86,9 @@ def model_for(learned: Any, render: object) -> Any:
     """
     if learned is None:
         return None
-    from fide_plugins.learning.model import Model
+    from fide_plugins.learning.model import Model, model_at
 
-    model = _model_at(learned) if isinstance(learned, str | os.PathLike) else learned
+    model = model_at(learned) if isinstance(learned, str | os.PathLike) else learned
     if isinstance(model, Model):
         _check_renderer(model, render)
     return model

@@ -44,7 +44,7 @@ from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import as_points, whole_number
 
-__all__ = ["Model"]
+__all__ = ["Model", "model_at"]
 
 _KIND = "learned model"
 _ASPECT = 0.02  # relative difference of height / width that is rounding
@@ -297,3 +297,12 @@ class Model:
             state["fingerprint"],
             emulator,
         )
+
+
+def model_at(path: str | os.PathLike[str]) -> Model:
+    """Model of a file, as `Model.load`; where there is none the error says what makes one."""
+    try:
+        return Model.load(path)
+    except FileNotFoundError as error:
+        why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
+        raise FileNotFoundError(why) from error

@@ -63,8 +63,9 @@ class DiffusionProposer(ProposerDefaults):
     dim : d, the number of parameters.
     seed : of the weights, the order of the examples and the noise.
     device : of the network; initial weights are the same on all.  Results are reproducible on a
-        processor; on CUDA that is not known: torch's gradient of attention adds in any order there,
-        unless `torch.use_deterministic_algorithms(True)` says otherwise.
+        processor, and on CUDA in a small case that was tested; with more than 64 tokens or
+        parameters torch's gradient of attention may add in any order there, unless
+        `torch.use_deterministic_algorithms(True)` says otherwise.
     epochs, learning_rate, schedule : supplement S1.
     precision : "float32", or "bfloat16" for products where the device has them; see
         `denoiser.precision`.

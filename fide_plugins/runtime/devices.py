@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
@@ -11,6 +12,8 @@ from fide_plugins.errors import DeviceError
 from fide_plugins.types import Float32
 
 __all__ = ["as_here", "has_bfloat16", "on_device", "repeatable", "resolve_device"]
+
+_CUDNN = threading.RLock()  # its settings belong to the whole process
 
 
 def resolve_device(
@@ -64,18 +67,21 @@ def as_here(device: torch.device) -> Callable[[], AbstractContextManager[None]]:
 def repeatable(device: torch.device) -> Iterator[None]:
     """Context in which the gradients of convolutions are the same every time, on a GPU, too.
 
-    Otherwise cuDNN may add in another order each time.  The setting is PyTorch's, for the process;
-    it is as before afterwards.
+    Otherwise cuDNN may choose by time, and add in another order each time.  The settings are
+    PyTorch's, for the process; they are as before afterwards, so threads that need a GPU for this
+    take turns.
     """
     if device.type != "cuda":
         yield
         return
     cudnn = torch.backends.cudnn
-    before, cudnn.deterministic = cudnn.deterministic, True
-    try:
-        yield
-    finally:
-        cudnn.deterministic = before
+    with _CUDNN:
+        before = cudnn.deterministic, cudnn.benchmark
+        cudnn.deterministic, cudnn.benchmark = True, False
+        try:
+            yield
+        finally:
+            cudnn.deterministic, cudnn.benchmark = before
 
 
 def on_device(batch: Float32, device: torch.device) -> torch.Tensor:

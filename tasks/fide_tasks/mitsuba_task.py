@@ -108,8 +108,8 @@ class MitsubaTask(Task):
         if denoise and (problem := mitsuba_variant.problem_with_denoiser()):
             raise ValueError(
                 "denoise=True needs Mitsuba's OptiX denoiser, which does not run here "
-                f"({problem}): it needs nvoptix.bin, a file of the NVIDIA driver; "
-                "install that, or leave denoise out"
+                f"({problem}): leave denoise out, or, if the NVIDIA driver lacks its file "
+                "nvoptix.bin, as in many containers, provide that"
             )
         return denoise
 

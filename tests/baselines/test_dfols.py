@@ -98,7 +98,7 @@ def test_a_search_that_has_converged_is_followed_by_another() -> None:
         assert opt.evaluations < 400
 
 
-def test_without_the_package_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dfols", None)
     with pytest.raises(DependencyError, match=r"pip install DFO-LS"):
         DFOLS(DIM, TARGET)

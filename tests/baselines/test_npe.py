@@ -232,7 +232,7 @@ def test_weights_of_another_network_are_refused(sbi: Any, tmp_path: Path) -> Non
     assert len(other.ask()) == 40  # it goes on with its own
 
 
-def test_without_sbi_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_sbi_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sbi", None)
     monkeypatch.setitem(sys.modules, "sbi.inference", None)
     with pytest.raises(DependencyError, match=r"npe .*pip install sbi"):

@@ -195,9 +195,7 @@ def test_a_run_from_before_the_option_smallest_keeps_its_region(botorch: Any, ki
 
 
 @pytest.mark.parametrize(("kind", "name"), [(TuRBO, "turbo"), (CompositeBO, "composite-bo")])
-def test_without_botorch_its_extra_is_named(
-    kind: Any, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_botorch_it_is_named(kind: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "botorch", None)
     with pytest.raises(DependencyError, match=rf"{name} .*pip install botorch"):
         kind(DIM, TARGET)

@@ -11,7 +11,7 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.fide import FIDE
 from fide_plugins.runtime import devices
-from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.devices import repeatable, resolve_device
 
 TARGET = np.zeros((32, 32, 3), np.float32)
 
@@ -81,3 +81,19 @@ def test_a_network_is_what_a_gpu_makes_faster(monkeypatch: pytest.MonkeyPatch) -
 def test_on_the_cpu_there_is_no_stream_to_enter() -> None:
     with devices.as_here(torch.device("cpu"))():
         pass
+
+
+@pytest.mark.parametrize("before", [(False, True), (True, False)])
+def test_settings_of_cudnn_are_as_before_after_what_is_to_be_repeatable(
+    before: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PyTorch keeps them without a GPU, too."""
+    cudnn = torch.backends.cudnn
+    monkeypatch.setattr(cudnn, "deterministic", before[0])
+    monkeypatch.setattr(cudnn, "benchmark", before[1])
+    with pytest.raises(KeyError), repeatable(torch.device("cuda")):
+        assert (cudnn.deterministic, cudnn.benchmark) == (True, False)
+        raise KeyError
+    assert (cudnn.deterministic, cudnn.benchmark) == before
+    with repeatable(torch.device("cpu")):
+        assert (cudnn.deterministic, cudnn.benchmark) == before

@@ -112,7 +112,7 @@ def test_a_missing_library_is_refused_by_name_in_a_real_process() -> None:
     assert "apt-get install libllvm19" in refusal
 
 
-def test_without_mitsuba_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mitsuba_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib.util
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

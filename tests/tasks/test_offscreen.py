@@ -83,7 +83,7 @@ def test_a_driver_that_crashes_does_so_elsewhere(monkeypatch: pytest.MonkeyPatch
         Robot(8).check()
 
 
-def test_without_mujoco_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_mujoco_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"pip install mujoco"):
         fide_tasks.make("robot")

@@ -44,7 +44,7 @@ def test_point_19_importing_registers_one_name_and_loads_nothing() -> None:
     assert output.stdout.splitlines() == ["added FIDE", "changed", "imported"]
 
 
-def test_point_19_without_nevergrad_the_extra_is_named() -> None:
+def test_point_19_without_nevergrad_it_is_named() -> None:
     probe = "import sys; sys.modules['nevergrad'] = None; import fide_adapters.nevergrad"
     output = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
     assert "DependencyError" in output.stderr
