@@ -136,7 +136,7 @@ def _read_safetensors(path: Path) -> Any:
         from safetensors.torch import load_file
     except ImportError as error:
         raise DependencyError(
-            f"reading {path.name} needs safetensors: pip install transformers safetensors"
+            f"reading {path.name} needs safetensors: pip install safetensors"
         ) from error
     return load_file(path)
 
