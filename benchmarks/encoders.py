@@ -69,6 +69,7 @@ ENCODERS = {
     "patch": "patch",
     "random ViT-S/16": f"dinov3:{CONTROL}",
     "dinov3": "dinov3",
+    "efficientnet": "efficientnet",
     "vgg19": "vgg19",
     "learned": "learned:runs/{task}.fide",
 }
@@ -229,7 +230,7 @@ def main() -> None:
     add(
         "--configurations",
         nargs="+",
-        default=["dense", "patch", "random ViT-S/16", "dinov3", "vgg19"],
+        default=["dense", "patch", "random ViT-S/16", "dinov3", "efficientnet", "vgg19"],
         choices=list(ENCODERS),
         metavar="CONFIGURATION",
     )

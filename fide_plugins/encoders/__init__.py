@@ -5,7 +5,7 @@ patch.  T and C depend only on the image size.
 
     >>> from fide_plugins import encoders
     >>> encoders.names()
-    ['dense', 'dinov3', 'learned', 'patch', 'vgg19']
+    ['dense', 'dinov3', 'efficientnet', 'learned', 'patch', 'vgg19']
 
 `make` returns an object to call with a batch of images (any input of
 :func:`fide_plugins.images.as_batch`), with the attributes `name` and `version`; features are
@@ -17,7 +17,7 @@ comparable if both are equal.  No large package is imported before `make`.
 `patch`          encoder `patch`: raw pixels of patches
 `own`            a user's own encoder: any callable of a batch
 `learned`        encoder `learned:FILE`: the network of a model of `fide_plugins.learn`
-`pretrained/`    encoders with pretrained networks: `dinov3`, `vgg19`
+`pretrained/`    encoders with pretrained networks: `dinov3`, `efficientnet`, `vgg19`
 `whole_patches`  resizes images to whole patches
 `despeckle`      removes single bright or dark pixels
 `bilateral`      OpenCV's bilateral filter for tensors
@@ -98,6 +98,7 @@ def register(name: str, factory: Callable[..., Callable[..., object]] | str) -> 
 
 register("dense", "fide_plugins.encoders.dense:DenseEncoder")
 register("dinov3", "fide_plugins.encoders.pretrained.dinov3:DinoEncoder")
+register("efficientnet", "fide_plugins.encoders.pretrained.efficientnet:EfficientNetEncoder")
 register("learned", "fide_plugins.encoders.learned:LearnedEncoder")
 register("patch", "fide_plugins.encoders.patch:RawPatchEncoder")
 register("vgg19", "fide_plugins.encoders.pretrained.vgg19:VGG19Encoder")

@@ -236,7 +236,7 @@ def test_doctor_is_short_and_imports_nothing_heavy() -> None:
     *lines, heavy = done.stdout.splitlines()
     assert len(lines) <= 9 and heavy == ""
     assert lines[0].startswith("fide-plugins ") and "--verbose" in lines[-1]
-    assert any(line.startswith("encoders: dense, dinov3, learned, patch") for line in lines)
+    assert any(line.startswith("encoders: dense, dinov3, efficientnet, learned") for line in lines)
 
 
 # -- interruption ----------------------------------------------------------------------------------

