@@ -12,6 +12,9 @@ from fide_plugins.experiments.run.record import PARTS
 
 __all__ = ["Entry", "Table", "escaped", "losses", "markdown", "number", "ranking", "times"]
 
+LARGEST_RATIO = 1000
+"""Of two losses, that a table writes out."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -183,12 +186,18 @@ def _against_winner(panel: Panel, row: Row) -> tuple[Entry, Entry, Entry]:
         return _NONE, _NONE, _NONE
     mark = " †" if panel.significant(row) else ""
     note = f"worse in {test.worse} of {test.n} pairs; p before adjusting {test.p:.2g}"
-    ratio = Entry("", math.inf) if math.isnan(test.ratio) else _number(test.ratio)
     return (
-        ratio,
+        _ratio(test.ratio),
         Entry(f"{test.adjusted:.2g}{mark}", test.adjusted, note=note),
         Entry(f"{test.effect:.2g}", test.effect, note=note),
     )
+
+
+def _ratio(ratio: float) -> Entry:
+    """Ratio of losses; a very large one only says that the winner has found the answer."""
+    if math.isnan(ratio):
+        return _NONE
+    return _number(ratio) if ratio <= LARGEST_RATIO else Entry(f"over {LARGEST_RATIO:,}", ratio)
 
 
 def _metrics(panel: Panel) -> list[str]:

@@ -200,6 +200,16 @@ def test_the_winner_is_bold_and_differences_are_marked() -> None:
     assert "significantly better than b" in sentences.verdict(panel)
 
 
+def test_a_ratio_of_many_digits_is_not_written_out() -> None:
+    """A winner at 1e-15 has found the answer; how many times lower it is says nothing more."""
+    runs = [result("a", s, 1e-15) for s in range(3)] + [result("b", s, 2e-3) for s in range(3)]
+    (panel,) = panels(results([*runs, *(result("c", s, 5e-13) for s in range(3))]), {})
+    titles = [title for title, _ in tables.ranking(panel).columns]
+    at = titles.index("times winner")
+    assert [row[at].text for row in tables.ranking(panel).rows] == ["winner", "500", "over 1,000"]
+    assert [row[at].sort for row in tables.ranking(panel).rows] == pytest.approx([1, 500, 2e12])
+
+
 LONG = "dibo:batch=64:budget=600:precision=single:proposals=2:proxy_width=64:width=128"
 MANY = ["fide", "cma", *(f"cma:popsize={k}" for k in range(10, 17)), "x" * 60, LONG]
 
