@@ -1,4 +1,4 @@
-"""A candidate, and how many of them are saved."""
+"""A candidate, and how a list of them is saved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The book of candidates: which were drawn, which are pending, which were evaluated.
+"""The record of candidates: which were drawn, which are pending, which were evaluated.
 
 FIDE and all baselines keep one.  A generation is complete as soon as as many candidates that were
 asked have been told as were last drawn for it, in whatever order and pieces.  Its members are then

@@ -308,7 +308,8 @@ def _changes(
 ) -> Float64:
     """Mean squared change (n,) of tokens by each row of the plan; +inf where it is missing.
 
-    The change is measured from a repeat of the incumbent, and by the other repeat is noise.
+    Changes are measured from the first repeat of the incumbent.  Those of its second repeat and of
+    its earlier image are noise; the rows of the repeats have the larger one.
     """
     images = {sample.x.tobytes(): [] for sample in samples}  # type: ignore[var-annotated]
     for sample in samples:
