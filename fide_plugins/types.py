@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from fide_plugins.search.moves.status import Status
     from fide_plugins.space import Space
+    from fide_plugins.status import Status
 
 __all__ = ["Estimate", "Estimated", "Float32", "Float64", "Optimizer", "Posterior", "Solution"]
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.covariance import covariance

@@ -18,12 +18,12 @@ import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.search.moves.exchangeability import Exchangeability
-from fide_plugins.search.moves.optima import Optima
-from fide_plugins.search.moves.removal import Removal
-from fide_plugins.search.moves.sensitivity import Sensitivity
-from fide_plugins.search.moves.values import Values
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.optima import Optima
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene.values import Values
 from fide_plugins.types import Float64
 
 __all__ = ["Indices", "Known", "Move", "Stage", "Start"]

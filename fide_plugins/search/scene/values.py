@@ -9,7 +9,7 @@ import numpy as np
 
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.search.mixed import Cells
-from fide_plugins.search.moves.axes import Axes, Indices
+from fide_plugins.search.scene.axes import Axes, Indices
 from fide_plugins.types import Float64
 
 __all__ = ["Values"]

@@ -31,7 +31,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.search import boundary
-from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64
 
 __all__ = ["Exchangeability", "check_groups"]
