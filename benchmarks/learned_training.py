@@ -64,7 +64,7 @@ def rendered(scene: str, size: int, n: int) -> Renders:
 
 def stored(folder: Path, size: int, n: int) -> Renders:
     """The same of the first n renders that `fide learn` has kept in a folder."""
-    store = RenderStore.there(folder)
+    store = RenderStore.open(folder)
     x, images = store.read(n)
     if len(x) < n or max(store.size) != size:
         sys.exit(f"{folder} has {len(x)} renders of {max(store.size)} pixels, not {n} of {size}")

@@ -146,7 +146,7 @@ class State:
         finite = bool(np.isfinite(loss))
         loss = loss if finite else np.inf
         candidate = self.population.record(x, loss)
-        number = self.population.number() if candidate is None else candidate.index
+        number = self.population.new_index() if candidate is None else candidate.index
         if candidate is None:
             exact = x = self.descent.clipped(x[None])[0]  # what is rendered at x
         else:

@@ -76,12 +76,12 @@ def _compare(
     """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
     few = slice(None, None, 2)
     drawn, _ = _images(store, renderer, x[few], [seeds[few]])
-    enough = _there(drawn).mean() >= 0.5
+    enough = _present(drawn).mean() >= 0.5
     if enough and _equal(drawn[0], images[few]):
         return
     again = [[seed + k * _SEED for seed in seeds] for k in range(1, 1 + _AGAIN)]
     drawn, failure = _images(store, renderer, x, again)
-    if _there(drawn).sum() <= len(x):  # with more there is a point with two, which tell the noise
+    if _present(drawn).sum() <= len(x):  # with more there is a point with two, which tell the noise
         raise RenderError(
             f"{renderer.name} failed for most parameters that were rendered again, of which "
             f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
@@ -117,14 +117,14 @@ def _images(
     return images, failure
 
 
-def _there(images: Float64) -> Mask:
+def _present(images: Float64) -> Mask:
     """Which images (..., H, W, 3) are there, (...)."""
     return ~np.isnan(images[..., 0, 0, 0])
 
 
 def _equal(one: Float64, other: Pixels) -> bool:
     """Whether images (..., n, H, W, 3) that are there are (n, H, W, 3) but for rounding."""
-    differences = np.abs(one - other)[_there(one)]
+    differences = np.abs(one - other)[_present(one)]
     return float((differences > _ROUNDING).mean()) <= _FLIPPED
 
 

@@ -80,7 +80,7 @@ class RenderStore:
         self._agreed = True
 
     @classmethod
-    def there(cls, folder: str | os.PathLike[str]) -> Self:
+    def open(cls, folder: str | os.PathLike[str]) -> Self:
         """Renders of a folder as they are; raises OSError or CheckpointError."""
         settings = checkpoint.read(Path(folder) / "settings", _KIND)
         settings.pop("fingerprint", None)
@@ -163,10 +163,10 @@ class RenderStore:
 
         Raises CheckpointError for a shard that is damaged.
         """
-        found = {i: SHARD - len(self._load(i, "x")["x"]) for i in self._there(renders)}
+        found = {i: SHARD - len(self._load(i, "x")["x"]) for i in self._present(renders)}
         return {i: number for i, number in found.items() if number}
 
-    def _there(self, renders: int) -> list[int]:
+    def _present(self, renders: int) -> list[int]:
         return [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
 
     def read(self, renders: int) -> tuple[Float64, Pixels]:
@@ -174,7 +174,7 @@ class RenderStore:
 
         Raises CheckpointError for a shard that is damaged.
         """
-        parts = [self._read(i) for i in self._there(renders)]
+        parts = [self._read(i) for i in self._present(renders)]
         x = np.concatenate([x for x, _ in parts]) if parts else np.empty((0, self.settings["dim"]))
         images = np.empty((len(x), *self.size, 3), np.uint8)
         start = 0

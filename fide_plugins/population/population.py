@@ -231,8 +231,8 @@ class Population:
             (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
         return candidate
 
-    def number(self) -> int:
-        """Index of a candidate that was never drawn: no other has it."""
+    def new_index(self) -> int:
+        """New index, of a candidate that was never drawn: no other has it."""
         self.drawn += 1
         return self.drawn - 1
 

@@ -109,8 +109,8 @@ class MovePolicy:
             {name: _PRIORS.get(name, _PRIOR) for name in self._moves}, _COST * popsize
         )
         self._rng = np.random.default_rng((seed, 1))
-        self.stage = Stage.RESTART if self.hypotheses.there else Stage.SEARCH
-        self.move: str | None = Hypotheses.name if self.hypotheses.there else None
+        self.stage = Stage.RESTART if self.hypotheses.available else Stage.SEARCH
+        self.move: str | None = Hypotheses.name if self.hypotheses.available else None
         """Name of the move that is under way; None in the first search."""
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
@@ -131,10 +131,10 @@ class MovePolicy:
 
     def probabilities(self, losses: Sequence[float], X: Float64) -> Float64 | None:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
-        if not self.hypotheses.there or not len(X):
+        if not self.hypotheses.available or not len(X):
             return None
-        there, known = self.hypotheses, self.known
-        about = there.x, there.typical, self.noise, known.exchangeability, known.axes
+        drawn, typical, known = self.hypotheses.x, self.hypotheses.typical, self.known
+        about = drawn, typical, self.noise, known.exchangeability, known.axes
         return probabilities(losses, X, *about)
 
     # -- after a search ----------------------------------------------------------------------------

@@ -36,7 +36,7 @@ class Resample:
 
     def possible(self, known: Known) -> bool:
         """Whether there are hypotheses that leave anything open, and no blocks are exchangeable."""
-        if not self._hypotheses.there or known.exchangeability.blocks is not None:
+        if not self._hypotheses.available or known.exchangeability.blocks is not None:
             return False
         return len(self._open(known)) > 0
 

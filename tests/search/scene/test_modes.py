@@ -122,7 +122,7 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
     assert [one.probability for one in other.solutions()] == [one.probability for one in found]
 
     opt.retarget(two_cells(B + 0.05))
-    assert not opt.state.moves.hypotheses.there
+    assert not opt.state.moves.hypotheses.available
     assert all(one.probability is None for one in searched(opt, 1400).solutions())
 
 
