@@ -10,17 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.learning.renderer import Pixels, Renderer, resized
 from fide_plugins.learning.store import RenderStore
 from fide_plugins.renderers.fingerprint import changed, check_version, fingerprint_of, version_of
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["check_images", "version_for"]
-
-Mask = npt.NDArray[np.bool_]
 
 _POINTS = 8  # of which every second one decides where nothing is noisy
 _AGAIN = 4  # renders of each for its noise

@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Indices, Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Stage, Start
 from fide_plugins.search.moves.hypotheses import Hypotheses
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Resample"]
 

@@ -32,11 +32,9 @@ from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.search import boundary
 from fide_plugins.search.scene.axes import Axes
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Exchangeability", "check_groups"]
-
-Indices = npt.NDArray[np.intp]
 
 _MOST = 24  # layouts tested in a round
 _LONGEST = 12  # blocks that are tested at the ends
@@ -186,7 +184,7 @@ class Exchangeability:
         self._conclude(self._layouts(), tests, holds, exact)
 
     def _conclude(
-        self, layouts: list[Indices], changes: Float64, holds: npt.NDArray[np.bool_], exact: float
+        self, layouts: list[Indices], changes: Float64, holds: Mask, exact: float
     ) -> None:
         """Take the shortest layout among those that hold best; go to the next round."""
         self._round += 1

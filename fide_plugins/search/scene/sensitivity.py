@@ -15,9 +15,9 @@ import numpy as np
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import array, check, whole
 from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.parameter_groups import Indices, find_parts, overlaps
+from fide_plugins.search.scene.parameter_groups import find_parts, overlaps
 from fide_plugins.search.scene.removal import changed
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Sensitivity"]
 

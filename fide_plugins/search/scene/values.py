@@ -9,8 +9,8 @@ import numpy as np
 
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.search.mixed import Cells
-from fide_plugins.search.scene.axes import Axes, Indices
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Values"]
 
