@@ -58,7 +58,8 @@ def rendered(scene: str, size: int, n: int) -> Renders:
     images = np.empty((n, size, size, 3), np.uint8)
     for first in range(0, n, _TOGETHER):
         some = x[first : first + _TOGETHER]
-        images[first : first + len(some)] = renderer.small(some, range(len(some)), (size, size))
+        small: list[Any] = renderer.small(some, range(len(some)), (size, size))
+        images[first : first + len(some)] = small
     return renderer.space, x, images
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.renderer import Renderer
+from fide_plugins.learning.renderer import BatchRenderer
 
 __all__ = ["has_emulator", "kind_of"]
 
 
 def kind_of(
-    renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
+    renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None, head: str | None
 ) -> tuple[str, tuple[tuple[int, ...], ...]]:
     """Head and exchangeable blocks.
 

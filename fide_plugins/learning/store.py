@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, remove_leftovers
@@ -112,12 +113,12 @@ class RenderStore:
         return [first + i for i in range(SHARD)]
 
     def write(self, shard: int, images: Sequence[Small]) -> int:
-        """Write a shard, where a text stands for a render that failed; returns how many did.
+        """Write a shard; returns how many of its renders have failed, which are left out.
 
         Raises OptionError if another call has put other renders into the folder meanwhile.
         """
-        kept = [image for image in images if not isinstance(image, str)]
-        good = np.array([not isinstance(image, str) for image in images], bool)
+        kept = [image for image in images if not isinstance(image, Failed)]
+        good = np.array([not isinstance(image, Failed) for image in images], bool)
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
         if not self._agreed:
             if self._all():
