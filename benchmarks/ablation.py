@@ -28,7 +28,8 @@ from fide_plugins.search.moves.base import Known, Move
 from fide_plugins.search.moves.crossover import Crossover
 from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
+from fide_plugins.search.moves.relocate_group import RelocateGroup
+from fide_plugins.search.moves.relocate_segment import RelocateSegment
 from fide_plugins.search.moves.split import Split
 from fide_plugins.search.moves.swap import Swap
 

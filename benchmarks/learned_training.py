@@ -58,13 +58,14 @@ def rendered(scene: str, size: int, n: int) -> Renders:
     images = np.empty((n, size, size, 3), np.uint8)
     for first in range(0, n, _TOGETHER):
         some = x[first : first + _TOGETHER]
-        images[first : first + len(some)] = renderer.small(some, range(len(some)), (size, size))
+        small: list[Any] = renderer.small(some, range(len(some)), (size, size))
+        images[first : first + len(some)] = small
     return renderer.space, x, images
 
 
 def stored(folder: Path, size: int, n: int) -> Renders:
     """The same of the first n renders that `fide learn` has kept in a folder."""
-    store = RenderStore.there(folder)
+    store = RenderStore.open(folder)
     x, images = store.read(n)
     if len(x) < n or max(store.size) != size:
         sys.exit(f"{folder} has {len(x)} renders of {max(store.size)} pixels, not {n} of {size}")

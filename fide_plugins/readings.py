@@ -14,10 +14,10 @@ from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.moves.optima import APART
-from fide_plugins.search.moves.status import Facts, Status, status_of
+from fide_plugins.search.scene.optima import APART
 from fide_plugins.space import Space
 from fide_plugins.state import State
+from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.evaluation import Evaluator
 from fide_plugins.views import Views
@@ -84,7 +84,7 @@ class Readings(Saved):
     @property
     @one_at_a_time
     def status(self) -> Status:
-        """What is known of the run so far: a code, and a sentence (see `search.moves.status`)."""
+        """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
         state, best = self.state, self.state.best
         since = state.evaluations - state.retargeted_at
         facts = Facts(
@@ -113,7 +113,7 @@ class Readings(Saved):
         Each has its own `std`, as `best` has.
         `evaluation` is the candidate's number in the order of asking, but for the first solution.
         `probability` is that among those found, by a learned model and by their losses (see
-        `search.moves.modes`); None where no model knows the picture.
+        `search.scene.modes`); None where no model knows the picture.
         """
         best, known = self.best, self.state.moves.known
         found = [] if best is None else [best]

@@ -71,7 +71,7 @@ class State:
     """What an optimizer has asked, evaluated and learned.
 
     rng: of the search; nothing else draws from it.
-    population: the book of candidates.
+    population: the record of candidates.
     descent: the present search.
     moves: what the present generation is for, and where the next search begins.
     gate: how far images steer the search.
@@ -82,9 +82,10 @@ class State:
     best: None before the first finite loss.
     improved_at, improved_to: evaluation and loss of the last improvement by more than a tenth.
     samples: evaluated, not yet learned from.  learned: of this generation, learned from already.
-    injected: best point (d,) of those never asked since the last generation, and its loss.
+    injected: best point (d,) told in this generation that was a step or never asked, and its loss.
     search_best: best since the last search was over.  over_at: evaluations at that time.
-    memory: samples for the next target.  retargeted_at: evaluations when the present one came.
+    memory: samples for the next target and for `Solution.std`.
+    retargeted_at: evaluations when the present one came.
     clip_warned: whether the user was warned of values outside [0, 1].
     times: seconds in "encode", "train" and "search".
     """
@@ -145,7 +146,7 @@ class State:
         finite = bool(np.isfinite(loss))
         loss = loss if finite else np.inf
         candidate = self.population.record(x, loss)
-        number = self.population.number() if candidate is None else candidate.index
+        number = self.population.new_index() if candidate is None else candidate.index
         if candidate is None:
             exact = x = self.descent.clipped(x[None])[0]  # what is rendered at x
         else:

@@ -10,16 +10,29 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from fide_plugins.search.moves.status import Status
     from fide_plugins.space import Space
+    from fide_plugins.status import Status
 
-__all__ = ["Estimate", "Estimated", "Float32", "Float64", "Optimizer", "Posterior", "Solution"]
+__all__ = [
+    "Estimate",
+    "Estimated",
+    "Float32",
+    "Float64",
+    "Indices",
+    "Mask",
+    "Optimizer",
+    "Posterior",
+    "Solution",
+]
 
 Float64: TypeAlias = npt.NDArray[np.float64]
 """Parameters, losses and everything of the search."""
 Float32: TypeAlias = npt.NDArray[np.float32]
 """Images and features."""
-
+Mask: TypeAlias = npt.NDArray[np.bool_]
+"""Which ones of several."""
+Indices: TypeAlias = npt.NDArray[np.intp]
+"""Which ones, by their numbers from 0."""
 
 _OPEN = 0.2  # standard deviation of a parameter that is not determined (a uniform one has 0.29)
 
@@ -43,7 +56,7 @@ class Estimate(Protocol):
         """(dim,), standard deviation of each parameter; None where it is not known."""
 
     @property
-    def ambiguous(self) -> npt.NDArray[np.bool_] | None:
+    def ambiguous(self) -> Mask | None:
         """(dim,), axes of integers and choices of which another value may be the true one."""
 
 
@@ -52,7 +65,7 @@ class Estimated:
     """An estimate that was made."""
 
     std: Float64 | None
-    ambiguous: npt.NDArray[np.bool_] | None = None
+    ambiguous: Mask | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,6 +6,13 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 ===================  ===================================================================
 `NAME_command`       one module for each command: its arguments and its execution
 `arguments`          arguments that commands share
+`suite_arguments`    arguments that choose a part of a suite
+`own_renderer`       a renderer of one's own, as the command line names it
+`fit_renderer`       `fide fit` with a renderer of one's own
+`fit_model`          `fide fit` with a task that draws the picture
+`fit_pictures`       pictures that `fide fit` reads: targets, masks, weights
+`extra_renders`      renders outside of the loop of a fit
+`live`               the page of a run in the browser, while the command goes on
 `running`            executes runs and comparisons, with messages and exit codes
 `progress`           progress of a run: a bar in a terminal, lines elsewhere
 `availability`       which tasks, optimizers, encoders and losses can be used here

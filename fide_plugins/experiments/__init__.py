@@ -6,5 +6,6 @@
 `sweep`      comparisons over combinations of options, and their Pareto front
 `report`     tables, charts and one HTML page about a comparison
 `solutions`  several good candidates of a run, side by side
+`suite`      a fixed set of problems, and the page of its results
 ===========  ==================================================================
 """

@@ -10,14 +10,26 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, TypeAlias
+from functools import lru_cache, partial
+from typing import Any, TypeAlias, TypeVar
 
 from fide_plugins.errors import RenderError
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
-__all__ = ["Failed", "Outcome", "Portable", "Rendered", "Renderer", "pack", "restored", "unpack"]
+__all__ = [
+    "Failed",
+    "Outcome",
+    "Portable",
+    "Rendered",
+    "Renderer",
+    "attempt",
+    "pack",
+    "restored",
+    "unpack",
+]
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +69,16 @@ class Failed:
 Outcome: TypeAlias = Rendered | Failed
 
 
+def attempt(
+    call: Callable[[], _T], describe: Callable[[BaseException], Failed] = Failed.by
+) -> _T | Failed:
+    """What a call of the user's code returns, or a description of the exception that it raises."""
+    try:
+        return call()
+    except (Exception, SystemExit) as error:  # scripts end by sys.exit
+        return describe(error)
+
+
 @dataclass(frozen=True, slots=True)
 class Renderer:
     """The user's function of a dictionary, or of x (d,) where there is no space."""
@@ -71,10 +93,9 @@ class Renderer:
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube."""
         start = time.perf_counter()
-        try:
-            image = self.render(self.params(x))
-        except (Exception, SystemExit) as error:  # scripts end by sys.exit
-            return Failed.by(error)
+        image = attempt(lambda: self.render(self.params(x)))
+        if isinstance(image, Failed):
+            return image
         return Rendered(image, time.perf_counter() - start)
 
 
@@ -96,11 +117,8 @@ class Portable:
 
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube, as bytes."""
-        try:
-            renderer = restored(self.payload)
-        except (Exception, SystemExit) as error:
-            return Failed.by(error)
-        return pack(renderer(x))
+        renderer = attempt(partial(restored, self.payload))
+        return renderer if isinstance(renderer, Failed) else pack(renderer(x))
 
 
 @lru_cache(maxsize=4)

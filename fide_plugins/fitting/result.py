@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
-    from fide_plugins.search.moves.status import Status
+    from fide_plugins.status import Status
     from fide_plugins.types import Float64, Solution
 
 __all__ = ["Result"]

@@ -26,6 +26,7 @@ file               idea
 `training`         of network and emulator, judged on held-out renders
 `resumable`        training that goes on from its checkpoint
 `finishing`        a trained network is calibrated and judged
+`calibration`      one scale for all standard deviations of a density, by held-out renders
 `report`           how good a model is: likelihood, hypotheses, calibration
 `familiarity`      how much a picture is like those that were learned
 `hypotheses`       what the search is given

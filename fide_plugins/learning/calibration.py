@@ -18,16 +18,16 @@ from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.types import Float64
 
-__all__ = ["HYPOTHESES", "LARGEST", "SHARE", "fitted_scale", "in_region", "shares"]
+__all__ = ["COVERAGE", "DRAWS", "LARGEST_SCALE", "fitted_scale", "in_region", "split_held_out"]
 
-LARGEST = 4.0
-SHARE = 0.9
-HYPOTHESES = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
+LARGEST_SCALE = 4.0
+COVERAGE = 0.9  # of the region of highest density
+DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
 _STEP = 1.2
 _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
 
 
-def shares(
+def split_held_out(
     aside: npt.NDArray[np.bool_],
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Split held-out renders (n,) bool into those that choose the scale and those that judge.
@@ -52,11 +52,11 @@ def fitted_scale(network: Network, x: Float64, images: Pixels, seed: int = 0) ->
     before, scale = network.scale, 1.0
     try:
         covered = _coverage(network, x, images, scale, seed)
-        while covered < SHARE and scale < LARGEST:
-            wider = min(_STEP * scale, LARGEST)
+        while covered < COVERAGE and scale < LARGEST_SCALE:
+            wider = min(_STEP * scale, LARGEST_SCALE)
             more = _coverage(network, x, images, wider, seed)
-            if more >= SHARE:
-                part = (SHARE - covered) / (more - covered)
+            if more >= COVERAGE:
+                part = (COVERAGE - covered) / (more - covered)
                 return float(scale * (wider / scale) ** part)
             scale, covered = wider, more
         return scale
@@ -72,7 +72,7 @@ def in_region(network: Network, image: Tensor, drawn: Tensor, u: Tensor) -> bool
     """
     density = network.log_prob(image, torch.cat([u[None], drawn]))
     less = int((density[1:] <= density[0]).sum())  # none of a density that is not a number
-    return less > (1 - SHARE) * len(drawn)
+    return less > (1 - COVERAGE) * len(drawn)
 
 
 def _coverage(network: Network, x: Float64, images: Pixels, scale: float, seed: int) -> float:
@@ -83,6 +83,6 @@ def _coverage(network: Network, x: Float64, images: Pixels, scale: float, seed: 
     inside = []
     for i in range(len(x)):
         image = as_input(images[i : i + 1])
-        drawn = network.sample(image, HYPOTHESES, generator)
+        drawn = network.sample(image, DRAWS, generator)
         inside.append(in_region(network, image, drawn, u[i]))
     return float(np.mean(inside))

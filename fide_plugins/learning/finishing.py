@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from fide_plugins.learning.calibration import fitted_scale, shares
+from fide_plugins.learning.calibration import fitted_scale, split_held_out
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
@@ -35,7 +35,7 @@ def report_of(
     """
     x, images, seed = training.x, training.images, training.seed
     aside = held_out(len(x))
-    fit, judges = shares(aside)
+    fit, judges = split_held_out(aside)
     network.scale = fitted_scale(network, x[fit], images[fit], seed)
     judgment = judge(network, x[judges], images[judges], names, distance, seed)
     return Report(

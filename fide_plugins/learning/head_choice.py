@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.renderer import Renderer
+from fide_plugins.learning.renderer import BatchRenderer
 
 __all__ = ["has_emulator", "kind_of"]
 
 
 def kind_of(
-    renderer: Renderer, groups: Sequence[Sequence[int]] | None, head: str | None
+    renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None, head: str | None
 ) -> tuple[str, tuple[tuple[int, ...], ...]]:
     """Head and exchangeable blocks.
 
@@ -20,7 +20,7 @@ def kind_of(
 
     Raises OptionError for groups that are not blocks, and for the head "set" without blocks.
     """
-    from fide_plugins.search.moves.exchangeability import check_groups
+    from fide_plugins.search.scene.exchangeability import check_groups
 
     if groups is None:
         groups = [] if renderer.space is None else renderer.space.largest_family

@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.learning.renderer import Pixels, Renderer, resized
+from fide_plugins.fitting.rendering import Failed
+from fide_plugins.learning.renderer import BatchRenderer, Pixels, resized
 from fide_plugins.learning.store import RenderStore
 from fide_plugins.renderers.fingerprint import changed, check_version, fingerprint_of, version_of
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["check_images", "version_for"]
-
-Mask = npt.NDArray[np.bool_]
 
 _POINTS = 8  # of which every second one decides where nothing is noisy
 _AGAIN = 4  # renders of each for its noise
@@ -32,7 +30,7 @@ _NOISY = 2.0  # times the noise: by chance 2 of 1,000 checks exceed it where noi
 _COARSE = 8  # pixels along a side that are averaged: the noise of single pixels hides little there
 
 
-def version_for(renderer: Renderer, version: str | None) -> str | None:
+def version_for(renderer: BatchRenderer, version: str | None) -> str | None:
     """Version that was given, or else the one that the renderer states.
 
     Raises OptionError unless both are the same text, where there are both.
@@ -47,7 +45,7 @@ def version_for(renderer: Renderer, version: str | None) -> str | None:
     return own if given is None else given
 
 
-def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
+def check_images(store: RenderStore, renderer: BatchRenderer, more: bool) -> None:
     """Raise OptionError if the renderer's images are no longer those of a store.
 
     more: whether the store's images will be learned together with new ones.  Without, nothing is
@@ -71,17 +69,17 @@ def check_images(store: RenderStore, renderer: Renderer, more: bool) -> None:
 
 
 def _compare(
-    store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[int], images: Pixels
+    store: RenderStore, renderer: BatchRenderer, x: Float64, seeds: Sequence[int], images: Pixels
 ) -> None:
     """Raise OptionError if images (n, H, W, 3) of points (n, d) are not those of the renderer."""
     few = slice(None, None, 2)
     drawn, _ = _images(store, renderer, x[few], [seeds[few]])
-    enough = _there(drawn).mean() >= 0.5
+    enough = _present(drawn).mean() >= 0.5
     if enough and _equal(drawn[0], images[few]):
         return
     again = [[seed + k * _SEED for seed in seeds] for k in range(1, 1 + _AGAIN)]
     drawn, failure = _images(store, renderer, x, again)
-    if _there(drawn).sum() <= len(x):  # with more there is a point with two, which tell the noise
+    if _present(drawn).sum() <= len(x):  # with more there is a point with two, which tell the noise
         raise RenderError(
             f"{renderer.name} failed for most parameters that were rendered again, of which "
             f"{store.folder} has images; mend the renderer, or delete the folder if it is of "
@@ -101,7 +99,7 @@ def _compare(
 
 
 def _images(
-    store: RenderStore, renderer: Renderer, x: Float64, seeds: Sequence[Sequence[int]]
+    store: RenderStore, renderer: BatchRenderer, x: Float64, seeds: Sequence[Sequence[int]]
 ) -> tuple[Float64, str | None]:
     """Images (k, n, H, W, 3) in units of 1 / 255 of points (n, d), and why a render failed, if any.
 
@@ -110,21 +108,21 @@ def _images(
     images, failure = np.full((len(seeds), len(x), *store.size, 3), np.nan), None
     for some, of_seed in zip(images, seeds, strict=True):
         for place, image in zip(some, renderer.small(x, of_seed, store.size), strict=True):
-            if isinstance(image, str):
-                failure = image
+            if isinstance(image, Failed):
+                failure = image.reason
             else:
                 place[:] = image
     return images, failure
 
 
-def _there(images: Float64) -> Mask:
+def _present(images: Float64) -> Mask:
     """Which images (..., H, W, 3) are there, (...)."""
     return ~np.isnan(images[..., 0, 0, 0])
 
 
 def _equal(one: Float64, other: Pixels) -> bool:
     """Whether images (..., n, H, W, 3) that are there are (n, H, W, 3) but for rounding."""
-    differences = np.abs(one - other)[_there(one)]
+    differences = np.abs(one - other)[_present(one)]
     return float((differences > _ROUNDING).mean()) <= _FLIPPED
 
 

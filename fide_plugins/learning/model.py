@@ -14,7 +14,7 @@ from torch import Tensor
 
 from fide_plugins.denoiser.precision import autocast
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
-from fide_plugins.learning.calibration import LARGEST
+from fide_plugins.learning.calibration import LARGEST_SCALE
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.inversion import inverted
@@ -61,7 +61,7 @@ _SCHEMA: Schema = {
     "blocks": each(each(whole())),
     "weights": table(numbers),
     "emulator": maybe(table(numbers)),
-    "scale": real(1.0, LARGEST),
+    "scale": real(1.0, LARGEST_SCALE),
     "familiarity": {
         "mean": array("F"),
         "precision": array("F", "F"),

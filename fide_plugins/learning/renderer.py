@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from inspect import signature
@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
+from fide_plugins.fitting.rendering import Failed, attempt
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.space import Space
@@ -19,16 +20,16 @@ from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Pixels", "Renderer", "Small", "as_renderer", "resized", "small_size"]
+__all__ = ["BatchRenderer", "Pixels", "Small", "as_renderer", "resized", "small_size"]
 
 Pixels = npt.NDArray[np.uint8]
-Small: TypeAlias = "Pixels | str"
+Small: TypeAlias = Pixels | Failed
 """An image (H, W, 3) as a store has it, or why there is none."""
 
 
 @dataclass(frozen=True)
-class Renderer:
-    """What renders.
+class BatchRenderer:
+    """What renders several points.
 
     source: a function of one point, or an object with `render(X)` for a batch.
     space: names of the parameters; None: the function gets a point of the cube.
@@ -42,18 +43,18 @@ class Renderer:
     name: str
 
     def images(self, X: Float64, seeds: Sequence[int]) -> list[Any]:
-        """Images of the points X (n, d), as the source gives them; of one that failed a `Lost`.
+        """Images of the points X (n, d), as the source gives them; of one that failed a `Failed`.
 
         seeds: (n,), of the noise of each, for a source whose `render` takes them.
         A batch that fails as a whole is rendered point by point.
         """
         if not hasattr(self.source, "render"):
-            return [_attempt(partial(self._one, x)) for x in X]
+            return [attempt(partial(self._one, x), _briefly) for x in X]
         try:
             return list(self._batch(X, seeds))
         except Exception:
             points = zip(X, seeds, strict=True)
-            return [_attempt(partial(self._single, x, seed)) for x, seed in points]
+            return [attempt(partial(self._single, x, seed), _briefly) for x, seed in points]
 
     def _single(self, x: Float64, seed: int) -> Any:
         return self._batch(x[None], [seed])[0]
@@ -83,26 +84,17 @@ class Renderer:
     def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
         """Images of the points X (n, d), resized to (height, width).
 
-        seeds: see `images`.  Of one that failed the reason, a text.
+        seeds: see `images`.  Of one that failed a `Failed`.
         """
         return [_pixels(image, size) for image in self.images(X, seeds)]
 
 
-@dataclass(frozen=True)
-class Lost:
-    """A render that failed, and why."""
-
-    reason: str
+def _briefly(error: BaseException) -> Failed:
+    """Failed render of an exception, without its traceback: there may be thousands."""
+    return Failed(f"{type(error).__name__}: {error}")
 
 
-def _attempt(render: Callable[[], Any]) -> Any:
-    try:
-        return render()
-    except (Exception, SystemExit) as error:  # scripts end by sys.exit
-        return Lost(f"{type(error).__name__}: {error}")
-
-
-def as_renderer(render: Any, space: Space | int | None) -> Renderer:
+def as_renderer(render: Any, space: Space | int | None) -> BatchRenderer:
     """Return the renderer for what a user gave; raises OptionError.
 
     render: function of a dictionary (with a `Space`) or of a point (d,), or a task.
@@ -119,7 +111,7 @@ def as_renderer(render: Any, space: Space | int | None) -> Renderer:
     dim = named.dim if named is not None else whole_number("space", space, 1)
     if batch and getattr(render, "dim", dim) != dim:
         raise OptionError(f"the task has {render.dim} parameters, and the space {dim}")
-    return Renderer(render, named, dim, own_name(render))
+    return BatchRenderer(render, named, dim, own_name(render))
 
 
 def small_size(shape: tuple[int, ...], size: int) -> tuple[int, int]:
@@ -138,10 +130,10 @@ def resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArra
 
 
 def _pixels(image: Any, size: tuple[int, int]) -> Small:
-    if isinstance(image, Lost):
-        return image.reason
+    if isinstance(image, Failed):
+        return image
     try:
         small = resized(as_target(image), size)
     except ImageError as error:
-        return str(error)
+        return Failed(str(error))
     return np.rint(np.clip(small, 0.0, 1.0) * 255).astype(np.uint8)

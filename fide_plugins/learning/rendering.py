@@ -13,7 +13,7 @@ from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.fitting.workers.processes import Processes
-from fide_plugins.learning.renderer import Renderer, Small
+from fide_plugins.learning.renderer import BatchRenderer, Small
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.types import Float64
 
@@ -28,7 +28,7 @@ _MOST_LOST = 10  # single renders that end their worker, without another one in 
 
 def fill(
     store: RenderStore,
-    renderer: Renderer,
+    renderer: BatchRenderer,
     renders: int,
     *,
     workers: int = 1,
@@ -62,7 +62,8 @@ def fill(
     try:
         for shard, images in shards:
             failed[shard] = store.write(shard, images)
-            first = first or next((image for image in images if isinstance(image, str)), "")
+            reasons = (image.reason for image in images if isinstance(image, Failed))
+            first = first or next(reasons, "")
             tried, done = tried + SHARD, done + SHARD
             if tried >= _FEW and 2 * sum(failed.values()) > tried:
                 raise RenderError(given_up(renderer.name, sum(failed.values()), tried, first))
@@ -97,7 +98,7 @@ def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
 
 
 def _here(
-    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None
+    store: RenderStore, renderer: BatchRenderer, missing: Sequence[int], stop: float | None
 ) -> Iterator[tuple[int, list[Small]]]:
     for shard in missing:
         if stop is not None and time.monotonic() > stop:
@@ -107,7 +108,11 @@ def _here(
 
 
 def _in_workers(
-    store: RenderStore, renderer: Renderer, missing: Sequence[int], stop: float | None, jobs: _Jobs
+    store: RenderStore,
+    renderer: BatchRenderer,
+    missing: Sequence[int],
+    stop: float | None,
+    jobs: _Jobs,
 ) -> Iterator[tuple[int, list[Small]]]:
     """As `_here`, in the workers of a pool.
 
@@ -241,7 +246,7 @@ class _Job:
         if isinstance(outcome, Rendered):
             self.images += outcome.image
         elif self.alone and only:
-            self.images.append(_reason(outcome))
+            self.images.append(outcome)
         else:
             self.suspect, self.alone = self.alone, True
             return
@@ -252,12 +257,14 @@ def _reason(outcome: Outcome) -> str:
     return outcome.reason if isinstance(outcome, Failed) else ""
 
 
-def check_workers(renderer: Renderer, executor: object = None) -> None:
+def check_workers(renderer: BatchRenderer, executor: object = None) -> None:
     """Raise OptionError unless the renderer can be sent to processes, or to what `executor` is."""
     _pool(renderer, (1, 1), 1, executor)
 
 
-def _pool(renderer: Renderer, size: tuple[int, int], workers: int, executor: object) -> Workers:
+def _pool(
+    renderer: BatchRenderer, size: tuple[int, int], workers: int, executor: object
+) -> Workers:
     shards = _Shards(renderer, size)
     try:
         if executor is None:
@@ -288,7 +295,7 @@ class _Points:
 class _Shards:
     """Renders several points, for `Processes`."""
 
-    renderer: Renderer
+    renderer: BatchRenderer
     size: tuple[int, int]
 
     def __call__(self, points: _Points) -> Outcome:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from fide_plugins.learning.calibration import HYPOTHESES, in_region
+from fide_plugins.learning.calibration import DRAWS, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.search.boundary import distance
@@ -217,7 +217,7 @@ def judge(
     generator = torch.Generator().manual_seed(seed)
     for i in range(min(len(x), _PICTURES)):
         image = as_input(images[i : i + 1])
-        drawn = network.sample(image, HYPOTHESES, generator)
+        drawn = network.sample(image, DRAWS, generator)
         samples = drawn.numpy().astype(np.float64)
         drawings.append(samples[:_HYPOTHESES])
         inside.append(in_region(network, image, drawn, u[i]))

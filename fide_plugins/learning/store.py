@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, remove_leftovers
@@ -80,7 +81,7 @@ class RenderStore:
         self._agreed = True
 
     @classmethod
-    def there(cls, folder: str | os.PathLike[str]) -> Self:
+    def open(cls, folder: str | os.PathLike[str]) -> Self:
         """Renders of a folder as they are; raises OSError or CheckpointError."""
         settings = checkpoint.read(Path(folder) / "settings", _KIND)
         settings.pop("fingerprint", None)
@@ -112,12 +113,12 @@ class RenderStore:
         return [first + i for i in range(SHARD)]
 
     def write(self, shard: int, images: Sequence[Small]) -> int:
-        """Write a shard, where a text stands for a render that failed; returns how many did.
+        """Write a shard; returns how many of its renders have failed, which are left out.
 
         Raises OptionError if another call has put other renders into the folder meanwhile.
         """
-        kept = [image for image in images if not isinstance(image, str)]
-        good = np.array([not isinstance(image, str) for image in images], bool)
+        kept = [image for image in images if not isinstance(image, Failed)]
+        good = np.array([not isinstance(image, Failed) for image in images], bool)
         pixels = np.array(kept, np.uint8).reshape(len(kept), *self.size, 3)
         if not self._agreed:
             if self._all():
@@ -163,10 +164,10 @@ class RenderStore:
 
         Raises CheckpointError for a shard that is damaged.
         """
-        found = {i: SHARD - len(self._load(i, "x")["x"]) for i in self._there(renders)}
+        found = {i: SHARD - len(self._load(i, "x")["x"]) for i in self._present(renders)}
         return {i: number for i, number in found.items() if number}
 
-    def _there(self, renders: int) -> list[int]:
+    def _present(self, renders: int) -> list[int]:
         return [i for i in range(-(-renders // SHARD)) if self._path(i).exists()]
 
     def read(self, renders: int) -> tuple[Float64, Pixels]:
@@ -174,7 +175,7 @@ class RenderStore:
 
         Raises CheckpointError for a shard that is damaged.
         """
-        parts = [self._read(i) for i in self._there(renders)]
+        parts = [self._read(i) for i in self._present(renders)]
         x = np.concatenate([x for x, _ in parts]) if parts else np.empty((0, self.settings["dim"]))
         images = np.empty((len(x), *self.size, 3), np.uint8)
         start = 0

@@ -59,7 +59,7 @@ class Truncated:
         model, folder = model_at(after), Path(f"{os.fspath(after)}.renders")
         if not (folder / "settings").exists():
             raise OptionError(f"the renders of the model {os.fspath(after)} are missing: {folder}")
-        store = RenderStore.there(folder)
+        store = RenderStore.open(folder)
         if "picture" in store.settings:
             raise OptionError(
                 f"{os.fspath(after)} has learned the region of one picture; after=MODEL needs a "

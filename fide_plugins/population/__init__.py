@@ -1,4 +1,4 @@
-"""The book of candidates, which FIDE and all baselines keep.
+"""The record of candidates, which FIDE and all baselines keep.
 
 ============  ============================================================
 `population`  which were drawn, which are pending, which were evaluated

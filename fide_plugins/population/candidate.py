@@ -1,9 +1,9 @@
-"""A candidate, and how many of them are saved."""
+"""A candidate, and how a list of them is saved."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -38,23 +38,22 @@ class Candidate:
     step: bool = False
 
 
+_FLAGS = tuple(field.name for field in fields(Candidate) if field.default is False)
+
+
 def pack(candidates: list[Candidate]) -> dict[str, Any]:
     """Arrays of all fields, each (n, ...)."""
     return {
         "index": np.array([c.index for c in candidates], np.int64),
         "x": np.array([c.x for c in candidates]),
         "z": np.array([c.z for c in candidates]),
-        "proposed": np.array([c.proposed for c in candidates], bool),
-        "late": np.array([c.late for c in candidates], bool),
-        "mirrored": np.array([c.mirrored for c in candidates], bool),
-        "extra": np.array([c.extra for c in candidates], bool),
-        "step": np.array([c.step for c in candidates], bool),
+        **{name: np.array([getattr(c, name) for c in candidates], bool) for name in _FLAGS},
     }
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    flags = [packed[name].tolist() for name in ("proposed", "late", "mirrored", "extra", "step")]
+    flags = [packed[name].tolist() for name in _FLAGS]
     columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
 
@@ -65,9 +64,5 @@ def form_of(n: str) -> Schema:
         "index": array(n, kind="i"),
         "x": array(n, "d", low=0.0, high=1.0),
         "z": array(n, "d", low=-1e60, high=1e60),
-        "proposed": array(n, kind="b"),
-        "late": array(n, kind="b"),
-        "mirrored": array(n, kind="b"),
-        "extra": array(n, kind="b"),
-        "step": array(n, kind="b"),
+        **{name: array(n, kind="b") for name in _FLAGS},
     }

@@ -1,4 +1,4 @@
-"""The book of candidates: which were drawn, which are pending, which were evaluated.
+"""The record of candidates: which were drawn, which are pending, which were evaluated.
 
 FIDE and all baselines keep one.  A generation is complete as soon as as many candidates that were
 asked have been told as were last drawn for it, in whatever order and pieces.  Its members are then
@@ -30,18 +30,15 @@ from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.population.candidate import Candidate, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, array, check, row, whole
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["Population", "Propose", "mirrored_pair", "search_columns"]
 
 Propose: TypeAlias = Callable[[Float64], tuple[Float64, Float64]]
 """From samples (m, d): x and z of proposals, (m, d) each."""
-
-Mask: TypeAlias = npt.NDArray[np.bool_]
 
 _LOST = 2  # generations' worth of extra candidates told, after which own ones count as lost
 _LONG = 3  # times as late as the latest result of late, from which on no result is expected
@@ -231,8 +228,8 @@ class Population:
             (self._extra if candidate.extra else self._evaluated).append((candidate, loss))
         return candidate
 
-    def number(self) -> int:
-        """Index of a candidate that was never drawn: no other has it."""
+    def new_index(self) -> int:
+        """New index, of a candidate that was never drawn: no other has it."""
         self.drawn += 1
         return self.drawn - 1
 

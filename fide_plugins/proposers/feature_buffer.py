@@ -30,15 +30,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.runtime.schema import Schema, array, check, whole
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["NEGLIGIBLE", "FeatureBuffer"]
-
-Mask = npt.NDArray[np.bool_]
 
 NEGLIGIBLE = 1e-6
 _SCHEMA: Schema = {
@@ -98,7 +95,7 @@ class FeatureBuffer:
             self._leave_out()
             self._unchecked = 0
 
-    def products(self, target: Tensor, sources: npt.NDArray[np.intp]) -> Float64:
+    def products(self, target: Tensor, sources: Indices) -> Float64:
         """(e* - e_i) . e_j for the sources i and all j, (m, n)."""
         if self._toward is None or self._toward[0] is not target:
             wanted = self._flat(self._seen(target[None]) - self.origin)[0]
@@ -112,7 +109,7 @@ class FeatureBuffer:
         missing: Float64 = wanted - self.features[source]
         return missing
 
-    def keep(self, which: npt.NDArray[np.intp]) -> None:
+    def keep(self, which: Indices) -> None:
         """Forget all images but these (n,), in that order."""
         self._toward = None
         self.gram, self.features = self.gram[np.ix_(which, which)], self.features[which]

@@ -50,7 +50,6 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -58,7 +57,7 @@ from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["ForwardProposer", "balanced", "best_and_latest"]
 
@@ -72,8 +71,6 @@ _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
 _LEAST_KEPT = 0.01
 _FAR = 6.0  # standard deviations between a sample and the best candidate
 _MOST_BYTES = 2**28  # of features
-
-Indices = npt.NDArray[np.intp]
 
 
 class ForwardProposer(Previewed, ProposerDefaults):

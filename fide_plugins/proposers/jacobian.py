@@ -24,17 +24,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Jacobian", "fit_jacobian", "positive"]
 
 _TINY = 1e-300
 _SMALLEST_STD = 1e-9  # of the widest parameter's
 _SMALLEST_GAP = 1e-4  # of a leverage to 1
-
-Indices = npt.NDArray[np.intp]
 
 
 class Jacobian(NamedTuple):

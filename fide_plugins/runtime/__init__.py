@@ -1,19 +1,23 @@
 """The machine: devices, threads, files, time.
 
-===============  ==================================================================
-`devices`        which device computes; copies to it
-`batch_size`     batch sizes that shrink if a device runs out of memory
-`fixed_batches`  networks in batches of a fixed size
-`background`     work in a background thread
-`locks`          locks for objects that are copied, pickled and forked
-`threads`        threads of PyTorch in forked processes
-`timing`         seconds by part
-`files`          atomic writes and file locks
-`checkpoint`     file format of a state, without pickle
-`schema`         checks of a state that was read from a file
-`saving`         `save` and `load` of optimizers
-`registry`       factories by name
-`warn`           warnings that name the line of the user
-`callables`      tries a user's function of images
-===============  ==================================================================
+======================  =========================================================================
+`devices`               which device computes; copies to it
+`batch_size`            batch sizes that shrink if a device runs out of memory
+`fixed_batches`         networks in batches of a fixed size
+`background`            work in a background thread
+`locks`                 locks for objects that are copied, pickled and forked
+`threads`               threads of PyTorch in forked processes
+`timing`                seconds by part
+`cluster`               a Dask cluster by the address of its scheduler
+`files`                 atomic writes and file locks
+`checkpoint`            file format of a state, without pickle
+`schema`                checks of a state that was read from a file
+`saving`                `save` and `load` of optimizers
+`registry`              factories by name
+`reference`             an attribute of a user's file or module: ``FILE.py:NAME``, ``module:NAME``
+`warn`                  warnings that name the line of the user
+`callables`             tries a user's function of images
+`opencv`                OpenCV, or what to do where its installation is broken
+`opencv_distributions`  which distributions of OpenCV are installed
+======================  =========================================================================
 """

@@ -17,13 +17,10 @@ has many z; `near` takes the one closest to the mean.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["distance", "inside", "into", "near"]
-
-Mask = npt.NDArray[np.bool_]
 
 
 def into(z: Float64, periodic: Mask | None = None) -> Float64:

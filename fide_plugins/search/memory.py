@@ -1,8 +1,9 @@
-"""What was rendered, kept for later pictures: parameters and tokens, in bounded memory.
+"""Parameters and tokens of what was rendered, for later pictures and for `Solution.std`.
 
-Half of the room is for the latest samples, which are near the answer of the last picture.  The
-other half is for earlier ones: every s-th of those that have left the first half, where s doubles
-whenever the room is full.  So they are spread evenly over the run, and nothing is drawn at random.
+The room is limited.  Half of it is for the latest samples, which are near the answer of the last
+picture.  The other half is for earlier ones: every s-th of those that have left the first half,
+where s doubles whenever the room is full.  So they are spread evenly over the run, and nothing is
+drawn at random.
 """
 
 from __future__ import annotations

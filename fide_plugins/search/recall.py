@@ -29,7 +29,7 @@ from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.moves.base import Known, Start
-from fide_plugins.search.moves.optima import APART
+from fide_plugins.search.scene.optima import APART
 from fide_plugins.types import Float64
 
 __all__ = ["Recalled", "recall"]

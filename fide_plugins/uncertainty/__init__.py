@@ -1,11 +1,12 @@
 """How sure the parameters of a solution are: a standard deviation for each, from what was rendered.
 
-=============  =====================================================================
+=============  =======================================================================
 `estimate`     which remembered samples count for a solution; computed when read
 `basin`        which of them are of another solution with the same image
 `local_fit`    the Jacobian of the features there, and how well the samples tell it
 `covariance`   noise of the target, error of the search, what nothing determines
-=============  =====================================================================
+`values`       whether the picture tells one value of an integer or a choice from another
+=============  =======================================================================
 
 Nothing here is called before somebody reads `Solution.std`.
 """

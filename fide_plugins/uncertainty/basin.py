@@ -18,10 +18,9 @@ changes nothing.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.search import boundary
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.covariance import information
 from fide_plugins.uncertainty.local_fit import fit_locally
 
@@ -31,9 +30,6 @@ _FEWEST, _EACH = 60, 6  # samples of the first model, or so many a parameter
 _CERTAIN = 4.0  # times its error, from which on J J^T counts here
 _MORE = 10.0  # times as far away, squared, as the image says
 _STEP = 0.15  # of the cube
-
-Indices = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 
 def of_twins(u: Float64, e: Float64, distances: Float64, periodic: Mask | None) -> Mask:

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.local_fit import LocalFit, fit_locally
@@ -36,9 +35,6 @@ _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
 _APART = 0.05  # of the cube: farther away than that no image is the solution's
-
-Indices = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

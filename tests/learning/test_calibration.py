@@ -14,7 +14,7 @@ from torch import Tensor
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import Model, learn
 from fide_plugins.learning.axes import Components
-from fide_plugins.learning.calibration import LARGEST, fitted_scale, shares
+from fide_plugins.learning.calibration import LARGEST_SCALE, fitted_scale, split_held_out
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.runtime import checkpoint
 
@@ -89,7 +89,7 @@ def test_the_scale_has_an_end() -> None:
     sure = network("mixture", [])
     narrow(sure, 0.003)
     u = np.random.default_rng(0).random((60, 5))
-    assert fitted_scale(sure, u, np.repeat(PICTURE, 60, axis=0)) == LARGEST
+    assert fitted_scale(sure, u, np.repeat(PICTURE, 60, axis=0)) == LARGEST_SCALE
 
 
 @pytest.mark.parametrize("periodic", [False, True])
@@ -106,12 +106,12 @@ def test_a_widened_density_integrates_to_one(periodic: bool, scale: float) -> No
 
 def test_renders_that_choose_do_not_judge() -> None:
     aside = np.arange(5000) % 50 == 0
-    fit, judges = shares(aside)
+    fit, judges = split_held_out(aside)
     assert (fit.sum(), judges.sum()) == (50, 50)
-    assert [some.sum() for some in shares(np.ones(2000, bool))] == [300, 1700]
+    assert [some.sum() for some in split_held_out(np.ones(2000, bool))] == [300, 1700]
     np.testing.assert_array_equal(fit | judges, aside)
     assert not (fit & judges).any()
-    fit, judges = shares(np.arange(4900) % 50 == 0)  # 98: too few
+    fit, judges = split_held_out(np.arange(4900) % 50 == 0)  # 98: too few
     assert not fit.any() and judges.sum() == 98
     assert fitted_scale(network("mixture", []), np.zeros((0, 5)), PICTURE[:0]) == 1.0
 

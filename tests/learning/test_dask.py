@@ -80,7 +80,7 @@ def test_a_cluster_renders_the_same_and_goes_on(client: Any, tmp_path: Path) -> 
     learn(task, out=there, executor=client, **arguments)
     learn(task, out=tmp_path / "here", **arguments)
     assert all(path.stat().st_mtime_ns == when for path, when in kept.items())
-    stores = (RenderStore.there(tmp_path / f"{name}.renders") for name in ("there", "here"))
+    stores = (RenderStore.open(tmp_path / f"{name}.renders") for name in ("there", "here"))
     for one, two in zip(*(store.read_all() for store in stores), strict=True):
         np.testing.assert_array_equal(one, two)
     assert client.submit(int, "7").result() == 7  # it is the caller's
@@ -158,7 +158,7 @@ def test_the_command_learns_on_a_cluster(
     assert main([*words, "--renders", "200", "--dask", cluster.scheduler_address]) == 0
     assert Model.load("m.fide").report.renders == 196
     assert main([*words, "--renders", "300", "--resume", "--workers", "1"]) == 0
-    x, images = RenderStore.there("m.fide.renders").read(300)
+    x, images = RenderStore.open("m.fide.renders").read(300)
     expected = np.rint(255 * (x[:, :1] + (x[:, 1:] - x[:, :1]) * np.linspace(0, 1, 16)))
     assert np.abs(images[:, 0, :, 0] - expected).max() <= 1
     capsys.readouterr()

@@ -11,7 +11,7 @@ import torch
 
 from fide_plugins import FIDE, Solution
 from fide_plugins.proposers.training_sample import TrainingSample
-from fide_plugins.search.moves.axes import Axes
+from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate as module, fit_locally

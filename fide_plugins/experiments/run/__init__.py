@@ -12,7 +12,9 @@ returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `ex
 
 ================  ==================================================================
 `prepare`         makes a `Run` from names and options, all checked
+`task`            what is fitted: the protocol of a task
 `renderer_task`   a user's renderer as a task
+`user_optimizer`  any object with `ask` and `tell` as an optimizer
 `loop`            the run loop
 `record`          history, progress and results of a run
 `outcome`         the result, from record and evaluation

@@ -14,21 +14,18 @@ from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.search.moves.exchangeability import Exchangeability
-from fide_plugins.search.moves.optima import Optima
-from fide_plugins.search.moves.removal import Removal
-from fide_plugins.search.moves.sensitivity import Sensitivity
-from fide_plugins.search.moves.values import Values
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.optima import Optima
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene.values import Values
+from fide_plugins.types import Float64, Mask
 
-__all__ = ["Indices", "Known", "Move", "Stage", "Start"]
-
-Indices = npt.NDArray[np.intp]
+__all__ = ["Known", "Move", "Stage", "Start"]
 
 WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
 
@@ -63,7 +60,7 @@ class Start:
     brisk_above: float | None = None
     widest: float = 1.0
     to_the_end: bool = False
-    held: npt.NDArray[np.bool_] | None = None
+    held: Mask | None = None
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.search.moves.base import Known, Stage, Start
-from fide_plugins.search.moves.relocate import segment
+from fide_plugins.search.moves.relocate_segment import segment
 from fide_plugins.types import Float64
 
 __all__ = ["Crossover"]

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Indices, Known, Stage, Start
-from fide_plugins.types import Float64
+from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["HalfTurn"]
 

@@ -69,7 +69,7 @@ class Hypotheses:
         """Median loss of the draws that were rendered; None before, and where it is not known."""
 
     @property
-    def there(self) -> bool:
+    def available(self) -> bool:
         """Whether there are any."""
         return len(self.x) > 0
 

@@ -1,4 +1,4 @@
-"""What the next generation is for: the one class of this package that `FIDE` calls.
+"""What the next generation is for: the optimizer uses all moves through one `MovePolicy`.
 
 ::
 
@@ -26,25 +26,26 @@ from torch import Tensor, device
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.mixed import Cells, Mixed
 from fide_plugins.search.moves.anew import BeginAnew
-from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.search.moves.change_value import ChangeValue
 from fide_plugins.search.moves.choice import Choice
 from fide_plugins.search.moves.crossover import Crossover
-from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.hypotheses import Hypotheses
-from fide_plugins.search.moves.modes import probabilities
-from fide_plugins.search.moves.optima import Optima
 from fide_plugins.search.moves.policy_schema import check_policy
 from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
-from fide_plugins.search.moves.removal import Removal, changed
+from fide_plugins.search.moves.relocate_group import RelocateGroup
+from fide_plugins.search.moves.relocate_segment import RelocateSegment
 from fide_plugins.search.moves.resample import Resample
-from fide_plugins.search.moves.sensitivity import Sensitivity
 from fide_plugins.search.moves.split import Split
 from fide_plugins.search.moves.swap import Swap
-from fide_plugins.search.moves.values import Values
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.modes import probabilities
+from fide_plugins.search.scene.optima import Optima
+from fide_plugins.search.scene.removal import Removal, changed
+from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene.values import Values
 from fide_plugins.types import Float64, Posterior
 
 __all__ = ["MovePolicy", "Stage", "Start"]
@@ -108,8 +109,8 @@ class MovePolicy:
             {name: _PRIORS.get(name, _PRIOR) for name in self._moves}, _COST * popsize
         )
         self._rng = np.random.default_rng((seed, 1))
-        self.stage = Stage.RESTART if self.hypotheses.there else Stage.SEARCH
-        self.move: str | None = Hypotheses.name if self.hypotheses.there else None
+        self.stage = Stage.RESTART if self.hypotheses.available else Stage.SEARCH
+        self.move: str | None = Hypotheses.name if self.hypotheses.available else None
         """Name of the move that is under way; None in the first search."""
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
@@ -125,15 +126,15 @@ class MovePolicy:
 
     @property
     def ended(self) -> list[int]:
-        """How many searches ended in each of the distinct places, the best first; see `status`."""
+        """Searches that ended in each of the distinct places, the best first (`status.Facts`)."""
         return [optimum.searches for optimum in self.known.optima.all]
 
     def probabilities(self, losses: Sequence[float], X: Float64) -> Float64 | None:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
-        if not self.hypotheses.there or not len(X):
+        if not self.hypotheses.available or not len(X):
             return None
-        there, known = self.hypotheses, self.known
-        about = there.x, there.typical, self.noise, known.exchangeability, known.axes
+        drawn, typical, known = self.hypotheses.x, self.hypotheses.typical, self.known
+        about = drawn, typical, self.noise, known.exchangeability, known.axes
         return probabilities(losses, X, *about)
 
     # -- after a search ----------------------------------------------------------------------------

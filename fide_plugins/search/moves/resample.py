@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Indices, Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Stage, Start
 from fide_plugins.search.moves.hypotheses import Hypotheses
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Resample"]
 
@@ -36,7 +36,7 @@ class Resample:
 
     def possible(self, known: Known) -> bool:
         """Whether there are hypotheses that leave anything open, and no blocks are exchangeable."""
-        if not self._hypotheses.there or known.exchangeability.blocks is not None:
+        if not self._hypotheses.available or known.exchangeability.blocks is not None:
             return False
         return len(self._open(known)) > 0
 

@@ -14,14 +14,14 @@ from fide_plugins import FIDE, Choice, Float, Int, Space
 from fide_plugins.options import Options
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.descent import Descent, Setting
-from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.change_value import ChangeValue
-from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.policy import MovePolicy
-from fide_plugins.search.moves.removal import Removal
-from fide_plugins.search.moves.sensitivity import Sensitivity
-from fide_plugins.search.moves.values import Values
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene.values import Values
 from fide_plugins.types import Float64
 
 SPACE = Space(

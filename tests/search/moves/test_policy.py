@@ -10,11 +10,11 @@ import pytest
 
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.training_sample import TrainingSample
-from fide_plugins.search.moves.optima import Optima
 from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.search.scene.optima import Optima
 from fide_plugins.types import Float64
 
-from .conftest import brightest, sample
+from ..conftest import brightest, sample
 
 BLOCKS = np.arange(8).reshape(4, 2)
 STAR = np.array([0.1, 0.8, 0.4, 0.8, 0.6, 0.8, 0.9, 0.8])

@@ -10,14 +10,14 @@ import torch
 
 from fide_plugins.options import Options
 from fide_plugins.search.descent import Descent, Setting
-from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.removal import Removal
-from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
 
-from .conftest import sample
+from ..conftest import sample
 
 D = 4
 

@@ -7,17 +7,17 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Space
-from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.moves.policy import MovePolicy, Stage
-from fide_plugins.search.moves.removal import Removal
 from fide_plugins.search.moves.resample import Resample
-from fide_plugins.search.moves.sensitivity import Sensitivity
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
 from fide_plugins.types import Float64, Posterior
 
-from .conftest import sample
+from ..conftest import sample
 
 HERE = np.array([0.3, 0.7, 0.2, 0.5])
 KNOWN, OPEN = [0, 1], [2, 3]

@@ -9,14 +9,14 @@ import numpy as np
 
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.search.mixed import Cells
-from fide_plugins.search.moves.axes import Axes, Indices
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Values"]
 
 _REMEMBERED = 200  # combinations
 _CELLS_AWAY = (*range(2, 9), *(2**i for i in range(4, 10)))
-_INSIDE = 1e-9  # beyond an edge, and in the next cell
+_BEYOND = 1e-9  # beyond an edge, and in the next cell
 
 
 class Values:
@@ -54,7 +54,7 @@ class Values:
         assert self._cells is not None
         (i,) = unit
         edges = [float(edge[i]) for edge in self._cells.cells(x) if np.isfinite(edge[i])]
-        values = [edge + np.copysign(_INSIDE, edge - x[i]) for edge in edges]
+        values = [edge + np.copysign(_BEYOND, edge - x[i]) for edge in edges]
         width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
         values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]
         values = [v for v in values if 0 <= v <= 1]

@@ -31,12 +31,10 @@ from fide_plugins.errors import OptionError
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.search import boundary
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Exchangeability", "check_groups"]
-
-Indices = npt.NDArray[np.intp]
 
 _MOST = 24  # layouts tested in a round
 _LONGEST = 12  # blocks that are tested at the ends
@@ -186,7 +184,7 @@ class Exchangeability:
         self._conclude(self._layouts(), tests, holds, exact)
 
     def _conclude(
-        self, layouts: list[Indices], changes: Float64, holds: npt.NDArray[np.bool_], exact: float
+        self, layouts: list[Indices], changes: Float64, holds: Mask, exact: float
     ) -> None:
         """Take the shortest layout among those that hold best; go to the next round."""
         self._round += 1
@@ -308,7 +306,8 @@ def _changes(
 ) -> Float64:
     """Mean squared change (n,) of tokens by each row of the plan; +inf where it is missing.
 
-    The change is measured from a repeat of the incumbent, and by the other repeat is noise.
+    Changes are measured from the first repeat of the incumbent.  Those of its second repeat and of
+    its earlier image are noise; the rows of the repeats have the larger one.
     """
     images = {sample.x.tobytes(): [] for sample in samples}  # type: ignore[var-annotated]
     for sample in samples:

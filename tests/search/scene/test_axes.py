@@ -11,16 +11,17 @@ import torch
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.moves.anew import BeginAnew
-from fide_plugins.search.moves.axes import Axes
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.crossover import Crossover
-from fide_plugins.search.moves.exchangeability import Exchangeability
 from fide_plugins.search.moves.half_turn import HalfTurn
 from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate import RelocateGroup, RelocateSegment
-from fide_plugins.search.moves.removal import Removal
-from fide_plugins.search.moves.sensitivity import Sensitivity
-from fide_plugins.search.moves.values import Values
+from fide_plugins.search.moves.relocate_group import RelocateGroup
+from fide_plugins.search.moves.relocate_segment import RelocateSegment
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.removal import Removal
+from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene.values import Values
 from fide_plugins.types import Float64
 
 SPACE = Space(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from fide_plugins.search.moves.status import Facts, status_of
+from fide_plugins.status import Facts, status_of
 
 RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2, 1, 1])
 

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.search.moves.exchangeability import Exchangeability
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.types import Float64
 
 __all__ = ["nearest_shares", "probabilities", "relative_likelihoods"]

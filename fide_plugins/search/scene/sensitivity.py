@@ -1,7 +1,7 @@
 """Which parameters change the same places of the image: parameter groups by sensitivity samples.
 
 Each parameter of the incumbent is moved, alone, to a random value: one render each. The overlap of
-what they change says which parameters form a group (`search.parameter_groups`). What belongs
+what they change says which parameters form a group (`search.scene.parameter_groups`). What belongs
 together depends on the renderer more than on the candidate: one round serves for all incumbents.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import array, check, whole
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.search.moves.removal import changed
-from fide_plugins.search.parameter_groups import Indices, find_parts, overlaps
-from fide_plugins.types import Float64
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.parameter_groups import find_parts, overlaps
+from fide_plugins.search.scene.removal import changed
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Sensitivity"]
 

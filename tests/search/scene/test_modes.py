@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.moves.axes import Axes
-from fide_plugins.search.moves.exchangeability import Exchangeability
-from fide_plugins.search.moves.modes import nearest_shares, probabilities, relative_likelihoods
 from fide_plugins.search.moves.policy import MovePolicy
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene.exchangeability import Exchangeability
+from fide_plugins.search.scene.modes import nearest_shares, probabilities, relative_likelihoods
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 
-from .conftest import sample
+from ..conftest import sample
 
 A, B = np.array([0.25, 0.4, 0.75, 0.6]), np.array([0.75, 0.6, 0.25, 0.4])
 SIDE = 12
@@ -122,7 +122,7 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
     assert [one.probability for one in other.solutions()] == [one.probability for one in found]
 
     opt.retarget(two_cells(B + 0.05))
-    assert not opt.state.moves.hypotheses.there
+    assert not opt.state.moves.hypotheses.available
     assert all(one.probability is None for one in searched(opt, 1400).solutions())
 
 

@@ -8,15 +8,12 @@ mostly change nothing, so moves move them together.  A periodic parameter has no
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.search import boundary
 from fide_plugins.search.mixed import Cells
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Axes"]
-
-Indices = npt.NDArray[np.intp]
 
 
 class Axes:

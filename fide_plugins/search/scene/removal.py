@@ -11,16 +11,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["Removal"]
-
-Indices = npt.NDArray[np.intp]
 
 _MOST = 1e300  # cost
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
-from fide_plugins.search.moves.exchangeability import Exchangeability, check_groups
+from fide_plugins.search.scene.exchangeability import Exchangeability, check_groups
 from fide_plugins.types import Float64
 
-from .conftest import additive, painted, sample
+from ..conftest import additive, painted, sample
 
 Image = Callable[[Float64], Float64]
 

@@ -22,15 +22,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.cluster.hierarchy import linkage
 from scipy.spatial.distance import squareform
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["find_parts", "overlaps"]
-
-Indices = npt.NDArray[np.intp]
 
 _SIZE_POWER = 1.5  # of the number of parameters in the worth of a branch; measured
 
