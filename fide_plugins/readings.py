@@ -68,7 +68,8 @@ class Readings(Saved):
             return None
         image = self.views.unpacked(best.solution.image)
         estimate = self.state.estimate_of(best.solution.x)
-        return replace(best.solution, image=image, space=self.space, estimate=estimate)
+        found = replace(best.solution, image=image, space=self.space, estimate=estimate)
+        return found.copy()
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -89,6 +90,10 @@ class Solution:
     probability: float | None = None
     space: Space | None = None
     estimate: Estimate | None = None
+
+    def copy(self) -> Solution:
+        """The same with arrays of its own: who reads a solution of an optimizer may write to it."""
+        return replace(self, x=self.x.copy(), image=deepcopy(self.image))
 
     @property
     def params(self) -> dict[str, Any] | None:

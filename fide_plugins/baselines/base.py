@@ -96,7 +96,7 @@ class Baseline(Saved):
     @property
     def best(self) -> Solution | None:
         """Best point told so far; None before the first with a finite loss."""
-        return self._best
+        return None if self._best is None else self._best.copy()
 
     @one_at_a_time
     @one_thread

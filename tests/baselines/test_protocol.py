@@ -58,6 +58,15 @@ def test_candidates_lie_in_the_box_and_the_best_is_kept(subject: Subject, dim: i
     assert opt.recommend().min() >= 0.0 and opt.recommend().max() <= 1.0
 
 
+def test_who_reads_the_best_may_write_to_it(subject: Subject) -> None:
+    opt = subject.make(2)
+    subject.tell(opt, opt.ask(1))
+    assert opt.best is not None
+    before, x = opt.best.x.copy(), opt.best.x
+    x *= 60
+    np.testing.assert_array_equal(opt.best.x, before)
+
+
 def test_pieces_and_order_do_not_matter(subject: Subject) -> None:
     whole, pieces = subject.make(5, seed=3), subject.make(5, seed=3)
     rng = np.random.default_rng(0)

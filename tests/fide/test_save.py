@@ -48,6 +48,30 @@ def go_on(opt: FIDE, render: Render, steps: int) -> list[Float64]:
     return asked
 
 
+@pytest.mark.parametrize("views", [1, 2])
+def test_who_reads_the_best_may_write_to_it(views: int, tmp_path: Path) -> None:
+    """In the units of a user, and of a file: a checkpoint must not get what they wrote."""
+    opt = FIDE(2, np.zeros((8, 8)) if views == 1 else [np.zeros((8, 8))] * views, seed=0)
+    X = opt.ask()
+    pictures = [np.full((8, 8), x[0]) for x in X]
+    opt.tell(X, pictures if views == 1 else [pictures] * views)
+    before, mine = opt.best, opt.solutions()[0]
+    assert before is not None
+    for read in (opt.best, mine):
+        assert read is not None and read.image is not None
+        x, pictures = read.x, [read.image] if views == 1 else list(read.image)
+        x *= 60
+        for picture in pictures:
+            picture *= 255
+    assert opt.best is not None and opt.best.image is not None and before.image is not None
+    np.testing.assert_array_equal(opt.best.x, before.x)
+    np.testing.assert_array_equal(opt.best.image, before.image)
+    opt.save(tmp_path / "saved")
+    again = FIDE.load(tmp_path / "saved").best
+    assert again is not None
+    np.testing.assert_array_equal(again.x, before.x)
+
+
 def begun(target: Float32, render: Render, settings: dict[str, Any], steps: int = 20) -> FIDE:
     """In the middle of a generation, with a queue, late ones outside, and an injected one."""
     opt = FIDE(6, target, seed=4, **settings)
