@@ -20,6 +20,7 @@ __all__ = [
     "ImageError",
     "ImageNotFoundError",
     "LossError",
+    "ModelNotFoundError",
     "OptimizerError",
     "OptionError",
     "PointsError",
@@ -99,6 +100,10 @@ class DeviceMemoryError(FideError, RuntimeError):
 
 class DependencyError(FideError, ImportError):
     """An optional package is needed and not installed."""
+
+
+class ModelNotFoundError(FideError, FileNotFoundError):
+    """There is no file of a learned model at the path."""
 
 
 class WeightsError(FideError, OSError):

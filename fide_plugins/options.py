@@ -181,7 +181,7 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
             "and fide run; for ask and tell, learn a model and give learned=MODEL"
         )
     if not isinstance(preset, str) or preset not in PRESETS:
-        raise UnknownNameError.of("preset", preset, PRESETS)
+        raise UnknownNameError.of("preset", preset, (*PRESETS, GLOBAL))
     changes = _renamed(changes)
     known = dict(_all_fields())
     for name in changes:

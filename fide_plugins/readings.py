@@ -20,6 +20,7 @@ from fide_plugins.state import State
 from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.evaluation import Evaluator
+from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of
 
@@ -115,7 +116,10 @@ class Readings(Saved):
         `evaluation` is the candidate's number in the order of asking, but for the first solution.
         `probability` is that among those found, by a learned model and by their losses (see
         `search.scene.modes`); None where no model knows the picture.
+
+        Raises OptionError (a ValueError) unless k is a whole number of at least 1.
         """
+        k = whole_number("k", k, 1)
         best, known = self.best, self.state.moves.known
         found = [] if best is None else [best]
         for sample in (optimum.sample for optimum in known.optima.all):

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser.precision import autocast
-from fide_plugins.errors import CheckpointError, ImageError, OptionError
+from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
 from fide_plugins.learning.calibration import LARGEST_SCALE
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
@@ -305,4 +305,4 @@ def model_at(path: str | os.PathLike[str]) -> Model:
         return Model.load(path)
     except FileNotFoundError as error:
         why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
-        raise FileNotFoundError(why) from error
+        raise ModelNotFoundError(why) from error

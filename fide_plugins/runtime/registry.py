@@ -71,13 +71,33 @@ class Registry(Generic[T]):
         return option in inspect.signature(self.resolve(name.partition(":")[0])).parameters
 
     def make(self, name: str, *args: object, **options: object) -> T:
-        """Call the factory called `name`, which may end with a colon and a variant."""
+        """Call the factory called `name`, which may end with a colon and a variant.
+
+        Raises UnknownNameError, OptionError for an option or a variant that it does not have, and
+        what the factory raises.
+        """
         if not isinstance(name, str):
             raise UnknownNameError.of(self._kind, name, self._factories)
         name, colon, variant = name.partition(":")
         factory = self.resolve(name)
+        self._check(name, factory, options)
         if not colon:
             return factory(*args, **options)
         if not self.takes(name, "variant"):
             raise OptionError(f"the {self._kind} {name!r} has no variants, got {name}:{variant}")
         return factory(*args, variant=variant, **options)
+
+    def _check(self, name: str, factory: Callable[..., T], options: dict[str, object]) -> None:
+        """Raise OptionError for an option that the factory does not have."""
+        try:
+            parameters = inspect.signature(factory).parameters
+        except ValueError:  # some functions of C do not say
+            return
+        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+            return
+        unknown = sorted(options.keys() - parameters.keys())
+        if unknown:
+            known = ", ".join(p.name for p in parameters.values() if p.kind is p.KEYWORD_ONLY)
+            raise OptionError(
+                f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: {known or 'none'}"
+            )

@@ -61,6 +61,12 @@ def test_wrong_targets(what: str) -> None:
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize("k", [0, -1, 1.5, "a", True])
+def test_a_number_of_solutions_is_whole(k: Any) -> None:
+    with pytest.raises(OptionError, match="k must be a whole number >= 1, not"):
+        FIDE(2, BLACK).solutions(k)
+
+
 def test_a_file_that_is_no_image(tmp_path: Path) -> None:
     path = tmp_path / "text.png"
     path.write_text("not an image")

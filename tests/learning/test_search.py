@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import fit
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
@@ -193,7 +193,7 @@ def test_the_next_picture_is_not_searched_at_hypotheses_of_the_first(
 
 def test_a_file_that_is_missing_is_named_with_what_makes_one(tmp_path: Path) -> None:
     absent, said = tmp_path / "absent.fide", r"no model at .*absent\.fide: .fide learn. or .learn"
-    with pytest.raises(FileNotFoundError, match=said):
+    with pytest.raises(ModelNotFoundError, match=said):
         FIDE(SPACE, PICTURE, learned=absent)
-    with pytest.raises(FileNotFoundError, match=said):
+    with pytest.raises(ModelNotFoundError, match=said):
         fit(disk, PICTURE, SPACE, budget=10, learned=absent, workers=0)

@@ -30,6 +30,19 @@ def test_an_unknown_name_lists_the_known(name: object) -> None:
     assert ("did you mean 'three'" in str(error.value)) == (name == "thre")
 
 
+def test_an_option_that_a_factory_does_not_have_is_named() -> None:
+    registry = Registry[int]("number")
+    registry.register("sum", lambda a, *, more=0, less=0: a + more - less)
+    registry.register("any", lambda **options: len(options))
+    registry.register("whole", int)  # a class of C, of which Python knows no parameters
+    assert registry.make("sum", 1, more=2) == 3 and registry.make("any", more=2) == 1
+    assert registry.make("whole", "7") == 7
+    with pytest.raises(OptionError, match="number 'sum' has no option 'lees'; it has: more, less"):
+        registry.make("sum", 1, lees=1)
+    with pytest.raises(OptionError, match="encoder 'dense' has no option 'foo'; it has: device"):
+        encoders.make("dense", foo=3)
+
+
 @pytest.mark.parametrize(
     ("name", "factory"), [("", int), ("a\n", int), (1, int), ("a", "no colon"), ("a", 3)]
 )
