@@ -424,10 +424,19 @@ class FIDE(Retargeting):
         learned, state.learned = state.learned, []
         if state.proposer is None or not (samples or learned):
             return
-        _, tokens, losses = columns(in_order(samples + learned))  # (n, T, C), (n,)
-        state.gate.note_images(tokens, self.target_tokens, losses)
+        if learned:  # the gate judges the generation as a whole
+            self._note_images(in_order(samples + learned))
         if samples:
-            state.proposer.update(*columns(samples), state.descent.std)
+            x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
+            if not learned:
+                state.gate.note_images(tokens, self.target_tokens, losses)
+            state.proposer.update(x, tokens, losses, state.descent.std)
+
+    def _note_images(self, samples: list[TrainingSample]) -> None:
+        """Let the gate judge samples.  Their stacked tokens are gone when it has."""
+        if self.state.gate.guarded:
+            _, tokens, losses = columns(samples)
+            self.state.gate.note_images(tokens, self.target_tokens, losses)
 
     def _update_search(self, members: list[Candidate], losses: Float64) -> None:
         """Line 10."""
