@@ -61,8 +61,9 @@ class Baseline(Saved):
     """
 
     training = False
-    status = None
     """No baseline trains in the background."""
+    status = None
+    """No baseline says how its run is going, as `FIDE.status` does."""
 
     def __init__(
         self,
