@@ -164,8 +164,11 @@ class FIDE(Retargeting):
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
-        about = self.x0, setting.sigma0, k, self.target_tokens, subsets[0], self.seed
-        moves, known = MovePolicy(*about, groups, cells, posterior), posterior is not None
+        moves = MovePolicy(
+            self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
+            seed=self.seed, groups=groups, cells=cells, posterior=posterior,
+        )  # fmt: skip
+        known = posterior is not None
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),

@@ -120,9 +120,9 @@ class Readings(Saved):
         for sample in (optimum.sample for optimum in known.optima.all):
             distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
             if min(distances, default=np.inf) >= APART:
+                one = Solution(sample.x.copy(), sample.loss, evaluation=sample.index)
                 estimate = self.state.estimate_of(sample.x)
-                about = sample.x.copy(), sample.loss, sample.index
-                found.append(Solution(*about, space=self.space, estimate=estimate))
+                found.append(replace(one, space=self.space, estimate=estimate))
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)
         probability = self.state.moves.probabilities([one.loss for one in found], points)
         if probability is not None:

@@ -174,14 +174,16 @@ def learn(
     seconds = None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
-    version, kind = version_for(renderer, version), kind_of(renderer, groups, head)
-    emulates = has_emulator(emulator, kind[1])
+    version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
+    emulates = has_emulator(emulator, blocks)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
-        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
-        executor, seed, version, *kind, seconds, clock.monotonic(),
-        on_progress or (lambda progress: None), augment, trains_on, emulates, region,
+        renderer=renderer, shape=(shape[0], shape[1]), size=small_size(shape, size),
+        renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
+        version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
+        on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
+        emulates=emulates, region=region,
     )  # fmt: skip
     plan.check()
     if workers > 1 or executor is not None:
@@ -292,9 +294,11 @@ class _Plan:
             failed=sum(failed.values()), emulated=emulated,
         )  # fmt: skip
         return Model(
-            network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
-            self.periodic, self.blocks, familiarity_of(network, images), report,
-            fingerprint_of(self.renderer.source), emulator,
+            network=network, space=self.renderer.space, shape=self.shape,
+            renderer=self.renderer.name, version=self.version, head=self.head,
+            periodic=self.periodic, blocks=self.blocks,
+            familiarity=familiarity_of(network, images), report=report,
+            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
         )  # fmt: skip
 
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:

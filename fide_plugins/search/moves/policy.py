@@ -132,9 +132,15 @@ class MovePolicy:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
         if not self.hypotheses.there or not len(X):
             return None
-        there, known = self.hypotheses, self.known
-        about = there.x, there.typical, self.noise, known.exchangeability, known.axes
-        return probabilities(losses, X, *about)
+        return probabilities(
+            losses,
+            X,
+            hypotheses=self.hypotheses.x,
+            typical=self.hypotheses.typical,
+            noise=self.noise,
+            exchangeability=self.known.exchangeability,
+            axes=self.known.axes,
+        )
 
     # -- after a search ----------------------------------------------------------------------------
 
