@@ -65,8 +65,6 @@ from fide_plugins.validation.points import (
 
 __all__ = ["FIDE"]
 
-_MOVES = ("moves", "parts")  # the second is its name in version 0.1
-
 
 class FIDE(Retargeting):
     """Find parameters in [0, 1]^dim whose image is the target.
@@ -469,4 +467,4 @@ class FIDE(Retargeting):
         if self.search_over is not None:
             over = self.search_over
         if over:
-            state.finish_search(guided=self.options.restarts in _MOVES and guided)
+            state.finish_search(guided=self.options.restarts == "moves" and guided)
