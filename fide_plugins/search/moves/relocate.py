@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Indices, Known, Stage, Start
+from fide_plugins.search.moves.base import Indices, Known, Move, Stage, Start
 from fide_plugins.types import Float64
 
 __all__ = ["RelocateGroup", "RelocateSegment", "segment"]
 
 
-class RelocateGroup:
+class RelocateGroup(Move):
     """Groups by exchangeability or sensitivity, drawn by their size."""
 
     name = "relocate group"
@@ -51,7 +51,7 @@ class RelocateGroup:
         return known.start_at(x)
 
 
-class RelocateSegment:
+class RelocateSegment(Move):
     """Segments of neighboring parameters, of any length up to half of all."""
 
     name = "relocate segment"
@@ -59,10 +59,6 @@ class RelocateSegment:
     def possible(self, known: Known) -> bool:
         """Whether no exchangeable blocks say what belongs together."""
         return known.dim > 1 and known.exchangeability.blocks is None
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with one segment uniform in the unit cube."""
