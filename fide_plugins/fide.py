@@ -40,7 +40,7 @@ from fide_plugins import encoders
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
 from fide_plugins.population.preview import make_next
-from fide_plugins.proposers import make_proposer, make_steps
+from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
 from fide_plugins.retargeting import Retargeting
@@ -161,7 +161,7 @@ class FIDE(Retargeting):
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
-        subsets = o.proposal.channel_subsets or self.encoder.channel_subsets
+        subsets = channel_subsets(o.proposal, self.encoder)
         cells = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, cells)
         groups: Sequence[Sequence[int]] | None = o.groups
