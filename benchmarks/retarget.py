@@ -61,7 +61,7 @@ def search(opt: FIDE, task: fide_tasks.Task, most: int, goal: float = 0.0) -> tu
 def run(arguments: argparse.Namespace) -> None:
     """All frames of one video."""
     task = fide_tasks.make(arguments.task, size=arguments.size, seed=arguments.seed)
-    solved = suite.read("image-fitting-v1").problem(f"{arguments.task}-0")[0].solved
+    solved = suite.read("image-fitting-v1").scenes[arguments.task].solved
     frames = frames_of(task, arguments.frames, arguments.seed)
     names = ("task", "size", "seed", "frames", "fresh", "preset", "proposer")
     cell = {name: getattr(arguments, name) for name in names}

@@ -53,12 +53,22 @@ def file_of(suite: Suite) -> Path:
     return RESULTS / f"suite_{suite.name.rpartition('-')[2]}.jsonl"
 
 
-def planned(scenes: Sequence[str], optimizers: Sequence[str], targets: int) -> Iterator[Row]:
+def planned(
+    suite: Suite, scenes: Sequence[str], optimizers: Sequence[str], targets: int
+) -> Iterator[Row]:
     """All runs, targets outermost."""
     for number in range(targets):
         for scene in scenes:
             for optimizer in optimizers:
-                yield {"problem": f"{scene}-{number}", "optimizer": optimizer}
+                yield {"problem": suite.problem_of(scene, number), "optimizer": optimizer}
+
+
+def budget_of(suite: Suite, budget: int | None) -> int:
+    """The budget, at which results of the suite must be read; None: its last.  Else it exits."""
+    if budget is not None and budget not in suite.budgets:
+        known = ", ".join(map(str, suite.budgets))
+        sys.exit(f"{suite.name} has no budget of {budget} renders; it has {known}")
+    return budget or suite.budgets[-1]
 
 
 def key(row: Row) -> tuple[str, str]:
@@ -73,14 +83,15 @@ def long_enough(budget: int) -> Callable[[Row], bool]:
 
 def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
     """One run, as `fide compare --suite` has it with `--budget`."""
-    scene, _ = suite.problem(problem)
+    name, number = suite.parts(problem)
+    scene = suite.scenes[name]
     configuration = Configuration.parse(optimizer)
     result = harness.run(
         problem,
         configuration.name,
         scene.loss,
         budget,
-        seed=int(problem.rpartition("-")[2]),
+        seed=number,
         task_options={"suite": suite.name},
         options=configuration.options,
         keep=harness.Keep(film=False, summary=False, checkpoint=False),
@@ -160,10 +171,10 @@ def main() -> None:
     arguments = parse_arguments()
     suite = read(arguments.suite)
     scenes, _ = suite.chosen(arguments.scenes.split(","), None)
-    optimizers, budget = arguments.optimizers.split(","), arguments.budget
+    optimizers, budget = arguments.optimizers.split(","), budget_of(suite, arguments.budget)
     out = arguments.out or file_of(suite)
     if arguments.table or arguments.picture:
-        chosen = [row for row in rows_of(out) if row["problem"].rpartition("-")[0] in scenes]
+        chosen = [row for row in rows_of(out) if suite.parts(row["problem"])[0] in scenes]
         found = scores(suite, chosen, optimizers, budget)
         if arguments.picture:
             drawn = picture(found, performance=arguments.performance)
@@ -181,7 +192,7 @@ def main() -> None:
             append(out, row, made_by)
     else:
         targets = len(suite.targets) if arguments.targets is None else arguments.targets
-        runs = planned(scenes, optimizers, targets)
+        runs = planned(suite, scenes, optimizers, targets)
         run_missing(
             runs,
             lambda run: measure(suite, **run, budget=budget),
@@ -205,7 +216,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
     add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
-    add("--budget", type=int, default=10_000, choices=(500, 2000, 10_000), help="renders")
+    add("--budget", type=int, metavar="N", help="renders: a budget of the suite (its last)")
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
     add("--performance", action="store_true", help="a performance profile as picture")

@@ -4,16 +4,21 @@
 Algorithm 1                            here
 =====================================  ======================================================
 line 1, mu and Sigma                   `search.cma_es.CMAES`
-line 2, the denoiser                   a `Proposer`: `proposers.linear`, `proposers.diffusion`
-lines 4 and 5, sample and denoise      `FIDE.draw_generation`
-between two generations, steps         `proposers.steps`
+line 2, the denoiser                   a `Proposer`: `proposers.linear`, `.forward`, `.diffusion`
+line 4, sample                         `FIDE._sample_and_denoise`
+line 5, denoise                        it says which samples; `FIDE._propose` does it
 line 6, render                         the user, between `ask` and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
-line 8, train                          `FIDE._train`
+line 8, train                          `FIDE._train`; before a proposal, `FIDE._train_early`
 line 9, costs                          `FIDE.tell`, by a loss or the user
 line 10, mu and Sigma                  `FIDE._update_search`
-after the last line, begin again       `State.finish_search`, `search.moves`
+line 12, return mu                     `FIDE.recommend`
+between two generations, steps         `FIDE._make_steps`: a forward model trains and proposes
+after a search, begin again            `State.finish_search`, `search.moves`
 =====================================  ======================================================
+
+The last two are beyond Algorithm 1.  A forward model between the generations (`proposers.steps`)
+is another one than a forward proposer in them, which trains and proposes by lines 8 and 5.
 
 What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
 (``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
@@ -35,7 +40,7 @@ from fide_plugins import encoders
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
 from fide_plugins.population.preview import make_next
-from fide_plugins.proposers import make_proposer, make_steps
+from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
 from fide_plugins.retargeting import Retargeting
@@ -59,8 +64,6 @@ from fide_plugins.validation.points import (
 )
 
 __all__ = ["FIDE"]
-
-_MOVES = ("moves", "parts")  # the second is its name in version 0.1
 
 
 class FIDE(Retargeting):
@@ -158,14 +161,17 @@ class FIDE(Retargeting):
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
-        subsets = o.proposal.channel_subsets or self.encoder.channel_subsets
+        subsets = channel_subsets(o.proposal, self.encoder)
         cells = None if self.space is None else self.space.layout
         setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, cells)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
-        about = self.x0, setting.sigma0, k, self.target_tokens, subsets[0], self.seed
-        moves, known = MovePolicy(*about, groups, cells, posterior), posterior is not None
+        moves = MovePolicy(
+            self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
+            seed=self.seed, groups=groups, cells=cells, posterior=posterior,
+        )  # fmt: skip
+        known = posterior is not None
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
@@ -340,40 +346,48 @@ class FIDE(Retargeting):
     # -- Algorithm 1 -------------------------------------------------------------------------------
 
     def draw_generation(self) -> None:
-        """Sample candidates (line 4), and say which become proposals (line 5)."""
+        """Queue a generation; spare candidates where the present one needs just its own."""
         state, population = self.state, self.state.population
-        extra = state.needs_its_own and population.pending + population.evaluated > 0
-        self.draw(population, state.rng, extra=extra)
+        if state.needs_its_own and population.pending + population.evaluated > 0:
+            self._draw_spare()
+        else:
+            self.draw(population, state.rng)
         if state.steps is not None:
             state.steps.end()  # they come before a generation, not in it
         if state.proposer is None or not state.proposer.background:
             population.settle()
 
-    def draw(
-        self, population: Population, rng: np.random.Generator, *, extra: bool = False
-    ) -> None:
-        """Draw a generation of the present stage into a population; changes nothing else.
+    def draw(self, population: Population, rng: np.random.Generator) -> None:
+        """Draw a generation of the present stage, by `rng`, into a population; only these change.
 
-        rng: of the draw.
-        extra: the present generation needs only candidates that were drawn before; these are spare,
-            as many as it has, or, if nothing is pending, as many as it lacks.
+        It is the optimizer's own population, or another one (`distributed.replica`).
         """
         state = self.state
-        if extra:
-            n = population.size if population.pending else max(1, population.missing)
-            x, _ = state.descent.sample(n, rng)
-            population.draw(x, x, extra=True)
-            return
-        if state.stage is not Stage.SEARCH:
+        if state.stage is Stage.SEARCH:
+            self._sample_and_denoise(population, rng)
+        else:
             x = state.descent.clipped(state.moves.draw(rng))
             population.draw(x, x)
-            return
+
+    def _sample_and_denoise(self, population: Population, rng: np.random.Generator) -> None:
+        """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
+        state = self.state
         k = state.descent.popsize
-        x, z = state.descent.sample(k, rng)  # (k, d), z ~ N(m, Sigma)
+        x, z = state.descent.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
         ready = state.proposer is not None and state.proposer.ready
         n = k - state.gate.number(k, rng) if ready else k
         population.draw(x[:n], z[:n], z[n:], pair=state.search.draws_pair)
-        self._propose_with(population, rng)
+        self._propose_with(population, rng)  # line 5, of z[n:], when these are asked for
+
+    def _draw_spare(self) -> None:
+        """Queue candidates that the present generation, whose own are drawn, does not need.
+
+        As many as it has, or, if nothing is pending, as many as it lacks.
+        """
+        state, population = self.state, self.state.population
+        n = population.size if population.pending else max(1, population.missing)
+        x, _ = state.descent.sample(n, state.rng)
+        population.draw(x, x, extra=True)
 
     def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
         """Say how the population makes proposals."""
@@ -424,10 +438,19 @@ class FIDE(Retargeting):
         learned, state.learned = state.learned, []
         if state.proposer is None or not (samples or learned):
             return
-        _, tokens, losses = columns(in_order(samples + learned))  # (n, T, C), (n,)
-        state.gate.note_images(tokens, self.target_tokens, losses)
+        if learned:  # the gate judges the generation as a whole
+            self._note_images(in_order(samples + learned))
         if samples:
-            state.proposer.update(*columns(samples), state.descent.std)
+            x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
+            if not learned:
+                state.gate.note_images(tokens, self.target_tokens, losses)
+            state.proposer.update(x, tokens, losses, state.descent.std)
+
+    def _note_images(self, samples: list[TrainingSample]) -> None:
+        """Let the gate judge samples.  Their stacked tokens are gone when it has."""
+        if self.state.gate.guarded:
+            _, tokens, losses = columns(samples)
+            self.state.gate.note_images(tokens, self.target_tokens, losses)
 
     def _update_search(self, members: list[Candidate], losses: Float64) -> None:
         """Line 10."""
@@ -444,4 +467,4 @@ class FIDE(Retargeting):
         if self.search_over is not None:
             over = self.search_over
         if over:
-            state.finish_search(guided=self.options.restarts in _MOVES and guided)
+            state.finish_search(guided=self.options.restarts == "moves" and guided)

@@ -25,6 +25,8 @@ __all__ = [
     "ProposalOptions",
     "flat",
     "make_options",
+    "with_present_values",
+    "without_images",
 ]
 
 Rule: TypeAlias = rules.Rule
@@ -121,7 +123,7 @@ class Options:
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
     popsize: int | None = _option(None, rules.whole(4, 2**20, "4 to 4,096 are tested"))
     proposer: str = _option("both", rules.one_of("both", "linear", "forward", "diffusion", "none"))
-    restarts: str = _option("moves", rules.one_of("moves", "parts", "anew", "none"))
+    restarts: str = _option("moves", rules.one_of("moves", "anew", "none"))
     patience: int | None = _option(None, rules.whole(1))
     improvement: float = _option(0.1, rules.fraction)
     groups: tuple[tuple[int, ...], ...] | None = _option(None, rules.groups)
@@ -167,10 +169,11 @@ _FORMER_NAMES = {
     "evidence": "r2_threshold",
     "overlap": "background_training",
 }
+_FORMER_VALUES = {"restarts": {"parts": "moves"}}
 
 
 def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
-    """The preset's options with `changes`, by name; names of version 0.1 are understood, too.
+    """The preset's options with `changes`, by name; those of version 0.1 are understood, too.
 
     None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
@@ -202,14 +205,23 @@ def without_images(changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The changes by present names; OptionError if two names are of one option."""
+    """The changes by present names and values; OptionError if two names are of one option."""
     renamed: dict[str, Any] = {}
     for name, value in changes.items():
         present = _FORMER_NAMES.get(name, name)
         if present in renamed:
             raise OptionError(f"{present} is given twice, once by a former name; give it once")
         renamed[present] = value
-    return renamed
+    return with_present_values(renamed)
+
+
+def with_present_values(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by present names, and whatever else there is, with values as they are named now."""
+    present = dict(settings)
+    for name in _FORMER_VALUES.keys() & settings.keys():
+        if isinstance(value := settings[name], str):
+            present[name] = _FORMER_VALUES[name].get(value, value)
+    return present
 
 
 def flat(options: Options) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.options import Options, flat
+from fide_plugins.options import Options, flat, with_present_values
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
@@ -125,9 +125,9 @@ class Readings(Saved):
         for sample in (optimum.sample for optimum in known.optima.all):
             distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
             if min(distances, default=np.inf) >= APART:
+                one = Solution(sample.x.copy(), sample.loss, evaluation=sample.index)
                 estimate = self.state.estimate_of(sample.x)
-                about = sample.x.copy(), sample.loss, sample.index
-                found.append(Solution(*about, space=self.space, estimate=estimate))
+                found.append(replace(one, space=self.space, estimate=estimate))
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)
         probability = self.state.moves.probabilities([one.loss for one in found], points)
         if probability is not None:
@@ -176,6 +176,11 @@ class Readings(Saved):
         given = dict(settings)
         space = given.pop("space")
         return given if space is None else given | {"dim": Space.from_dict(space)}
+
+    @classmethod
+    def present_settings(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """What `settings` would give now, of what it gave in an earlier version."""
+        return with_present_values(settings)
 
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:

@@ -234,10 +234,15 @@ class State:
         samples = self.memory.samples + self._ends
         if not samples:
             return None
-        discrete = None if cells is None else cells.discrete
-        blocks, axes = known.exchangeability.blocks, known.axes
-        about = known.target, known.channels, axes, discrete, blocks
-        return LocalEstimate(x, samples, *about)
+        return LocalEstimate(
+            x,
+            samples,
+            target=known.target,
+            channels=known.channels,
+            axes=known.axes,
+            discrete=None if cells is None else cells.discrete,
+            blocks=known.exchangeability.blocks,
+        )
 
     @property
     def remembered(self) -> list[TrainingSample]:

@@ -34,6 +34,7 @@ from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe, real, whole
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
+from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.option_rules import positive
@@ -61,8 +62,9 @@ class Baseline(Saved):
     """
 
     training = False
-    status = None
     """No baseline trains in the background."""
+    status = None
+    """No baseline says how its run is going, as `FIDE.status` does."""
 
     def __init__(
         self,
@@ -174,8 +176,8 @@ class Baseline(Saved):
         return sides
 
     def _default_popsize(self) -> int:
-        """Hansen's 4 + 3 ln d."""
-        return 4 + int(3 * np.log(self.dim))
+        """Hansen's 4 + 3 ln d, as that of FIDE."""
+        return default_popsize(self.dim)
 
     def _smallest_popsize(self) -> int:
         return 1

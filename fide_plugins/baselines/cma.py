@@ -7,11 +7,11 @@ has come to its end; then another one starts from a uniformly random point.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, ClassVar
 
 import numpy as np
 
+from fide_plugins.baselines.penalty import quietly
 from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
@@ -66,20 +66,17 @@ class CMA(Replayed):
             "popsize": self.popsize,
             "randn": lambda *shape: self._rng.standard_normal(shape),  # not numpy's global state
         }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it comments on dimension 1 and small populations
+        with quietly():  # it comments on dimension 1 and small populations
             self._es = cma.CMAEvolutionStrategy(x0, self.sigma0, settings)
         self.starts += 1
 
     def _sample(self) -> Float64:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with quietly():
             X = np.array(self._es.ask(self.popsize), np.float64)
         return np.clip(X, 0.0, 1.0)  # the transformation can be off by one rounding
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on flat losses, which here are no error
+        with quietly():
             self._es.tell(list(X), _finite(losses).tolist())
             over = self.restarts != "none" and bool(self._es.stop())
         if over:

@@ -34,7 +34,7 @@ import numpy as np
 
 from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.runtime.schema import GENERATOR, Schema, array, real, whole
+from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, real, row, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
 
@@ -58,10 +58,12 @@ class EKI(ImageBased, Stateful):
     own_schema: ClassVar[dict[str, Schema]] = {
         "members": array("k", "d", low=0.0, high=1.0),
         "lowest": real(high=np.inf),
+        "ended": maybe(row(real(), array("d", low=0.0, high=1.0))),
         "stalled": whole(),
         "starts": whole(),
         "rng": GENERATOR,
     }
+    unknown_before: ClassVar[dict[str, Any]] = {"ended": None}
 
     def __init__(
         self,
@@ -76,12 +78,22 @@ class EKI(ImageBased, Stateful):
         super().__init__(dim, target, channels=channels, **options)
         self._rng = np.random.default_rng(self.seed)
         self.starts = 0  # ensembles begun so far
+        self._ended: tuple[float, Float64] | None = None  # as `_present`, the best that is over
         self._start(np.full(self.dim, 0.5))
 
     def recommend(self) -> Float64:
-        """Mean (dim,) of the ensemble."""
-        mean: Float64 = self._members.mean(axis=0)
-        return mean
+        """Mean (dim,) of the ensemble that found the lowest loss, at its end or now."""
+        _, mean = self._best_ensemble()
+        return mean.copy()
+
+    def _present(self) -> tuple[float, Float64]:
+        """Lowest loss of the present ensemble, +inf before it has one, and its mean (dim,)."""
+        return self._lowest, self._members.mean(axis=0)
+
+    def _best_ensemble(self) -> tuple[float, Float64]:
+        """As `_present`, of the present ensemble or of one that is over."""
+        present = self._present()
+        return present if self._ended is None else min(present, self._ended, key=lambda e: e[0])
 
     def _start(self, center: Float64) -> None:
         noise = self._rng.standard_normal((self.popsize, self.dim))
@@ -102,6 +114,8 @@ class EKI(ImageBased, Stateful):
         self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
         self._lowest = min(self._lowest, float(losses.min()))
         if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= self.patience:
+            if np.isfinite(self._lowest):
+                self._ended = self._best_ensemble()
             self._start(self._rng.random(self.dim))
 
     def _default_popsize(self) -> int:
@@ -125,6 +139,7 @@ class EKI(ImageBased, Stateful):
         return {
             "members": self._members,
             "lowest": self._lowest,
+            "ended": None if self._ended is None else list(self._ended),
             "stalled": self._stalled,
             "starts": self.starts,
             "rng": self._rng.bit_generator.state,
@@ -132,6 +147,7 @@ class EKI(ImageBased, Stateful):
 
     def _load_own_state(self, state: dict[str, Any]) -> None:
         self._members, self._lowest = state["members"], state["lowest"]
+        self._ended = None if state["ended"] is None else tuple(state["ended"])
         self._stalled, self.starts = state["stalled"], state["starts"]
         self._rng.bit_generator.state = state["rng"]
 

@@ -165,7 +165,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
-        elapsed = max(time.perf_counter() - loop.started, 1e-9)
+        searched = max(time.perf_counter() - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
             best=best,
@@ -177,7 +177,7 @@ class Fitting:
             failures=loop.failures.count,
             first_failure=loop.failures.first,
             seconds=r.wall_s,
-            busy=min(1.0, loop.render_seconds / elapsed / workers),
+            busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
             optimizer=self.optimizer,

@@ -58,7 +58,7 @@ class Loop:
         self.whole = True
         """Whether record and optimizer agree, so that they may be saved."""
         self.render_seconds = 0.0
-        """Sum over all renders of this call."""
+        """Sum over the renders of this call's search that gave an image."""
         self._renderer, self._stopping, self._timeout = renderer, stopping, timeout
         self._callbacks, self._interrupts = callbacks, interrupts
         self._running: dict[Task, Float64] = {}
@@ -67,7 +67,8 @@ class Loop:
         self._ahead = workers.number > 1
         self.stopped_by_callback = False
         self._clock = time.perf_counter()
-        self.started = self._clock
+        self.search_began = self._clock
+        """When renders began to be counted, by `time.perf_counter`."""
 
     @property
     def busy(self) -> int:
@@ -79,9 +80,10 @@ class Loop:
         return self._stopping.reached(*self._state(), True, self.optimizer)
 
     def note_learned(self, renders: int) -> None:
-        """Enter renders that were learned from before the search."""
+        """Enter renders that were learned from before the search, which begins now."""
         self._tick()
         self.record.add_unjudged(renders)
+        self.search_began = self._clock
 
     def step(self) -> str | None:
         """Wait for a render, and tell it; returns why the fit is over, None if it is not.

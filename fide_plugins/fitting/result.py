@@ -29,7 +29,9 @@ class Result:
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
     seconds: of fitting, likewise.
-    busy: fraction of this call's time that its workers rendered, in [0, 1].
+    busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
+        counts renders that gave an image, and nothing of what `preset="global"` does before the
+        search.
     stopped: why it ended: "budget", "time", "stop_at", "until_stalled", "callback", "interrupted"
         or "failed".
     out: run directory; None without.

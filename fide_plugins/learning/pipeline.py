@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
+from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.learning.augmentation import AUGMENT
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.finishing import familiarity_of, report_of
@@ -77,7 +78,7 @@ def learn(
     renders: int = 100_000,
     size: int = 64,
     passes: int = 10,
-    time: float | None = None,
+    time: float | str | None = None,
     workers: int | None = None,
     executor: object = None,
     out: str | os.PathLike[str] | None = None,
@@ -111,9 +112,10 @@ def learn(
         of them the same call goes on from where it ended, at the rate that the longer schedule has
         there, to the last one.
     time
-        seconds for everything, half of it for rendering at most; None: no limit.  With a limit the
-        result depends on the machine.  A call that was interrupted in the emulator's part goes on
-        there: more time is the density's only in the call after it.
+        how long everything may take, half of it rendering at most: seconds, or a text such as "10m"
+        or "1h30m"; None: no limit.  With a limit the result depends on the machine.  A call that
+        was interrupted in the emulator's part goes on there: more time is the density's only in the
+        call after it.
     workers
         processes that render; with more than one `render` must be picklable.  None: 1, or 8 with an
         executor.
@@ -157,25 +159,36 @@ def learn(
 
     Raises
     ------
-    OptionError, ImageError, DeviceError (ValueErrors): an argument is not what it must be, this
-    machine has no such device, or the folder of renders holds others: their settings differ, or the
-    renderer's images do, see `learning.identity`.  RenderError: the renderer fails.
-    DeviceMemoryError (a RuntimeError): the device is full; the renders beside `out` are kept.
-    OSError: a file cannot be written.
+    OptionError, ImageError, DeviceError
+        all ValueErrors: an argument is not what it must be, this machine has no such device, or the
+        folder of renders holds others: their settings differ, or the renderer's images do, see
+        `learning.identity`.
+    CheckpointError
+        a ValueError: a file is damaged, or of something else: a shard of renders, a training that
+        was interrupted, or the model `after`.
+    RenderError
+        a RuntimeError: the renderer fails.
+    DeviceMemoryError
+        a RuntimeError: the device is full; the renders beside `out` are kept.
+    OSError
+        a file cannot be read or written.
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
-    _check(renders, size, passes, time, workers, head, augment)
+    _check(renders, size, passes, workers, head, augment)
+    seconds = None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)
-    version, kind = version_for(renderer, version), kind_of(renderer, groups, head)
-    emulates = has_emulator(emulator, kind[1])
+    version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
+    emulates = has_emulator(emulator, blocks)
     region = _region(after, picture, seed)
     shape = renderer.first().shape[:2]
     plan = _Plan(
-        renderer, (shape[0], shape[1]), small_size(shape, size), renders, passes, workers,
-        executor, seed, version, *kind, time, clock.monotonic(),
-        on_progress or (lambda progress: None), augment, trains_on, emulates, region,
+        renderer=renderer, shape=(shape[0], shape[1]), size=small_size(shape, size),
+        renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
+        version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
+        on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
+        emulates=emulates, region=region,
     )  # fmt: skip
     plan.check()
     if workers > 1 or executor is not None:
@@ -286,9 +299,11 @@ class _Plan:
             failed=sum(failed.values()), emulated=emulated,
         )  # fmt: skip
         return Model(
-            network, self.renderer.space, self.shape, self.renderer.name, self.version, self.head,
-            self.periodic, self.blocks, familiarity_of(network, images), report,
-            fingerprint_of(self.renderer.source), emulator,
+            network=network, space=self.renderer.space, shape=self.shape,
+            renderer=self.renderer.name, version=self.version, head=self.head,
+            periodic=self.periodic, blocks=self.blocks,
+            familiarity=familiarity_of(network, images), report=report,
+            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
         )  # fmt: skip
 
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
@@ -375,16 +390,13 @@ def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) ->
 
 
 def _check(
-    renders: object, size: object, passes: object, time: object, workers: object, head: object,
-    augment: object,
-) -> None:  # fmt: skip
+    renders: object, size: object, passes: object, workers: object, head: object, augment: object
+) -> None:
     whole_number("renders", renders, _FEWEST)
     if not 16 <= whole_number("size", size, 1) <= 256:
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
     whole_number("passes", passes, 1)
     whole_number("workers", workers, 1)
-    if time is not None and not (isinstance(time, int | float) and 0 < time < float("inf")):
-        raise OptionError(f"time is a number of seconds above 0, or None, not {time!r}")
     if head is not None and head not in HEADS:
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:

@@ -176,7 +176,13 @@ class Distance:
         return np.array([distance(self.matched(row, x), x, self.periodic).max() for row in X])
 
     def matched(self, row: Float64, x: Float64) -> Float64:
-        """Return the point `row` (d,) with its blocks in the order in which they are nearest x."""
+        """Return the point `row` (d,) with its blocks in the order in which they are nearest x.
+
+        That is the order with the least sum of differences of all parameters: each of them says
+        something of which block is which.  `Exchangeability.aligned` sums the blocks' largest
+        differences instead, since searches tell optima apart by the largest.  No search uses this
+        one; it measures models.
+        """
         wraps = self.periodic[self.blocks[0]]
         apart = distance(row[self.blocks][:, None], x[self.blocks][None], wraps)  # (n, n, L)
         apart = apart.sum(axis=-1)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from fide_plugins.encoders.base import PatchEncoder
-from fide_plugins.options import Options
+from fide_plugins.options import Options, ProposalOptions
 from fide_plugins.proposers.base import Proposer
+from fide_plugins.proposers.remembered import MOST, for_jacobian
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:
@@ -14,10 +15,14 @@ if TYPE_CHECKING:
     from fide_plugins.proposers.linear import LinearProposer
     from fide_plugins.proposers.steps import GaussNewtonSteps
 
-__all__ = ["Proposer", "make_proposer", "make_steps"]
+__all__ = ["Proposer", "channel_subsets", "make_proposer", "make_steps"]
 
-_MOST_REMEMBERED = 600  # candidates; a generation costs a regression on as many
 _MOST_FOR_JACOBIAN = 100  # parameters; every step costs eigenvectors of as many
+
+
+def channel_subsets(options: ProposalOptions, encoder: PatchEncoder) -> tuple[int | None, ...]:
+    """Sets of leading channels of the tokens: those of the options, or the encoder's own."""
+    return options.channel_subsets or encoder.channel_subsets
 
 
 def make_proposer(
@@ -66,12 +71,12 @@ def _linear(
     o = options.proposal
     enough = 3 * dim // 2 if are_many(dim, popsize) else 0  # for a regression to tell apart
     generations = o.buffer_generations or (4 if dim > popsize else 8)
-    remembered = min(max(generations * popsize, enough), _MOST_REMEMBERED)
+    remembered = min(max(generations * popsize, enough), MOST)
     wanted = learned if o.screening is None else o.screening
     return LinearProposer(
         dim,
         capacity=remembered,
-        channel_subsets=o.channel_subsets or encoder.channel_subsets,
+        channel_subsets=channel_subsets(o, encoder),
         rank_weight_scale=o.rank_weight_scale,
         ridge=o.ridge,
         sources=o.sources,
@@ -90,8 +95,8 @@ def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) ->
     o = options.proposal
     return ForwardProposer(
         dim,
-        capacity=min(4 * dim + 20, _MOST_REMEMBERED),
-        channels=(o.channel_subsets or encoder.channel_subsets)[0],
+        capacity=for_jacobian(dim),
+        channels=channel_subsets(o, encoder)[0],
         minimum=popsize,
         select=o.select_tokens,
     )

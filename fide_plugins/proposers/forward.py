@@ -56,6 +56,7 @@ from torch import Tensor
 from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
+from fide_plugins.proposers.remembered import for_jacobian
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
 from fide_plugins.types import Float64, Indices
 
@@ -80,7 +81,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
     ----------
     dim : d, the number of parameters.
     capacity : n, evaluated candidates that are remembered, the better half and the latest half;
-        fewer if their features would take more than 256 MiB.
+        None: `for_jacobian`; fewer if their features would take more than 256 MiB.
     channels : the leading channels of the tokens that are modelled; None: all.
     damping : (low, high), range of lambda, in units of the one that balances the model's errors.
     ridge : penalties of the wide and of the near regression, in units of the mean eigenvalue of
@@ -107,7 +108,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
         select: bool = True,
     ) -> None:
         self.dim, self.minimum = dim, minimum
-        self.capacity = 4 * dim + 20 if capacity is None else capacity
+        self.capacity = for_jacobian(dim) if capacity is None else capacity
         self.channels, self.select = channels, select
         self.damping, self.ridge = damping, ridge
         self.longest, self.kept = longest, kept

@@ -70,7 +70,9 @@ class ImageGate:
     def __init__(
         self, options: Options, channel_subsets: tuple[int | None, ...], *, known: bool = False
     ) -> None:
-        self._guarded, self._options = options.guard_images, options.proposal
+        self.guarded = options.guard_images
+        """Whether images are judged; where they are not, they are followed wholly."""
+        self._options = options.proposal
         self._channel_subsets = channel_subsets
         self.fraction = options.proposal.proposal_fraction
         """Of a generation that is proposed, where images are followed wholly."""
@@ -86,7 +88,7 @@ class ImageGate:
         0 unless it is as good as certain that nearer images have lower losses, 1 where of late they
         agree much, in proportion between.
         """
-        if not self._guarded:
+        if not self.guarded:
             return 1.0
         if not 0 < _SURE * math.sqrt(self._variance) <= self._sum:
             return 0.0
@@ -99,7 +101,7 @@ class ImageGate:
 
         Misleading images may agree with losses for a while, so this takes some generations.
         """
-        return self.strength == 1.0 and (not self._guarded or self._noted >= _ENOUGH)
+        return self.strength == 1.0 and (not self.guarded or self._noted >= _ENOUGH)
 
     @property
     def proposed(self) -> float:
@@ -116,7 +118,7 @@ class ImageGate:
         Losses are finite.  If all are equal, they say nothing.
         """
         n = len(losses)
-        if not self._guarded or n < 2 or losses.min() == losses.max():
+        if not self.guarded or n < 2 or losses.min() == losses.max():
             return
         self._noted += 1
         squared = (tokens - target.to(tokens.device)).square()

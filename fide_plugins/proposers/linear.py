@@ -226,8 +226,10 @@ class LinearProposer(Previewed, ProposerDefaults):
         if not affordable(n, self.dim, buffer.features.shape[1] // buffer.tokens):
             return _Regression(w, *all_tokens)
         e = (buffer.features - w @ buffer.features) * root[:, None]
-        about = gram, self.ridge, rounding, all_tokens
-        local = local_regressions(e, buffer.tokens, u, w, *about)
+        local = local_regressions(
+            e, buffer.tokens, u, w,
+            gram=gram, penalty=self.ridge, rounding=rounding, all_tokens=all_tokens,
+        )  # fmt: skip
         return _Regression(w, local.coefficients, local.explained, local.slopes)
 
     def _trust(self, fit: _Regression) -> Float64:

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
+from fide_plugins.proposers.remembered import MOST
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.search.scene.optima import APART
@@ -40,7 +41,6 @@ _SMALLEST, _LARGEST = 0.01, 1.0  # standard deviation at the start, in units of 
 _LEAST_CHANGE = 0.05  # of D, that parameters can remove
 _HYPOTHESES = 3  # remembered candidates that are rendered again, first
 _AS_NEAR = 1.5  # times D: distance of the others of these
-_MOST_LEARNED = 600  # samples that proposers learn from at once
 
 
 class _Distances(NamedTuple):
@@ -76,7 +76,7 @@ def recall(
     """Where to begin, by samples (at least one) with their losses to the old picture.
 
     known: of the scene, with the old target.  new: (T, C), tokens of the new one.
-    learned: how many samples proposers learn from.
+    learned: how many samples proposers learn from; no more than they remember, `MOST`.
     """
     distances = _distances(samples, known.target, new, known.channels)
     losses = _estimated_losses(samples, distances)
@@ -85,7 +85,7 @@ def recall(
     from_b = np.linalg.norm(distances.features - distances.features[b], axis=1)
     by_scale = _by_scale(from_b, _removable(distances, b))
     std = _spread(x, b, by_scale[: max(_FEWEST, popsize)], known)
-    chosen = [b, *by_scale[: min(learned, _MOST_LEARNED) - 1]]
+    chosen = [b, *by_scale[: min(learned, MOST) - 1]]
     chosen.sort(key=lambda i: -distances.new[i])
     taught = [replace(samples[i], x=x[i], loss=float(losses[i])) for i in chosen]
     start = Start(x[b], std, patience=_PATIENCE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from fide_plugins.baselines.eki import EKI, annealed, kalman_update
 from fide_plugins.types import Float32, Float64
@@ -75,6 +76,47 @@ def test_a_smooth_problem_is_solved_and_another_ensemble_begins() -> None:
         assert opt.evaluations < 2000
     assert opt.best is not None and opt.best.loss < 1e-6
     assert opt.ask().std() > 0.05
+    np.testing.assert_allclose(opt.recommend(), [0.3, 0.6, 0.4, 0.7], atol=1e-2)
+
+
+def restarted(*then: float) -> EKI:
+    """One of which an ensemble that had the loss 0.5 is over; losses of the generations since."""
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=1)
+    images = np.full((6, 16, 16, 3), 0.5, np.float32)
+    for loss in (0.5, 0.5, *then):
+        opt.tell(opt.ask(), images, np.full(6, loss))
+    assert opt.starts == 2
+    return opt
+
+
+def test_it_recommends_the_mean_of_the_best_ensemble() -> None:
+    begun, better, worse = restarted(), restarted(0.4), restarted(0.6)
+    np.testing.assert_array_equal(better.recommend(), better.ask().mean(axis=0))
+    np.testing.assert_array_equal(worse.recommend(), begun.recommend())
+    assert not np.array_equal(worse.recommend(), worse.ask().mean(axis=0))
+
+
+def test_an_ensemble_without_a_loss_is_not_kept() -> None:
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=1)
+    opt.tell(opt.ask(), np.full((6, 16, 16, 3), 0.5, np.float32), np.full(6, np.inf))
+    assert opt.starts == 2
+    np.testing.assert_array_equal(opt.recommend(), opt.ask().mean(axis=0))
+
+
+def test_the_ensemble_that_is_over_is_saved_and_older_checkpoints_lack_it() -> None:
+    opt = restarted(0.6)
+    state = opt.state_dict()
+    again = EKI(**opt.settings())
+    again.load_state_dict(state)
+    np.testing.assert_array_equal(again.recommend(), opt.recommend())
+    del state["search"]["own"]["ended"]
+    older = EKI(**opt.settings())
+    older.load_state_dict(state)
+    np.testing.assert_array_equal(older.recommend(), opt.ask().mean(axis=0))
+    np.testing.assert_array_equal(older.ask(), opt.ask())
+    for odd in ({**state, "search": 3}, {**state, "search": {"own": 3}}):
+        with pytest.raises(ValueError, match="state"):
+            older.load_state_dict(odd)
 
 
 def test_every_member_is_evaluated_once() -> None:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from fide_plugins import losses as losses_module
+from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.random import Random
 from fide_plugins.baselines.replay import Replayed
+from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.errors import CheckpointError, DeviceError, LossError, UnknownNameError
 from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.runtime import checkpoint
@@ -117,7 +119,7 @@ def test_forged_contents_are_refused(subject: Subject, tmp_path: Path) -> None:
     subject.tell(opt, opt.ask(3), np.array([0.5, 0.25, 0.75]))
     opt.save(tmp_path / "c")
     whole = checkpoint.read(tmp_path / "c", subject.name)
-    for path, value in forgeries(whole, isinstance(opt, Replayed)):
+    for path, value in forgeries(whole, opt):
         checkpoint.write(tmp_path / "c", subject.name, changed(whole, path, value))
         with pytest.raises(CheckpointError, match="impossible contents"):
             subject.load(tmp_path / "c")
@@ -126,7 +128,7 @@ def test_forged_contents_are_refused(subject: Subject, tmp_path: Path) -> None:
 LACKING = object()
 
 
-def forgeries(whole: dict[str, Any], replayed: bool) -> list[tuple[tuple[str, ...], Any]]:
+def forgeries(whole: dict[str, Any], opt: Baseline) -> list[tuple[tuple[str, ...], Any]]:
     """Places in a checkpoint, and what is written there."""
     search = ("state", "search")
     inner = ("history",) if "history" in whole["state"]["search"] else ()
@@ -139,18 +141,19 @@ def forgeries(whole: dict[str, Any], replayed: bool) -> list[tuple[tuple[str, ..
         (("state", "best", "x"), np.zeros(3)),
         (("state", "best", "loss"), np.nan),
     ]
-    if replayed:
+    if isinstance(opt, Replayed):
         events = [np.array(e) for e in ([-3, 7], [-3, 0, 0], [-4, 0, 1], [0.5, 1.0])]
         found += [((*search, *inner, "events"), e) for e in events]
         found += [((*search, *inner, name), None) for name in ("injected", "losses")]
         found += [((*search, *inner, "losses"), np.zeros(1))]
     else:
+        assert isinstance(opt, Stateful)
         wrong = {**whole["state"]["search"]["population"]["queue"], "x": np.zeros((2, 2))}
         found += [((*search, "population", "queue"), wrong)]
         found += [((*search, "population", name), None) for name in ("evaluated", "losses")]
         found += [((*search, "features_of"), np.arange(9)), ((*search, "own"), {})]
         own = whole["state"]["search"]["own"]
-        found += [((*search, "own", name), LACKING) for name in own]
+        found += [((*search, "own", name), LACKING) for name in own.keys() - opt.unknown_before]
         found += [((*search, "own", name), "x") for name in own]
     for parent in ((), ("state",), search):
         found += [((*parent, name), LACKING) for name in at(whole, parent)]

@@ -218,8 +218,24 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
         store.read(200)
 
 
-def test_time_is_kept() -> None:
-    model = learn(plain, 2, renders=100, size=SIDE, passes=10_000, time=0.3)
+def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 1}
+    model, renders = tmp_path / "m", tmp_path / "m.renders"
+    learn(plain, 2, out=model, **options)
+    for file in (renders / "training", renders / "000001.npz"):
+        whole = file.read_bytes()
+        file.write_bytes(whole[:-100])
+        with pytest.raises(CheckpointError, match=file.name):
+            learn(plain, 2, out=model, **options)
+        file.write_bytes(whole)
+    model.write_bytes(model.read_bytes()[:-100])
+    with pytest.raises(CheckpointError, match="cut short"):
+        learn(plain, 2, after=model, picture=np.zeros((SIDE, SIDE, 3)), **options)
+
+
+@pytest.mark.parametrize("time", [0.3, "0.3s"])
+def test_time_is_kept(time: float | str) -> None:
+    model = learn(plain, 2, renders=100, size=SIDE, passes=10_000, time=time)
     assert 1 <= len(model.report.curve) < 10_000
 
 
@@ -228,7 +244,9 @@ def test_time_is_kept() -> None:
     [
         ({"renders": 10}, OptionError, "renders must be a whole number >= 100"),
         ({"size": 8}, OptionError, "size is 16 to 256"),
-        ({"time": -1}, OptionError, "seconds above 0"),
+        ({"time": -1}, OptionError, "time must be a positive number of seconds"),
+        ({"time": True}, OptionError, "not True"),
+        ({"time": "soon"}, OptionError, "a text such as .* not 'soon'"),
         ({"head": "flow"}, UnknownNameError, "unknown head 'flow'"),
         ({"head": "set"}, OptionError, "needs exchangeable blocks"),
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),

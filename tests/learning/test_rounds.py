@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +175,29 @@ def test_an_unknown_picture_has_no_second_round() -> None:
     assert result.evaluations == 5000
     assert np.isinf(result.curve[:2000, 1]).all()
     assert np.isfinite(result.curve[2000:, 1]).all()
+
+
+@pytest.mark.usefixtures("few")
+def test_busy_counts_the_search_alone(monkeypatch: pytest.MonkeyPatch, learned: Path) -> None:
+    """The rounds render, too, and `busy` knows nothing of their renders."""
+    rendered, rounds_took = 0.0, 2.0
+
+    def learn(*_: Any) -> rounds.Learned:
+        time.sleep(rounds_took)
+        return rounds.Learned(Model.load(learned), BUDGET - 10)
+
+    def slow(params: dict[str, Any]) -> Float64:
+        nonlocal rendered
+        start = time.perf_counter()
+        time.sleep(0.05)
+        image = disk(params)
+        rendered += time.perf_counter() - start
+        return image
+
+    monkeypatch.setattr(rounds.Rounds, "learn", learn)
+    result = fitted(slow)
+    assert result.evaluations == BUDGET
+    assert rendered / (rendered + rounds_took) < result.busy <= 1
 
 
 @pytest.mark.usefixtures("few")

@@ -112,6 +112,14 @@ def test_names_of_version_0_1_are_understood(former: str, name: str, value: Any)
     assert flat(options)[name] == value and former not in flat(options)
 
 
+def test_a_value_of_version_0_1_is_understood_and_not_offered() -> None:
+    assert make_options("paper", {"restarts": "parts"}).restarts == "moves"
+    assert without_images({"restarts": "parts"})["restarts"] == "moves"
+    with pytest.raises(OptionError, match="restarts") as caught:
+        make_options("balanced", {"restarts": "always"})
+    assert "parts" not in str(caught.value)
+
+
 def test_one_option_by_two_names_is_refused() -> None:
     with pytest.raises(OptionError, match="proposal_fraction is given twice"):
         make_options("balanced", {"share": 0.3, "proposal_fraction": 0.5})

@@ -48,6 +48,16 @@ def test_moves_count_runs_of_one_budget_and_take_the_middle_of_two(program: Any)
     ]
 
 
+def test_the_suite_is_run_and_read_at_its_own_budgets(program: Any) -> None:
+    suite = program("suite")
+    definition = suite.read("image-fitting-v1")
+    assert [suite.budget_of(definition, n) for n in (None, 500)] == [10_000, 500]
+    with pytest.raises(SystemExit, match="no budget of 501 renders; it has 500, 2000, 10000"):
+        suite.budget_of(definition, 501)
+    runs = list(suite.planned(definition, ["arm", "lens"], ["cma"], 2))
+    assert [run["problem"] for run in runs] == ["arm-0", "lens-0", "arm-1", "lens-1"]
+
+
 def test_forward_counts_runs_that_do_not_get_there(program: Any) -> None:
     reached = program("forward")._reached
     assert reached([10, 30, None]) == "30 (2/3)"

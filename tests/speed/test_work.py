@@ -22,8 +22,10 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 import fide_tasks
+from fide_plugins import fide
 from fide_plugins.fide import FIDE
 from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.proposers.training_sample import columns
 
 BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are full by then
 MORE = 1.2
@@ -109,6 +111,32 @@ def test_work_for_one_candidate(preset: str, what: str) -> None:
     found, stated = work(preset, restarts)[what], WORK[preset][what]
     assert found < MORE * stated, f"{preset} does {found:.4g} {what} a candidate, not {stated}"
     assert found > stated / MORE, f"{preset} does less {what}, {found:.4g}: lower the number"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"preset": "paper", "epochs": 1},
+        {"preset": "paper", "epochs": 1, "guard_images": True},
+        {"proposer": "linear", "guard_images": False},  # which learns when it is asked, too
+    ],
+)
+def test_tokens_are_stacked_once(options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the published population of 500 they are hundreds of megabytes."""
+    stacked = 0
+
+    def counted(samples: Any) -> Any:
+        nonlocal stacked
+        stacked += len(samples)
+        return columns(samples)
+
+    monkeypatch.setattr(fide, "columns", counted)
+    task = fide_tasks.make("voronoi", size=56, seed=0)
+    opt = FIDE(task.dim, task.target, popsize=6, seed=0, device="cpu", **options)
+    while opt.evaluations < 36:
+        X = opt.ask(1)
+        opt.tell(X, task.render(X))
+    assert stacked == 36
 
 
 @contextmanager

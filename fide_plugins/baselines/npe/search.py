@@ -128,8 +128,10 @@ class NPE(Stateful):
         with self._timed("train"), seeded(self._new_seed()):
             flow = Flow(self._trainer.estimator, self._trainer.images(self._target), self._ordered)
             if self.trained < self.rounds:
-                about = self._ordered, self.quantile, self.support
-                drawn = draw_truncated(self.popsize, self._trainer.prior, flow, *about)
+                drawn = draw_truncated(
+                    self.popsize, self._trainer.prior, flow,
+                    order=self._ordered, quantile=self.quantile, support=self.support,
+                )  # fmt: skip
             else:
                 drawn = flow.sample((self.popsize,))
         return drawn.double().numpy()

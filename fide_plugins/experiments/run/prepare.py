@@ -126,9 +126,10 @@ def prepare(
         options["learned"] = learned
     rounds = None
     if optimizer == "fide":
-        about = task, TaskInfo.of(task).search_space or task.dim, target, options
-        out_there = None if out is None else Path(out)
-        rounds = rounds_of(*about, budget=budget, seed=seed, out=out_there)
+        space, out_there = TaskInfo.of(task).search_space, None if out is None else Path(out)
+        rounds = rounds_of(
+            task, space or task.dim, target, options, budget=budget, seed=seed, out=out_there
+        )
         options = search_options(options)
         if resume and out_there is not None and is_saved(out_there):
             options.pop("learned", None)  # the state has its hypotheses

@@ -39,7 +39,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite: problems are scenes x targets.
+    """A suite: problems are scenes x targets, each with the name ``SCENE-NUMBER``.
 
     budgets: renders at which results are read; the last is that of a run.
     targets: seeds of the tasks, the same for every scene.
@@ -53,15 +53,24 @@ class Suite:
     def __reduce__(self) -> tuple[Any, ...]:
         return read, (self.name,)
 
-    def problem(self, name: str) -> tuple[Scene, int]:
-        """Scene and target's seed of the problem ``SCENE-NUMBER``; UnknownNameError for none."""
-        scene, _, number = name.rpartition("-")
+    def problem_of(self, scene: str, number: int) -> str:
+        """Name of the problem that is this scene with the target of that number, from 0."""
+        return f"{scene}-{number}"
+
+    def parts(self, problem: str) -> tuple[str, int]:
+        """Undo `problem_of`; UnknownNameError for a name that is none of the suite's problems."""
+        scene, _, number = problem.rpartition("-")
         if scene not in self.scenes or number not in map(str, range(len(self.targets))):
             raise UnknownNameError(
-                f"unknown problem {name!r} of {self.name}: write SCENE-NUMBER, a number from 0 to "
-                f"{len(self.targets) - 1} and a scene of {', '.join(self.scenes)}"
+                f"unknown problem {problem!r} of {self.name}: write SCENE-NUMBER, a number from 0 "
+                f"to {len(self.targets) - 1} and a scene of {', '.join(self.scenes)}"
             )
-        return self.scenes[scene], self.targets[int(number)]
+        return scene, int(number)
+
+    def problem(self, name: str) -> tuple[Scene, int]:
+        """Scene and target's seed of a problem; raises as `parts`."""
+        scene, number = self.parts(name)
+        return self.scenes[scene], self.targets[number]
 
     def chosen(self, scenes: list[str] | None, targets: int | None) -> tuple[list[str], int]:
         """Scenes in the order of the suite and number of targets; None: all.

@@ -36,10 +36,9 @@ class SuitePlan(Plan):
         """All runs, targets outermost, so that finished problems can be compared at any time."""
         assert self.suite is not None
         for problem in self.tasks:
-            scene, _ = self.suite.problem(problem)
+            scene, number = self.suite.parts(problem)
             for configuration in self.configurations:
-                number = int(problem.rpartition("-")[2])
-                yield RunKey(problem, scene.loss, configuration.label, number)
+                yield RunKey(problem, self.suite.scenes[scene].loss, configuration.label, number)
 
 
 def plan(
@@ -51,7 +50,7 @@ def plan(
 ) -> SuitePlan:
     """Plan of these scenes with their first `targets` targets; budget: None for the suite's."""
     return SuitePlan(
-        tasks=tuple(f"{scene}-{k}" for k in range(targets) for scene in scenes),
+        tasks=tuple(suite.problem_of(scene, k) for k in range(targets) for scene in scenes),
         configurations=tuple(configurations),
         losses=tuple(dict.fromkeys(suite.scenes[scene].loss for scene in scenes)),
         seeds=targets,
@@ -66,7 +65,7 @@ def unavailable(suite: Suite, scenes: Iterable[str]) -> dict[str, str]:
     why: dict[str, str] = {}
     for scene in scenes:
         try:
-            target_of(make_task(f"{scene}-0", 0, 0, {"suite": suite.name}))
+            target_of(make_task(suite.problem_of(scene, 0), 0, 0, {"suite": suite.name}))
         except (ImportError, OSError, RuntimeError, ValueError) as error:
             why[scene] = str(error)
     return why

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.types import Float64
 
 __all__ = ["BeginAnew"]
@@ -24,7 +24,7 @@ _WIDTH = 0.6  # of sigma0, around the best of the random places
 _MOST_DOUBLINGS = 6
 
 
-class BeginAnew:
+class BeginAnew(Move):
     """Random places, and the distribution around the best of them."""
 
     name = "begin anew"
@@ -32,10 +32,6 @@ class BeginAnew:
     def possible(self, known: Known) -> bool:
         """Return True: it needs nothing."""
         return True
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Draw n random places, (n, d)."""

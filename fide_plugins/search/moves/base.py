@@ -8,10 +8,10 @@ begins at the best of them. Some moves need to know more of the scene first, and
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
 from torch import Tensor
@@ -116,23 +116,23 @@ class Known:
         return Start(x, std)
 
 
-class Move(Protocol):
+class Move(ABC):
     """One way to leave a local optimum."""
 
     name: str
 
+    @abstractmethod
     def possible(self, known: Known) -> bool:
         """Whether the move applies to this scene, as far as is known."""
-        ...
 
     def needs(self, known: Known) -> Stage | None:
         """Stage that must come before the restart candidates; None if nothing is missing."""
-        ...
+        return None
 
+    @abstractmethod
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Draw restart candidates, (n, d) in [0, 1]."""
-        ...
 
+    @abstractmethod
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Return where the search begins, given the best restart candidate x (d,)."""
-        ...

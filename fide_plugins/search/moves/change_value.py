@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import NARROW, Known, Stage, Start
+from fide_plugins.search.moves.base import NARROW, Known, Move, Start
 from fide_plugins.types import Float64
 
 __all__ = ["ChangeValue"]
@@ -18,7 +18,7 @@ __all__ = ["ChangeValue"]
 _WIDTH = 1 / 4  # of sigma0, in numbers: they adapt to the value
 
 
-class ChangeValue:
+class ChangeValue(Move):
     """The incumbent with another value of one integer or choice."""
 
     name = "change value"
@@ -26,10 +26,6 @@ class ChangeValue:
     def possible(self, known: Known) -> bool:
         """Whether an integer or a choice has another value."""
         return len(known.values.others(known.here.x)) > 0
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n or fewer, d) of the incumbent, with values that were searched least often."""

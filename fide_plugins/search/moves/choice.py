@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.runtime.schema import array, check
+from fide_plugins.runtime.schema import Schema, array, check, real, row
 from fide_plugins.types import Float64
 
 __all__ = ["Choice"]
@@ -22,6 +22,12 @@ __all__ = ["Choice"]
 _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
 _FLOOR = 0.3  # of all draws are even
+_LEAST = 1e-300  # gain or cost that can be
+_POSITIONS = (
+    "split", "swap", "crossover", "half turn", "relocate group", "relocate segment", "refine",
+    "begin anew", "change value", "resample",
+)  # fmt: skip
+"""Moves in the order of states without names, as earlier versions saved them; none is added."""
 
 
 class Choice:
@@ -35,12 +41,11 @@ class Choice:
         self.names = tuple(priors)
         self._gain = _PRIOR_TRIES * np.array(list(priors.values()))
         self._cost = np.full(len(priors), _PRIOR_TRIES * cost)
-        self._untried = {"gain": self._gain[-1:], "cost": self._cost[-1:]}  # the last move
+        self._untried = self._gain.copy(), self._cost.copy()
 
     def note(self, name: str, gain: float, evaluations: int) -> None:
         """Note the outcome of a move."""
         i = self.names.index(name)
-        self._gain, self._cost = self._gain.copy(), self._cost.copy()  # others may hold the state
         self._gain[i] = _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0)
         self._cost[i] = _KEEP * self._cost[i] + evaluations
 
@@ -57,14 +62,33 @@ class Choice:
         return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that changes."""
-        return {"gain": self._gain, "cost": self._cost}
+        """Everything that changes: gain and cost of each move, by its name."""
+        pairs = zip(self._gain.tolist(), self._cost.tolist(), strict=True)
+        return {name: list(pair) for name, pair in zip(self.names, pairs, strict=True)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        n = len(self.names)
-        if np.shape(state["gain"]) == (n - 1,):  # saved before there was the last move
-            state = {name: np.append(state[name], one) for name, one in self._untried.items()}
-        form = {"gain": array(n, low=1e-300), "cost": array(n, low=1e-300)}
-        check(state, form, {}, "choice")  # type: ignore[arg-type]
-        self._gain, self._cost = state["gain"].copy(), state["cost"].copy()
+        """Put back what `state_dict` gave; a move that it lacks has not been tried.
+
+        Raises ValueError for what it cannot have given.
+        """
+        if not isinstance(state, dict):
+            raise ValueError("choice is no dict")
+        if set(state) == {"gain", "cost"}:
+            state = self._by_name(state)
+        pair = row(real(_LEAST), real(_LEAST))
+        check(state, {name: pair for name in self.names if name in state}, {}, "choice")
+        gain, cost = (untried.copy() for untried in self._untried)
+        for name, values in state.items():
+            i = self.names.index(name)
+            gain[i], cost[i] = values
+        self._gain, self._cost = gain, cost
+
+    def _by_name(self, state: dict[str, Any]) -> dict[str, Any]:
+        """The state of an earlier version, arrays "gain" and "cost" (n,), as it is now."""
+        names = [name for name in _POSITIONS if name in self.names]
+        if np.shape(state["gain"]) == (len(names) - 1,):  # saved before there was the last move
+            del names[-1]
+        form: Schema = dict.fromkeys(("gain", "cost"), array(len(names), low=_LEAST))
+        check(state, form, {}, "choice")
+        pairs = zip(state["gain"].tolist(), state["cost"].tolist(), strict=True)
+        return {name: list(pair) for name, pair in zip(names, pairs, strict=True)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.search.moves.relocate_segment import segment
 from fide_plugins.types import Float64
 
@@ -19,7 +19,7 @@ __all__ = ["Crossover"]
 _WIDE = 1 / 4  # of sigma0, in the parameters from elsewhere
 
 
-class Crossover:
+class Crossover(Move):
     """Segments of two ends, from optima drawn by rank."""
 
     name = "crossover"
@@ -32,10 +32,6 @@ class Crossover:
         here = known.here.x
         every = [optimum.sample.x for optimum in known.optima.all]
         return [x for x in every if not np.array_equal(x, here)]
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with a segment, or all but a segment, of another."""

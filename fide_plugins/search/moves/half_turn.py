@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.types import Float64, Indices
 
 __all__ = ["HalfTurn"]
@@ -24,7 +24,7 @@ _LONGEST = 0.58  # half a turn in units of the box, for a range of 310 degrees
 _WIDE = 1 / 4  # of sigma0, in the parameters that were turned
 
 
-class HalfTurn:
+class HalfTurn(Move):
     """One to three neighbors, alternately turned by half a turn and mirrored."""
 
     name = "half turn"
@@ -32,10 +32,6 @@ class HalfTurn:
     def possible(self, known: Known) -> bool:
         """Whether there is anything continuous, and no blocks are exchangeable."""
         return known.exchangeability.blocks is None and len(_continuous(known)) > 0
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with some neighbors turned."""

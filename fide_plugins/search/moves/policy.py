@@ -133,9 +133,15 @@ class MovePolicy:
         """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
         if not self.hypotheses.available or not len(X):
             return None
-        drawn, typical, known = self.hypotheses.x, self.hypotheses.typical, self.known
-        about = drawn, typical, self.noise, known.exchangeability, known.axes
-        return probabilities(losses, X, *about)
+        return probabilities(
+            losses,
+            X,
+            hypotheses=self.hypotheses.x,
+            typical=self.hypotheses.typical,
+            noise=self.noise,
+            exchangeability=self.known.exchangeability,
+            axes=self.known.axes,
+        )
 
     # -- after a search ----------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.types import Float64
 
 __all__ = ["Refine"]
@@ -20,7 +20,7 @@ _WIDTH = 1 / 30  # of sigma0
 _PATIENCE = 3  # times that of other searches
 
 
-class Refine:
+class Refine(Move):
     """A narrow search around the incumbent, once for each."""
 
     name = "refine"
@@ -29,10 +29,6 @@ class Refine:
         """Whether the incumbent was left in vain, and was not refined yet."""
         optimum = known.optima.of(known.here)
         return optimum is not None and optimum.failures > 0 and not optimum.refined
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Neighbors (n, d) of the incumbent."""

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.types import Float64, Indices
 
 __all__ = ["RelocateGroup"]
 
 
-class RelocateGroup:
+class RelocateGroup(Move):
     """Groups by exchangeability or sensitivity, drawn by their size."""
 
     name = "relocate group"

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.types import Float64, Indices
 
 __all__ = ["RelocateSegment", "segment"]
 
 
-class RelocateSegment:
+class RelocateSegment(Move):
     """Segments of neighboring parameters, of any length up to half of all."""
 
     name = "relocate segment"
@@ -21,10 +21,6 @@ class RelocateSegment:
     def possible(self, known: Known) -> bool:
         """Whether no exchangeable blocks say what belongs together."""
         return known.dim > 1 and known.exchangeability.blocks is None
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with one segment uniform in the unit cube."""

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.types import Float64, Indices
 
@@ -26,7 +26,7 @@ _OPEN = 0.25  # of these, at least, differ from the incumbent in a parameter tha
 _WIDE, _NARROW = 1 / 3, 1 / 16  # of sigma0, in the parameters that were drawn, in all others
 
 
-class Resample:
+class Resample(Move):
     """Parameters of hypotheses in copies of the incumbent."""
 
     name = "resample"
@@ -39,10 +39,6 @@ class Resample:
         if not self._hypotheses.available or known.exchangeability.blocks is not None:
             return False
         return len(self._open(known)) > 0
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent; every second one differs in a single parameter."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import Known, Stage, Start
+from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.types import Float64
 
 __all__ = ["Split"]
@@ -19,7 +19,7 @@ __all__ = ["Split"]
 _SMALLEST, _LARGEST = 0.03, 0.5  # standard deviation of a difference, log-uniform
 
 
-class Split:
+class Split(Move):
     """Donor := source + N(0, s^2), s log-uniform for each parameter."""
 
     name = "split"

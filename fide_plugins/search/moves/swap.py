@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.search.moves.base import NARROW, Known, Stage, Start
+from fide_plugins.search.moves.base import NARROW, Known, Move, Start
 from fide_plugins.types import Float64
 
 __all__ = ["Swap"]
 
 
-class Swap:
+class Swap(Move):
     """Values of one block to another, and back."""
 
     name = "swap"
@@ -21,10 +21,6 @@ class Swap:
     def possible(self, known: Known) -> bool:
         """Whether there are blocks whose order shows."""
         return known.exchangeability.blocks is not None and known.exchangeability.ordered
-
-    def needs(self, known: Known) -> Stage | None:
-        """Nothing."""
-        return None
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
         """Copies (n, d) of the incumbent, each with two blocks exchanged."""

@@ -121,7 +121,9 @@ class Exchangeability:
     def distance(self, x: Float64, y: Float64) -> float:
         """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
 
-        The order is the one with the least sum of the blocks' largest differences.
+        The order is the one with the least sum of the blocks' largest differences: whoever asks
+        compares the largest with a bound.  `learning.report.Distance`, which measures models, sums
+        the differences of all parameters instead; the two may match blocks differently.
         """
         difference = self._axes.difference(x, y)
         if self.blocks is None:

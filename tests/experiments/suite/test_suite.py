@@ -86,6 +86,13 @@ def test_later_suites_have_the_same_scenes_and_other_targets(name: str, n: int) 
     assert not np.array_equal(ours, theirs)
 
 
+def test_a_problem_has_the_name_of_its_scene_and_the_number_of_its_target() -> None:
+    assert SUITE.problem_of("stick_figure", 3) == "stick_figure-3"
+    assert SUITE.parts("stick_figure-3") == ("stick_figure", 3)
+    scene, seed = SUITE.problem("stick_figure-3")
+    assert scene.name == "stick_figure" and seed == SUITE.targets[3]
+
+
 @pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
 def test_unknown_problems(name: str) -> None:
     with pytest.raises(ValueError, match=re.escape(f"unknown problem {name!r} of image-fitting")):

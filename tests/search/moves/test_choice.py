@@ -43,16 +43,42 @@ def test_state_goes_on_and_impossible_ones_are_refused() -> None:
     copy.load_state_dict(original.state_dict())
     names = list(PRIORS)
     np.testing.assert_array_equal(copy.probabilities(names), original.probabilities(names))
-    for wrong in (np.zeros(3), np.ones(2), np.array([1.0, np.nan, 1.0])):
+    state = original.state_dict()
+    for wrong in ({"b": [0.0, 1.0]}, {"b": [1.0]}, {"b": [np.nan, 1.0]}, {"d": [1.0, 1.0]}):
         with pytest.raises(ValueError, match="choice"):
-            copy.load_state_dict({"gain": wrong, "cost": np.ones(3)})
+            copy.load_state_dict({**state, **wrong})
+    with pytest.raises(ValueError, match="choice is no dict"):
+        copy.load_state_dict([])  # type: ignore[arg-type]
 
 
-def test_a_state_of_before_there_was_the_last_move_is_understood() -> None:
-    earlier = Choice({name: gain for name, gain in list(PRIORS.items())[:-1]}, 100.0)
-    earlier.note(earlier.names[0], 1.0, 10)
-    now = Choice(PRIORS, 100.0)
+def test_a_move_that_is_added_anywhere_takes_no_other_ones_gain() -> None:
+    earlier = Choice({"a": 0.5, "c": 0.1}, 100)
+    earlier.note("a", 0.7, 30)
+    earlier.note("c", 0.9, 40)
+    now, expected = Choice(PRIORS, 100), Choice(PRIORS, 100)
+    now.note("b", 1.0, 1)  # which the state does not know
     now.load_state_dict(earlier.state_dict())
-    fresh, names = Choice(PRIORS, 100.0), list(PRIORS)
-    fresh.note(earlier.names[0], 1.0, 10)
-    np.testing.assert_array_equal(now.probabilities(names), fresh.probabilities(names))
+    expected.note("a", 0.7, 30)
+    expected.note("c", 0.9, 40)
+    assert now.state_dict() == expected.state_dict()
+
+
+MOVES = (
+    "split", "swap", "crossover", "half turn", "relocate group", "relocate segment", "refine",
+    "begin anew",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("saved", [MOVES, (*MOVES, "resample"), (*MOVES, "change value")])
+@pytest.mark.parametrize("first", [(), ("new",)])
+def test_a_state_by_positions_is_understood(saved: tuple[str, ...], first: tuple[str, ...]) -> None:
+    """It is of an earlier version, which may have lacked the last move."""
+    names = (*first, *saved) if saved[-1] == "resample" else (*first, *saved, "resample")
+    fresh, now = (Choice(dict.fromkeys(names, 0.1), 100) for _ in range(2))
+    gain = np.linspace(0.1, 1.0, len(saved))
+    now.load_state_dict({"gain": gain, "cost": 2 * gain})
+    pairs = {name: [g, 2 * g] for name, g in zip(saved, gain.tolist(), strict=True)}
+    assert now.state_dict() == {**fresh.state_dict(), **pairs}
+    for wrong in (np.zeros(len(saved)), np.ones(len(saved) - 2), np.full(len(saved), np.nan)):
+        with pytest.raises(ValueError, match="choice"):
+            now.load_state_dict({"gain": wrong, "cost": gain})
