@@ -218,7 +218,7 @@ class FIDE(Retargeting):
             if not left:
                 return np.empty((0, self.dim))
             _, z = descent.sample(min(n, left), state.rng)
-            v = descent.rendered(z)
+            v = descent.stretched(z)
             x = state.steps.propose(v, target, descent.mean, descent.std, state.rng)
         return state.steps.new_ones(descent.place_proposals(x), state.population.is_pending)
 
@@ -403,7 +403,7 @@ class FIDE(Retargeting):
         proposer, target = self.state.proposer, self.target_tokens
         assert proposer is not None
         with timed(self.times, "train"):
-            made = proposer.propose(descent.rendered(z), target, descent.mean, descent.std, rng)
+            made = proposer.propose(descent.stretched(z), target, descent.mean, descent.std, rng)
         x = descent.place_proposals(made)
         return x, descent.near(x)
 

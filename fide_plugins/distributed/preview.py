@@ -30,7 +30,7 @@ def preview_candidate(optimizer: FIDE, rng: np.random.Generator) -> Candidate | 
     x, z = descent.sample(1, rng)  # (1, d)
     proposed = False
     if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
-        v, target = descent.rendered(z), optimizer.target_tokens
+        v, target = descent.stretched(z), optimizer.target_tokens
         made = proposer.propose(v, target, descent.mean, descent.std, rng)
         x, proposed = descent.place_proposals(made), True
         z = descent.near(x)

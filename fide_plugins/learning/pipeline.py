@@ -25,7 +25,7 @@ from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network
 from fide_plugins.learning.renderer import (
-    BatchRenderer as Renderer,
+    BatchRenderer,
     Pixels,
     as_renderer,
     small_size,
@@ -214,7 +214,7 @@ def learn(
 class _Plan:
     """All that is decided before anything is rendered."""
 
-    renderer: Renderer
+    renderer: BatchRenderer
     shape: tuple[int, int]
     size: tuple[int, int]
     renders: int

@@ -1,4 +1,21 @@
-"""Proposers: what an image says about where the next candidates should lie."""
+"""Proposers: what an image says about where the next candidates should lie.
+
+=================  ==============================================================================
+`base`             what a proposer is
+`linear`           the default: the best linear denoiser, conditioned on a source and the target
+`diffusion`        the published one: a network that denoises, trained along with the search
+`forward`          features regressed on parameters, and damped Gauss-Newton steps
+`steps`            Gauss-Newton steps from the best candidate, between the generations
+`image_gate`       whether the image may steer the search, how far, and how many are proposed
+`jacobian`         the Jacobian of the features, fitted to evaluated candidates
+`ridge`            ridge regression by scalar products, and how well it predicts
+`screening`        each parameter from the tokens that show it
+`feature_buffer`   features of the images that a proposer remembers
+`remembered`       how many candidates proposers remember, and learn from at once
+`training_sample`  a candidate whose image is known
+`background`       trains while the user renders
+=================  ==============================================================================
+"""
 
 from __future__ import annotations
 

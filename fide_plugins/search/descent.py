@@ -102,7 +102,7 @@ class Descent:
         x: Float64 = self._mixed.reflected(mean[None])[0]
         return x
 
-    def rendered(self, z: Float64) -> Float64:
+    def stretched(self, z: Float64) -> Float64:
         """Candidates z (n, d) as samples of N(mean, std^2), before any are put into the cube."""
         return self._mixed.stretched(z, self.mean)
 
