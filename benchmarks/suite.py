@@ -5,6 +5,7 @@
     python benchmarks/suite.py --table
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
+    python benchmarks/suite.py --page runs/suite/report.html             # all of them on a page
     python benchmarks/suite.py --budget 2000 --scenes arm,lens --optimizers composite-bo
     python benchmarks/suite.py --suite image-fitting-v2   # or -v3
 
@@ -20,9 +21,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -36,6 +38,7 @@ from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
 from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
+from fide_plugins.experiments.suite.page import Origin, write_scores
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
@@ -159,11 +162,48 @@ def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int
     )  # fmt: skip
 
 
+def origin(rows: Sequence[Row]) -> Origin:
+    """What was typed, and what made these rows: their days, processors and packages."""
+    days = sorted(row["date"] for row in rows)
+    machine = {
+        "runs": len(rows),
+        "days": f"{days[0]} to {days[-1]}",
+        "processors": _each(row["machine"]["cpu"] for row in rows),
+    }
+    known = [row["packages"] for row in rows if "packages" in row]  # not of the first ones
+    versions = {
+        name: _each(packages[name] for packages in known if name in packages)
+        for name in sorted({name for packages in known for name in packages})
+    }
+    return Origin([shlex.join(["python", *sys.argv])], machine, versions)
+
+
+def _each(values: Iterable[str]) -> str:
+    return ", ".join(sorted(set(values)))
+
+
 def picture(found: Scores, *, performance: bool) -> bytes:
     """Data profile, or performance profile at the last budget, as PNG."""
     if performance:
         return svg.png(figures.performance_profile(found, found.labels, found.budgets[-1]))
     return svg.png(figures.data_profile(found, found.labels))
+
+
+def show(found: Scores, rows: Sequence[Row], arguments: argparse.Namespace) -> None:
+    """Write a picture or a page of what was found, or print its tables.
+
+    rows: among which are those of `found`.
+    """
+    if arguments.picture:
+        arguments.picture.write_bytes(picture(found, performance=arguments.performance))
+    elif arguments.page:
+        used = [
+            r for r in rows if r["optimizer"] in found.labels and r["problem"] in found.problems
+        ]
+        write_scores(found, origin(used), arguments.page)
+    else:
+        tables = (make(found, list(found.labels)) for make in (totals, by_scene, lowest))
+        print(*map(markdown, tables), sep="\n\n")
 
 
 def main() -> None:
@@ -173,17 +213,9 @@ def main() -> None:
     scenes, _ = suite.chosen(arguments.scenes.split(","), None)
     optimizers, budget = arguments.optimizers.split(","), budget_of(suite, arguments.budget)
     out = arguments.out or file_of(suite)
-    if arguments.table or arguments.picture:
+    if arguments.table or arguments.picture or arguments.page:
         chosen = [row for row in rows_of(out) if suite.parts(row["problem"])[0] in scenes]
-        found = scores(suite, chosen, optimizers, budget)
-        if arguments.picture:
-            drawn = picture(found, performance=arguments.performance)
-            arguments.picture.write_bytes(drawn)
-        else:
-            print(
-                *(markdown(make(found, optimizers)) for make in (totals, by_scene, lowest)),
-                sep="\n\n",
-            )
+        show(scores(suite, chosen, optimizers, budget), chosen, arguments)
     elif arguments.folder:
         there = results.read(arguments.folder)
         made_by = {"commit": None, "packages": there.versions, "machine": there.machine}
@@ -219,6 +251,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--budget", type=int, metavar="N", help="renders: a budget of the suite (its last)")
     add("--table", action="store_true")
     add("--picture", type=Path, metavar="PNG")
+    add("--page", type=Path, metavar="HTML", help="page as that of fide compare --suite")
     add("--performance", action="store_true", help="a performance profile as picture")
     return parser.parse_args()
 

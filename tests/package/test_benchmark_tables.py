@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 from pathlib import Path
@@ -127,3 +128,27 @@ def test_of_a_suite_the_longest_run_of_a_problem_counts(program: Any) -> None:
         np.testing.assert_array_equal(found.losses[:, 0, 0], 1e-6)
     with pytest.raises(SystemExit, match="two rows of one run"):
         suite.scores(definition, [rows[0], rows[0]], ["fide"], 2000)
+
+
+def test_the_page_of_a_suite_says_what_made_its_rows(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows of two processors and of two versions of a package; other optimizers' are no part."""
+    suite, out = program("suite"), tmp_path / "rows.jsonl"
+
+    def row(optimizer: str, solved_at: int | None, cpu: str, numpy: str) -> dict[str, Any]:
+        return {"problem": "lamps-0", "optimizer": optimizer, "solved_at": solved_at,
+                "losses": {"500": 1e-3 if solved_at is None else 1e-6}, "date": "2026-11-26",
+                "machine": {"cpu": cpu}, "packages": {"numpy": numpy}}  # fmt: skip
+
+    rows = [row("fide", 400, "A", "2.4.6"), row("cma", None, "B", "2.5.2"), row("eki", 9, "C", "3")]
+    out.write_text("".join(json.dumps(one) + "\n" for one in rows))
+    monkeypatch.setattr(sys, "argv", [
+        "suite.py", "--budget", "500", "--optimizers", "fide,cma", "--out", str(out),
+        "--page", str(tmp_path / "page" / "report.html"),
+    ])  # fmt: skip
+    suite.main()
+    page, text = ((tmp_path / "page" / name).read_text() for name in ("report.html", "report.md"))
+    assert "A, B" in page and "2.4.6, 2.5.2" in page and "suite.py --budget 500" in page
+    assert "| fide      |         **1** |" in text and "1 of 110 problems" in text
+    assert (tmp_path / "page" / "figures" / "performance-500.png").is_file()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -27,7 +28,7 @@ from fide_plugins.experiments.suite.scores import Scores, scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 from fide_plugins.runtime import files
 
-__all__ = ["write"]
+__all__ = ["Origin", "write", "write_scores"]
 
 _METHOD = (
     "A problem is a scene and a target. It is solved by the first render whose loss is at most the "
@@ -60,17 +61,34 @@ class _Chart(NamedTuple):
     svg: Any
 
 
+class Origin(NamedTuple):
+    """What made the runs: command lines, machine, and versions of packages."""
+
+    calls: Sequence[str]
+    machine: Mapping[str, Any]
+    versions: Mapping[str, str]
+
+
 def write(results: Results, page: str | os.PathLike[str]) -> Written:
+    """Write the page of a comparison.
+
+    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all or every run
+    failed, and what `write_scores` raises.
+    """
+    calls = [sentences.command(call) for call in results.calls]
+    return write_scores(scores(results), Origin(calls, results.machine, results.versions), page)
+
+
+def write_scores(found: Scores, origin: Origin, page: str | os.PathLike[str]) -> Written:
     """Write the page, report.md, solved.csv and figures/ into one folder.
 
     page: path of report.html.  For another name, the names of the other files start with it:
         a.html, a.md, a-solved.csv.
 
-    Raises NoResultsError (a FileNotFoundError) if no problem is finished by all or every run
-    failed, OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
+    Raises OptionError (a ValueError) for a page without the suffix .html, DependencyError (an
     ImportError) without Jinja2, OSError if a file cannot be written.
     """
-    path, found = page_path(page), scores(results)
+    path = page_path(page)
     env = report_page.environment()  # raises without Jinja2, before anything is written
     names = list(found.labels)  # with all options: pages of a suite are put beside one another
     tables = [
@@ -83,8 +101,8 @@ def write(results: Results, page: str | os.PathLike[str]) -> Written:
     charts = _write_charts(found, names, folder)
     pictures = [(quote(f"{folder.name}/{chart.stem}.png"), chart.title) for chart in charts]
     files.write_text(companion(path, "solved.csv"), _csv(found))
-    files.write_text(path.with_suffix(".md"), _markdown(results, found, tables, pictures))
-    files.write_text(path, _html(env, results, found, tables, charts))
+    files.write_text(path.with_suffix(".md"), _markdown(origin, found, tables, pictures))
+    files.write_text(path, _html(env, origin, found, tables, charts))
     return Written(path, _overview(found, tables))
 
 
@@ -168,7 +186,7 @@ def _csv(found: Scores) -> str:
 
 
 def _html(
-    env: Any, results: Results, found: Scores, tables: list[Table], charts: list[_Chart]
+    env: Any, origin: Origin, found: Scores, tables: list[Table], charts: list[_Chart]
 ) -> str:
     """The page in HTML; env: of `report_page.environment`."""
     html: str = env.get_template("suite.html").render(
@@ -179,9 +197,9 @@ def _html(
         tables=tables,
         charts=[(chart.title, chart.svg) for chart in charts],
         names=found.labels,
-        calls=[sentences.command(call) for call in results.calls],
-        machine=results.machine,
-        versions=results.versions,
+        calls=origin.calls,
+        machine=origin.machine,
+        versions=origin.versions,
         method=_METHOD,
     )
     return html
@@ -195,10 +213,10 @@ def _overview(found: Scores, tables: list[Table]) -> str:
 
 
 def _markdown(
-    results: Results, found: Scores, tables: list[Table], pictures: list[tuple[str, str]]
+    origin: Origin, found: Scores, tables: list[Table], pictures: list[tuple[str, str]]
 ) -> str:
     """The page in Markdown; pictures: link and title of each."""
-    calls = (f"    {sentences.command(call)}" for call in results.calls)
+    calls = (f"    {call}" for call in origin.calls)
     parts = [f"# Suite {found.suite.name}", *calls, _part(found)]
     parts += [*map(escaped, remarks(found)), f"{_facts(found)}."]
     parts += [f"![{escaped(title)}]({link})" for link, title in pictures[:1]]
