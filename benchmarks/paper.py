@@ -45,9 +45,12 @@ RACERS: Configurations = {
     "ZeroGrads": ("zerograds", {}),
     DIBO: ("dibo", DIBO_OPTIONS),
 }
+PRETRAINED = "FIDE paper, 20 epochs, EfficientNet-Lite0"
+BACKBONES: Configurations = {PRETRAINED: ("fide", {"preset": "paper", "encoder": "efficientnet"})}
+"""The published method with features of a pretrained network instead of its patches."""
 STEPS = {"voronoi": 0.01}  # of dual annealing: the best in docs/measurements/baselines.md
 USUAL_STEP = 0.001
-SLOW = (PUBLISHED, DIBO)
+SLOW = (PUBLISHED, PRETRAINED, DIBO)
 CHEAP = tuple(name for name in RACERS if name not in SLOW)
 
 BUDGET = 25_000
@@ -74,6 +77,10 @@ STAGES = {
     "dibo": [Stage(FAST, METRICS, (DIBO,))],
     "published": [Stage(FAST, (*METRICS, "loi"), (PUBLISHED,))],
     "rendered": [Stage(RENDERED, ("perceptual",), tuple(RACERS), (0,))],
+    "backbones": [
+        Stage(FAST, ("mse",), (PRETRAINED,)),
+        Stage(RENDERED, ("perceptual",), (PRETRAINED,), (0,)),
+    ],
     "rendered-mse": [Stage(RENDERED, ("mse",), tuple(RACERS), (0,))],
     "rendered-loi": [Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,))],
 }
@@ -83,7 +90,9 @@ def main() -> None:
     """Run what is missing."""
     arguments = parse_arguments()
     run = partial(measure, parts=arguments.out.with_suffix(".parts"), threads=arguments.threads)
-    run_configurations(grid(arguments.stages), RACERS, arguments.out, arguments.part, run)
+    run_configurations(
+        grid(arguments.stages), {**RACERS, **BACKBONES}, arguments.out, arguments.part, run
+    )
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -1,6 +1,7 @@
 """Tables and the picture of the paper's main comparison, from the rows of paper.py.
 
 python benchmarks/paper_tables.py
+python benchmarks/paper_tables.py --backbones
 python benchmarks/paper_tables.py --picture docs/images/paper.png
 """
 
@@ -17,6 +18,8 @@ from paper import (
     AFFORDABLE,
     FAST,
     METRICS,
+    PRETRAINED,
+    PUBLISHED,
     RACERS,
     RENDERED,
     RESULTS,
@@ -41,9 +44,13 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=RESULTS, metavar="FILE", help="of paper.py")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the results of target 0")
     parser.add_argument("--loss", default="perceptual", choices=METRICS, help="of the picture")
+    parser.add_argument("--backbones", action="store_true", help="only the encoders' table")
     arguments = parser.parse_args()
-    rows = longest(read(arguments.rows))
-    if arguments.picture:
+    every = longest(read(arguments.rows))
+    rows = [row for row in every if row["configuration"] in RACERS]
+    if arguments.backbones:
+        print("\n".join(backbones(every)))
+    elif arguments.picture:
         save(picture(rows, arguments.loss), arguments.picture)
     else:
         print(table(rows))
@@ -94,6 +101,24 @@ def section(task: str, loss: str, rows: list[Row], configurations: list[str]) ->
         cells += [lowest(group, rows), solved(group, task)] if group else ["-", "-"]
         lines.append("| " + " | ".join(cells) + " |")
     return [*lines, ""]
+
+
+def backbones(rows: list[Row]) -> list[str]:
+    """The minimized loss at the marks, target by target, of the encoders that both have run."""
+    encoders = {PUBLISHED: "patch", PRETRAINED: "efficientnet"}
+    runs: dict[tuple[str, str, int], dict[str, Row]] = {}
+    for row in rows:
+        if row["configuration"] in encoders:
+            cell = runs.setdefault((row["task"], row["loss"], row["target"]), {})
+            cell[row["configuration"]] = row
+    marks = ", ".join(f"{int(mark):,}" for mark in MARKS)
+    lines = [f"| scene, loss, target | encoder | after {marks} renders |", "|---|---|---|"]
+    for (task, loss, target), pair in sorted(runs.items()):
+        for configuration, encoder in encoders.items() if len(pair) == 2 else ():
+            cross = pair[configuration]["cross"]
+            numbers = [f"{cross[mark][loss]:.3g}" if mark in cross else "-" for mark in MARKS]
+            lines.append(f"| {task}, `{loss}`, {target} | `{encoder}` | {', '.join(numbers)} |")
+    return lines
 
 
 def shorter(rows: list[Row], most: int) -> str:

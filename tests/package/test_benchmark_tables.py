@@ -107,6 +107,20 @@ def test_of_the_paper_the_last_column_is_the_end(program: Any) -> None:
     assert lines[5].startswith("| ZeroGrads | 0 | - |")
 
 
+def test_backbones_are_compared_where_both_ran(program: Any) -> None:
+    paper, tables = program("paper"), program("paper_tables")
+    both = [
+        paper_row(name, 25_000, loss)
+        for name, loss in ((paper.PUBLISHED, 0.3), (paper.PRETRAINED, 0.2))
+    ]
+    alone = paper_row(paper.PUBLISHED, 25_000, 0.1, target=1)
+    lines = tables.backbones([*both, alone])[2:]
+    assert [line.split(" | ")[1] for line in lines] == ["`patch`", "`efficientnet`"]
+    assert [
+        line.rstrip(" |").endswith(end) for line, end in zip(lines, ("0.3", "0.2"), strict=True)
+    ] == [True] * 2
+
+
 def test_races_with_authors_count_ties_for_nobody(program: Any) -> None:
     rows = [{"ours": ours, "theirs": 1.0} for ours in (0.5, 0.5, 0.5, 0.5, 0.5, 1.0, 1.0)]
     (line,) = program("authors").line("x", rows)
