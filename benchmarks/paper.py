@@ -1,5 +1,7 @@
 """The main comparison of the paper: five scenes, six optimizers, both losses of every result.
 
+The stage `backbones` adds the published method with the features of a pretrained network.
+
     python benchmarks/paper.py --stages mse perceptual loi
 
 Every run (scene, target, loss, optimizer) is one line of benchmarks/results/paper.jsonl, appended

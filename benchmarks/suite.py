@@ -67,7 +67,7 @@ def planned(
 
 
 def budget_of(suite: Suite, budget: int | None) -> int:
-    """The budget, at which results of the suite must be read; None: its last.  Else it exits."""
+    """The budget, one of the suite's; None: its last.  Exits for any other."""
     if budget is not None and budget not in suite.budgets:
         known = ", ".join(map(str, suite.budgets))
         sys.exit(f"{suite.name} has no budget of {budget} renders; it has {known}")
@@ -138,18 +138,24 @@ def row_of(
     }
 
 
-def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
-    """Of the problems that all of these optimizers have finished, up to the budget.
-
-    Of several runs of one problem the longest counts.
-    """
+def longest(
+    rows: Sequence[Row], optimizers: Sequence[str], budget: int
+) -> dict[tuple[str, str], Row]:
+    """Runs of these optimizers by their key: of several of one problem the longest."""
     rows = [row for row in rows if row["optimizer"] in optimizers and long_enough(budget)(row)]
-    found = {key(row): row for row in sorted(rows, key=lambda row: len(row["losses"]))}
     twice = {p for p, n in Counter((*key(row), *row["losses"]) for row in rows).items() if n > 1}
     if twice:
         sys.exit(f"two rows of one run: {twice}; keep one of them")
+    order = {key(row): None for row in rows}
+    found = {key(row): row for row in sorted(rows, key=lambda row: len(row["losses"]))}
+    return {run: found[run] for run in order}
+
+
+def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:
+    """Of the problems that all of these optimizers have finished, up to the budget."""
+    found = longest(rows, optimizers, budget)
     budgets = tuple(b for b in suite.budgets if b <= budget)
-    there = dict.fromkeys(row["problem"] for row in rows)
+    there = dict.fromkeys(problem for problem, _ in found)
     problems = [p for p in there if all((p, label) in found for label in optimizers)]
     if not problems:
         sys.exit("no problem is finished by all of these optimizers")
@@ -197,9 +203,8 @@ def show(found: Scores, rows: Sequence[Row], arguments: argparse.Namespace) -> N
     if arguments.picture:
         arguments.picture.write_bytes(picture(found, performance=arguments.performance))
     elif arguments.page:
-        used = [
-            r for r in rows if r["optimizer"] in found.labels and r["problem"] in found.problems
-        ]
+        runs = longest(rows, found.labels, found.budgets[-1]).values()
+        used = [row for row in runs if row["problem"] in found.problems]
         write_scores(found, origin(used), arguments.page)
     else:
         tables = (make(found, list(found.labels)) for make in (totals, by_scene, lowest))

@@ -5,8 +5,8 @@ Algorithm 1                            here
 =====================================  ======================================================
 line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `.forward`, `.diffusion`
-line 4, sample                         `FIDE._sample_and_denoise`
-line 5, denoise                        it says which samples; `FIDE._propose` does it
+line 4, sample                         `FIDE._draw_samples`
+line 5, denoise                        `FIDE._propose`, of some of these samples
 line 6, render                         the user, between `ask` and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
 line 8, train                          `FIDE._train`; before a proposal, `FIDE._train_early`
@@ -17,8 +17,8 @@ between two generations, steps         `FIDE._make_steps`: a forward model train
 after a search, begin again            `State.finish_search`, `search.moves`
 =====================================  ======================================================
 
-The last two are beyond Algorithm 1.  A forward model between the generations (`proposers.steps`)
-is another one than a forward proposer in them, which trains and proposes by lines 8 and 5.
+The last two are beyond Algorithm 1.  The forward model of the steps (`proposers.steps`) is not the
+forward proposer: that one trains in line 8 and proposes in line 5.
 
 What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
 (``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
@@ -364,12 +364,12 @@ class FIDE(Retargeting):
         """
         state = self.state
         if state.stage is Stage.SEARCH:
-            self._sample_and_denoise(population, rng)
+            self._draw_samples(population, rng)
         else:
             x = state.descent.clipped(state.moves.draw(rng))
             population.draw(x, x)
 
-    def _sample_and_denoise(self, population: Population, rng: np.random.Generator) -> None:
+    def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
         """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
         state = self.state
         k = state.descent.popsize

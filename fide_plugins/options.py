@@ -216,7 +216,7 @@ def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_present_values(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Options by present names, and whatever else there is, with values as they are named now."""
+    """Settings, with former names of values replaced by the present ones."""
     present = dict(settings)
     for name in _FORMER_VALUES.keys() & settings.keys():
         if isinstance(value := settings[name], str):

@@ -93,5 +93,6 @@ def _read(variant: str | None) -> Model:
     try:
         return Model.load(path)
     except OSError as error:
-        why = f"no model at {path.absolute()}: {error.strerror or error}; {_HOW}"
+        reason = error.strerror or "No such file"  # a ModelNotFoundError has no number
+        why = f"no model at {path.absolute()}: {reason}; {_HOW}"
         raise WeightsNotFoundError(why) from error

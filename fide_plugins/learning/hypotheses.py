@@ -41,10 +41,10 @@ def posterior_of(
     """
     if learned is None:
         return None
-    from fide_plugins.learning.model import Model, model_at  # takes a second: PyTorch's networks
+    from fide_plugins.learning.model import Model  # takes a second: PyTorch's networks
 
     if isinstance(learned, str | os.PathLike):
-        learned = model_at(learned)
+        learned = Model.load(learned)
     if not isinstance(learned, Model):
         raise OptionError(f"learned is a model or its file, not {type(learned).__name__}")
     learned.check_space(space)
@@ -86,9 +86,9 @@ def model_for(learned: Any, render: object) -> Any:
     """
     if learned is None:
         return None
-    from fide_plugins.learning.model import Model, model_at
+    from fide_plugins.learning.model import Model
 
-    model = model_at(learned) if isinstance(learned, str | os.PathLike) else learned
+    model = Model.load(learned) if isinstance(learned, str | os.PathLike) else learned
     if isinstance(model, Model):
         _check_renderer(model, render)
     return model

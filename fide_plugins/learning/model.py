@@ -44,7 +44,7 @@ from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import as_points, whole_number
 
-__all__ = ["Model", "model_at"]
+__all__ = ["Model"]
 
 _KIND = "learned model"
 _ASPECT = 0.02  # relative difference of height / width that is rounding
@@ -256,9 +256,14 @@ class Model:
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Model of the file `path` that `save` wrote.
 
-        Raises OSError, or CheckpointError (a ValueError) if the file is damaged or no model.
+        Raises ModelNotFoundError (a FileNotFoundError), which says what makes a model, another
+        OSError, or CheckpointError (a ValueError) if the file is damaged or no model.
         """
-        state = checkpoint.read(path, _KIND)
+        try:
+            state = checkpoint.read(path, _KIND)
+        except FileNotFoundError as error:
+            why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
+            raise ModelNotFoundError(why) from error
         try:
             return cls._of(state)
         except IMPOSSIBLE as error:
@@ -297,12 +302,3 @@ class Model:
             state["fingerprint"],
             emulator,
         )
-
-
-def model_at(path: str | os.PathLike[str]) -> Model:
-    """Model of a file, as `Model.load`; where there is none the error says what makes one."""
-    try:
-        return Model.load(path)
-    except FileNotFoundError as error:
-        why = f"no model at {os.fspath(path)}: `fide learn` or `learn(..., out=...)` makes one"
-        raise ModelNotFoundError(why) from error

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from fide_plugins.encoders.pretrained.weights import digest
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.model import Model, model_at
+from fide_plugins.learning.model import Model
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.types import Float64
@@ -56,7 +56,7 @@ class Truncated:
         Raises OSError, CheckpointError, ImageError; OptionError without the renders, or where the
         model is one of a second round.
         """
-        model, folder = model_at(after), Path(f"{os.fspath(after)}.renders")
+        model, folder = Model.load(after), Path(f"{os.fspath(after)}.renders")
         if not (folder / "settings").exists():
             raise OptionError(f"the renders of the model {os.fspath(after)} are missing: {folder}")
         store = RenderStore.open(folder)

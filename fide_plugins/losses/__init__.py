@@ -63,10 +63,11 @@ def make(name: str, target: object, **options: object) -> LossOfTarget:
 
     The name may end with a variant, ``"lpips:vgg"``.
 
-    options: arguments of the loss's class, such as `device`.
+    options: arguments of the loss's class, such as `device` of "lpips".
 
-    Raises `UnknownNameError`, which lists the known names, `ImageError`, or what the loss itself
-    raises, such as `WeightsNotFoundError`.
+    Raises `UnknownNameError`, which lists the known names, `OptionError` for an option that the
+    loss does not have, `ImageError`, or what the loss itself raises, such as
+    `WeightsNotFoundError`.
     """
     from fide_plugins.losses.base import CallableLoss, LossOfTarget
 

@@ -2,7 +2,7 @@
 
 =================  ==============================================================================
 `base`             what a proposer is
-`linear`           the default: the best linear denoiser, conditioned on a source and the target
+`linear`           that of the default: the best linear denoiser, conditioned on an image
 `diffusion`        the published one: a network that denoises, trained along with the search
 `forward`          features regressed on parameters, and damped Gauss-Newton steps
 `steps`            Gauss-Newton steps from the best candidate, between the generations

@@ -9,7 +9,7 @@ MOST = 600
 
 
 def for_jacobian(dim: int) -> int:
-    """Candidates to which a Jacobian of d parameters is fitted: four for each and some, or `MOST`.
+    """Candidates to which a Jacobian of d parameters is fitted: 4 d + 20, at most `MOST`.
 
     >>> for_jacobian(8), for_jacobian(200)
     (52, 600)

@@ -80,24 +80,28 @@ class Registry(Generic[T]):
             raise UnknownNameError.of(self._kind, name, self._factories)
         name, colon, variant = name.partition(":")
         factory = self.resolve(name)
-        self._check(name, factory, options)
+        self._check(name, factory, len(args), options)
         if not colon:
             return factory(*args, **options)
         if not self.takes(name, "variant"):
             raise OptionError(f"the {self._kind} {name!r} has no variants, got {name}:{variant}")
         return factory(*args, variant=variant, **options)
 
-    def _check(self, name: str, factory: Callable[..., T], options: dict[str, object]) -> None:
-        """Raise OptionError for an option that the factory does not have."""
+    def _check(
+        self, name: str, factory: Callable[..., T], n: int, options: dict[str, object]
+    ) -> None:
+        """Raise OptionError for an option that the factory lacks; its first n come by position."""
         try:
-            parameters = inspect.signature(factory).parameters
+            parameters = list(inspect.signature(factory).parameters.values())
         except ValueError:  # some functions of C do not say
             return
-        if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        if any(p.kind is p.VAR_KEYWORD for p in parameters):
             return
-        unknown = sorted(options.keys() - parameters.keys())
+        named = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+        known = [name for name in named if name not in [p.name for p in parameters[:n]]]
+        unknown = sorted(options.keys() - set(known))
         if unknown:
-            known = ", ".join(p.name for p in parameters.values() if p.kind is p.KEYWORD_ONLY)
             raise OptionError(
-                f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: {known or 'none'}"
+                f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: "
+                f"{', '.join(known) or 'none'}"
             )

@@ -16,16 +16,16 @@ B, D       (d, d), (d,)   C = B diag(D^2) B^T
 =========  ======  ==============================================================
 
 Why not a library: `cmaes` and `cma` assume, or silently repair, candidates that are not theirs.
-Here proposals are injected.  By default they are 30 % of a generation at first; that adapts, up to
-80 % (`proposers.image_gate`).  In preset "paper" they are half of it.  Two rules make that safe,
-which that preset leaves out (`guard_search`): an injected step is cut to the length a sample may
-have (Hansen 2011, "Injecting External Solutions Into CMA-ES", arXiv:1110.4181, eq. 3), and the mean
-standard deviation does not exceed the one the search began with (or a stated multiple), because
-good injected candidates make the step-size path long for a reason that is no reason to widen the
-search.  With nothing injected and no cap the numbers are those of `cmaes` (tested), up to
-dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section B.2), or when it
-was told of a candidate that no sample can be, and the step size follows `step_size.TwoPoint`.
-Until a first candidate has a loss the search widens (`_widen`).
+Here proposals are injected: none until images agree with losses, then up to 30 % of a generation,
+which adapts to 5 to 80 % (`proposers.image_gate`); in preset "paper" always half of it.  Two rules
+make that safe, which that preset leaves out (`guard_search`): an injected step is cut to the length
+a sample may have (Hansen 2011, "Injecting External Solutions Into CMA-ES", arXiv:1110.4181, eq.
+3), and the mean standard deviation does not exceed the one the search began with (or a stated
+multiple), because good injected candidates make the step-size path long for a reason that is no
+reason to widen the search.  With nothing injected and no cap the numbers are those of `cmaes`
+(tested), up to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section
+B.2), or when it was told of a candidate that no sample can be, and the step size follows
+`step_size.TwoPoint`.  Until a first candidate has a loss the search widens (`_widen`).
 """
 
 from __future__ import annotations

@@ -39,6 +39,9 @@ def test_an_option_that_a_factory_does_not_have_is_named() -> None:
     assert registry.make("whole", "7") == 7
     with pytest.raises(OptionError, match="number 'sum' has no option 'lees'; it has: more, less"):
         registry.make("sum", 1, lees=1)
+    registry.register("former", lambda a, device="cpu", size=3: size)
+    with pytest.raises(OptionError, match="no option 'sise'; it has: device, size"):
+        registry.make("former", 1, sise=3)
     with pytest.raises(OptionError, match="encoder 'dense' has no option 'foo'; it has: device"):
         encoders.make("dense", foo=3)
 

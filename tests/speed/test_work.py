@@ -121,7 +121,9 @@ def test_work_for_one_candidate(preset: str, what: str) -> None:
         {"proposer": "linear", "guard_images": False},  # which learns when it is asked, too
     ],
 )
-def test_tokens_are_stacked_once(options: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tokens_that_nothing_judges_early_are_stacked_once(
+    options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of the published population of 500 they are hundreds of megabytes."""
     stacked = 0
 

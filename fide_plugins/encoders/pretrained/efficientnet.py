@@ -23,7 +23,7 @@ from fide_plugins.errors import DependencyError, OptionError
 __all__ = ["EfficientNetEncoder"]
 
 MEAN, STD = 127 / 255, 128 / 255
-"""Of the colors, by which this network was trained: those of `efficientnet_lite_builder.py`,
+"""Of the colors, by which images were normalized in training: `efficientnet_lite_builder.py`,
 https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite."""
 STAGES = 7
 
