@@ -44,7 +44,7 @@ from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (
-    "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
+    "fide", "dfols", "eki", "cma", "cma:popsize=50", "bipop-cma-es", "dual-annealing:step=0.001",
     "zerograds",
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
