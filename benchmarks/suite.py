@@ -146,9 +146,11 @@ def longest(
     twice = {p for p, n in Counter((*key(row), *row["losses"]) for row in rows).items() if n > 1}
     if twice:
         sys.exit(f"two rows of one run: {twice}; keep one of them")
-    order = {key(row): None for row in rows}
-    found = {key(row): row for row in sorted(rows, key=lambda row: len(row["losses"]))}
-    return {run: found[run] for run in order}
+    found: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        if len(row["losses"]) >= len(found.setdefault(key(row), row)["losses"]):
+            found[key(row)] = row
+    return found
 
 
 def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int) -> Scores:

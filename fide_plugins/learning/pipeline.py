@@ -24,12 +24,7 @@ from fide_plugins.learning.head_choice import has_emulator, kind_of
 from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network
-from fide_plugins.learning.renderer import (
-    BatchRenderer,
-    Pixels,
-    as_renderer,
-    small_size,
-)
+from fide_plugins.learning.renderer import BatchRenderer, Pixels, as_renderer, small_size
 from fide_plugins.learning.rendering import check_workers, fill, too_few
 from fide_plugins.learning.report import Distance
 from fide_plugins.learning.resumable import Resumable

@@ -97,8 +97,8 @@ class Registry(Generic[T]):
             return
         if any(p.kind is p.VAR_KEYWORD for p in parameters):
             return
-        named = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-        known = [name for name in named if name not in [p.name for p in parameters[:n]]]
+        named = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+        known = [p.name for p in parameters[n:] if p.kind in named]
         unknown = sorted(options.keys() - set(known))
         if unknown:
             raise OptionError(
