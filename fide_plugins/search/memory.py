@@ -22,6 +22,7 @@ from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whol
 __all__ = ["Memory"]
 
 _MEGABYTE = 2**20
+_LEAST = 4096  # bytes of a sample; its objects take about as much, however few numbers they hold
 _PACKED: Schema = {
     "index": array("n", kind="i", low=0),
     "x": array("n", "d", low=0.0, high=1.0),
@@ -37,7 +38,10 @@ _SCHEMA: Schema = {
 
 
 class Memory:
-    """Samples of a run, at most `megabytes` of tokens and parameters; 0: none."""
+    """Samples of a run, at most `megabytes` of tokens and parameters; 0: none.
+
+    A sample counts at least 4 KiB.
+    """
 
     def __init__(self, megabytes: float) -> None:
         self._bytes = megabytes * _MEGABYTE
@@ -53,7 +57,7 @@ class Memory:
 
     def add(self, sample: TrainingSample) -> None:
         """Remember a sample; others may be forgotten for it."""
-        room = int(self._bytes / (sample.tokens.nbytes + sample.x.nbytes))
+        room = int(self._bytes / max(_LEAST, sample.tokens.nbytes + sample.x.nbytes))
         if room < 2:
             return
         self._latest.append(sample)

@@ -9,8 +9,9 @@ import torch
 from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.memory import Memory
 
-TOKENS = torch.zeros(16, 8)  # 512 bytes
-SIDES = {"d": 2, "T": 16, "C": 8}
+TOKENS = torch.zeros(16, 80)  # 5,120 bytes
+BYTES = 5120 + 16
+SIDES = {"d": 2, "T": 16, "C": 80}
 
 
 def sample(i: int) -> TrainingSample:
@@ -18,7 +19,7 @@ def sample(i: int) -> TrainingSample:
 
 
 def filled(n: int, room: int = 20) -> Memory:
-    memory = Memory(room * (512 + 16) / 2**20)
+    memory = Memory(room * BYTES / 2**20)
     for i in range(n):
         memory.add(sample(i))
     return memory
@@ -39,14 +40,21 @@ def test_earlier_ones_are_spread_over_the_run() -> None:
 
 
 def test_no_room_no_memory() -> None:
-    for memory in (Memory(0.0), Memory(512 / 2**20)):
+    for memory in (Memory(0.0), Memory(5120 / 2**20)):
         memory.add(sample(0))
         assert memory.samples == []
 
 
+def test_small_samples_are_counted_with_their_objects() -> None:
+    memory = Memory(1.0)
+    for i in range(1000):
+        memory.add(TrainingSample(i, np.full(2, 0.5), torch.zeros(1, 4), float(i)))
+    assert len(memory.samples) <= 256  # 4 KiB each
+
+
 def test_it_goes_on_from_a_saved_state() -> None:
     for n in (0, 3, 10, 11, 333):
-        saved, copy = filled(n), Memory(20 * 528 / 2**20)
+        saved, copy = filled(n), Memory(20 * BYTES / 2**20)
         copy.load_state_dict(saved.state_dict(), SIDES, torch.device("cpu"))
         for i in range(n, n + 50):
             saved.add(sample(i))
