@@ -7,13 +7,13 @@ line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `.forward`, `.diffusion`
 line 4, sample                         `FIDE._draw_samples`
 line 5, denoise                        `FIDE._propose`, of some of these samples
-line 6, render                         the user, between `ask` and `tell`
+line 6, render                         the user, between `ask` (`asking`) and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
-line 8, train                          `FIDE._train`; before a proposal, `FIDE._train_early`
+line 8, train                          `FIDE._train`; before a proposal, `Asking._train_early`
 line 9, costs                          `FIDE.tell`, by a loss or the user
 line 10, mu and Sigma                  `FIDE._update_search`
 line 12, return mu                     `FIDE.recommend`
-between two generations, steps         `FIDE._make_steps`: a forward model trains and proposes
+between two generations, steps         `Asking._make_steps`: a forward model trains, proposes
 after a search, begin again            `State.finish_search`, `search.moves`
 =====================================  ======================================================
 
@@ -37,13 +37,12 @@ from typing import Any
 import numpy as np
 
 from fide_plugins import encoders
+from fide_plugins.asking import Asking
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
-from fide_plugins.population.preview import make_next
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
-from fide_plugins.retargeting import Retargeting
 from fide_plugins.runtime.locks import Lock, one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
@@ -66,7 +65,7 @@ from fide_plugins.validation.points import (
 __all__ = ["FIDE"]
 
 
-class FIDE(Retargeting):
+class FIDE(Asking):
     """Find parameters in [0, 1]^dim whose image is the target.
 
     Parameters
@@ -158,6 +157,8 @@ class FIDE(Retargeting):
         """Whether images say where the next one begins, where others decide that."""
         self.begin_with(learned)
 
+    # -- Algorithm 1 -------------------------------------------------------------------------------
+
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
@@ -183,87 +184,45 @@ class FIDE(Retargeting):
             memory=Memory(o.memory_mb),
         )
 
-    # -- ask and tell ------------------------------------------------------------------------------
+    def draw(self, population: Population, rng: np.random.Generator) -> None:
+        """Draw a generation of the present stage, by `rng`, into a population; only these change.
 
-    @one_at_a_time
-    @one_thread
-    def ask(self, n: int | None = None) -> Float64:
-        """Candidates to render, float64 (n, dim) in [0, 1].
-
-        None: what is left of the present generation, or, if all of it is pending, as many again,
-        for users with more workers than that.  As soon as what is pending will complete the
-        generation, candidates are drawn for the next one, see `preview`.  Generations have
-        `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
-        Who asks for a number may get Gauss-Newton steps before a generation (`proposers.steps`).
+        It is the optimizer's own population, or another one (`distributed.replica`).
         """
-        n = None if n is None else whole_number("n", n, 1)
-        with timed(self.times, "search"):
-            if n is None:
-                return self._ask(None)
-            self.state.population.expect(n)
-            steps = self._make_steps(n)
-            rest = n - len(steps)
-            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
-            self._hand_out_steps(steps)  # at last, since asking for the rest may fail
-            return X
-
-    def _make_steps(self, n: int) -> Float64:
-        """Steps (m, dim) that come before the next generation, at most n."""
-        state, descent, target = self.state, self.state.descent, self.target_tokens
-        if not state.has_steps:
-            return np.empty((0, self.dim))
-        assert state.steps is not None
-        with timed(self.times, "train"):
-            left = state.steps.left(descent.popsize, target, descent.std)
-            if not left:
-                return np.empty((0, self.dim))
-            _, z = descent.sample(min(n, left), state.rng)
-            v = descent.stretched(z)
-            x = state.steps.propose(v, target, descent.mean, descent.std, state.rng)
-        return state.steps.new_ones(descent.place_proposals(x), state.population.is_pending)
-
-    def _hand_out_steps(self, x: Float64) -> None:
-        """Count steps (m, dim) as asked."""
         state = self.state
-        if len(x):
-            assert state.steps is not None
-            state.steps.taken(len(x))
-        for row in zip(x, state.descent.near(x), strict=True):
-            state.population.adopt(*row, step=True)
+        if state.stage is Stage.SEARCH:
+            self._draw_samples(population, rng)
+        else:
+            x = state.descent.clipped(state.moves.draw(rng))
+            population.draw(x, x)
 
-    def _ask(self, n: int | None) -> Float64:
-        """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
-        population = self.state.population
-        if not population.remaining:
-            self.draw_generation()
-        n = n or population.remaining
-        population.expect(n)
-        if n > population.remaining - population.unmade:
-            self._train_early()
-        make_next(self.state, n, self._propose)  # which may fail, before anything is handed out
-        X = np.empty((n, self.dim))
-        for i, row in enumerate(X):
-            if not population.remaining:
-                self.draw_generation()
-                make_next(self.state, n - i, self._propose)
-            row[:] = population.hand_out().x
-        return X
+    def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
+        """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
+        state = self.state
+        k = state.descent.popsize
+        x, z = state.descent.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
+        ready = state.proposer is not None and state.proposer.ready
+        n = k - state.gate.number(k, rng) if ready else k
+        population.draw(x[:n], z[:n], z[n:], pair=state.search.draws_pair)
+        self._propose_with(population, rng)  # line 5, of z[n:], when these are asked for
 
-    @one_at_a_time
-    @one_thread
-    def ask_ready(self) -> Float64:
-        """As `ask`, but for proposals that wait for training: those come with the next call.
+    def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
+        """Say how the population makes proposals."""
+        proposer = self.state.proposer
+        if proposer is not None:
+            propose = partial(self._propose, descent=self.state.descent, rng=rng)
+            population.propose_by(propose, singly=proposer.singly)
 
-        While these are rendered the network trains, see `proposers.background`.  Between two
-        generations: one step.
-        """
-        with timed(self.times, "search"):
-            if len(step := self._make_steps(1)):
-                self._hand_out_steps(step)
-                return step
-            if not (population := self.state.population).remaining:
-                self.draw_generation()
-        return self.ask(population.ready)
+    def _propose(
+        self, z: Float64, descent: Descent, rng: np.random.Generator
+    ) -> tuple[Float64, Float64]:
+        """Line 5: proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
+        proposer, target = self.state.proposer, self.target_tokens
+        assert proposer is not None
+        with timed(self.times, "train"):
+            made = proposer.propose(descent.stretched(z), target, descent.mean, descent.std, rng)
+        x = descent.place_proposals(made)
+        return x, descent.near(x)
 
     @one_at_a_time
     @one_thread
@@ -328,85 +287,6 @@ class FIDE(Retargeting):
                     self._enter(results)
                     raise
 
-    @one_at_a_time
-    def withdraw(self, X: object) -> None:
-        """Say that candidates X (n, dim) that were asked will not be told: nobody waits for them.
-
-        Others count in their place.  Points that are not pending are ignored.  Raises PointsError.
-        """
-        for x in as_points(X, self.dim):
-            self.state.population.withdraw(x)
-
-    @one_at_a_time
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` gave `state`; ValueError if it is none, and nothing changes."""
-        super().load_state_dict(state)
-        self._propose_with(self.state.population, self.state.rng)
-
-    # -- Algorithm 1 -------------------------------------------------------------------------------
-
-    def draw_generation(self) -> None:
-        """Queue a generation; spare candidates where the present one needs just its own."""
-        state, population = self.state, self.state.population
-        if state.needs_its_own and population.pending + population.evaluated > 0:
-            self._draw_spare()
-        else:
-            self.draw(population, state.rng)
-        if state.steps is not None:
-            state.steps.end()  # they come before a generation, not in it
-        if state.proposer is None or not state.proposer.background:
-            population.settle()
-
-    def draw(self, population: Population, rng: np.random.Generator) -> None:
-        """Draw a generation of the present stage, by `rng`, into a population; only these change.
-
-        It is the optimizer's own population, or another one (`distributed.replica`).
-        """
-        state = self.state
-        if state.stage is Stage.SEARCH:
-            self._draw_samples(population, rng)
-        else:
-            x = state.descent.clipped(state.moves.draw(rng))
-            population.draw(x, x)
-
-    def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
-        """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
-        state = self.state
-        k = state.descent.popsize
-        x, z = state.descent.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
-        ready = state.proposer is not None and state.proposer.ready
-        n = k - state.gate.number(k, rng) if ready else k
-        population.draw(x[:n], z[:n], z[n:], pair=state.search.draws_pair)
-        self._propose_with(population, rng)  # line 5, of z[n:], when these are asked for
-
-    def _draw_spare(self) -> None:
-        """Queue candidates that the present generation, whose own are drawn, does not need.
-
-        As many as it has, or, if nothing is pending, as many as it lacks.
-        """
-        state, population = self.state, self.state.population
-        n = population.size if population.pending else max(1, population.missing)
-        x, _ = state.descent.sample(n, state.rng)
-        population.draw(x, x, extra=True)
-
-    def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
-        """Say how the population makes proposals."""
-        proposer = self.state.proposer
-        if proposer is not None:
-            propose = partial(self._propose, descent=self.state.descent, rng=rng)
-            population.propose_by(propose, singly=proposer.singly)
-
-    def _propose(
-        self, z: Float64, descent: Descent, rng: np.random.Generator
-    ) -> tuple[Float64, Float64]:
-        """Line 5: proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
-        proposer, target = self.state.proposer, self.target_tokens
-        assert proposer is not None
-        with timed(self.times, "train"):
-            made = proposer.propose(descent.stretched(z), target, descent.mean, descent.std, rng)
-        x = descent.place_proposals(made)
-        return x, descent.near(x)
-
     def _finish_generation(self) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
@@ -420,17 +300,6 @@ class FIDE(Retargeting):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
             self._update_search(members, losses)  # line 10
-
-    def _train_early(self) -> None:
-        """Line 8, before the generation is complete, where each proposal is made when asked for."""
-        state, proposer = self.state, self.state.proposer
-        if proposer is None or not proposer.singly:
-            return
-        if state.population.unmade and state.samples:
-            samples = state.take_samples()
-            state.learned += samples
-            with timed(self.times, "train"):
-                proposer.update(*columns(samples), state.descent.std)
 
     def _train(self, samples: list[TrainingSample]) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
@@ -468,3 +337,22 @@ class FIDE(Retargeting):
             over = self.search_over
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
+
+    def recommend(self) -> Float64:
+        """Mean (dim,) of the search distribution that found the best point (line 12).
+
+        The best point itself if no search found it: a sensitivity sample, a restart candidate, a
+        point that was never asked.
+        """
+        best = self.state.best
+        mean = self.state.descent.mean if best is None else best.mean
+        recommended: Float64 = self.state.descent.render_mean(mean)
+        return recommended
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    @one_at_a_time
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` gave `state`; ValueError if it is none, and nothing changes."""
+        super().load_state_dict(state)
+        self._propose_with(self.state.population, self.state.rng)

@@ -72,17 +72,6 @@ class Readings(Saved):
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
         return found.copy()
 
-    def recommend(self) -> Float64:
-        """Mean (dim,) of the search distribution that found the best point (line 12).
-
-        The best point itself if no search found it: a sensitivity sample, a restart candidate, a
-        point that was never asked.
-        """
-        best = self.state.best
-        mean = self.state.descent.mean if best is None else best.mean
-        recommended: Float64 = self.state.descent.render_mean(mean)
-        return recommended
-
     @property
     @one_at_a_time
     def status(self) -> Status:

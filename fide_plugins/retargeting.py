@@ -123,6 +123,6 @@ class Retargeting(Readings):
 
 
 def _teach(proposer: Proposer, samples: list[TrainingSample], std: Float64, popsize: int) -> None:
-    """Let a proposer learn from samples as if they came in generations, the best at last."""
+    """Let a proposer learn from samples as if they came in generations, the best last."""
     for i in range(0, len(samples), popsize):
         proposer.update(*columns(samples[i : i + popsize]), std)

@@ -165,7 +165,7 @@ def test_what_fails_after_the_steps_hands_out_none(
         raise ArithmeticError
 
     with monkeypatch.context() as patched:
-        patched.setattr("fide_plugins.fide.make_next", broken)
+        patched.setattr("fide_plugins.asking.make_next", broken)
         with pytest.raises(ArithmeticError):
             opt.ask(20)
     assert opt.state.population.pending == 0
