@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.experiments.run.record import Progress, Record
 from fide_plugins.experiments.run.signals import Interrupted, Interrupts
 from fide_plugins.fitting.callbacks import Callbacks, Run
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["FitInterrupted", "Fitting"]
 
-_SAVE_INTERVAL = 20  # least time between two checkpoints, in times of writing one
 _SHOW_INTERVAL = 0.1  # seconds between two reports of the progress
 
 
@@ -84,7 +84,7 @@ class Fitting:
                 self._timeout,
                 interrupts,
             )
-            self._saved_at, self._saving_took = time.perf_counter(), 0.0
+            self._checkpoints = CheckpointTimer(self._checkpoint_every)
             try:
                 stopped = self._run(interrupts, report)
             except BaseException as error:
@@ -107,7 +107,7 @@ class Fitting:
         while stopped is None:
             stopped = loop.step()
             self._show(report)
-            self._save_now_and_then()
+            self._save_if_due()
             interrupts.check()
         return stopped
 
@@ -142,8 +142,8 @@ class Fitting:
         stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
         try:
             result = self._close(stopped, stopped)
-        except Exception as unsaved:  # the first error matters more
-            error.add_note(f"what was told since the last checkpoint is lost: {unsaved}")
+        except Exception as unsaved:
+            note_unsaved(error, unsaved)
             result = self._result(stopped)
         with suppress(CallbackError):
             self._callbacks.call("on_end", result)
@@ -203,25 +203,14 @@ class Fitting:
         budget = self._stopping.budget or 0
         report(Progress(renders, budget, r.best_loss, r.wall_s, dict(r.times)), doing)
 
-    def _save_now_and_then(self) -> None:
-        """Save if the last checkpoint is old enough, in seconds and in times of writing one.
-
-        Not while the optimizer trains: saving would wait for the training.
-        """
-        if self.saved is None:
-            return
-        since = time.perf_counter() - self._saved_at
-        if since < max(self._checkpoint_every, _SAVE_INTERVAL * self._saving_took):
-            return
-        if not self.optimizer.training:
+    def _save_if_due(self) -> None:
+        if self.saved is not None and self._checkpoints.due(self.optimizer):
             self._save(self.saved)
 
     def _save(self, saved: SavedRun) -> None:
-        start = time.perf_counter()
-        self._loop.note_pending()
-        saved.save(self.record, self.optimizer)
-        self._saved_at = time.perf_counter()
-        self._saving_took = self._saved_at - start
+        with self._checkpoints.writing():
+            self._loop.note_pending()
+            saved.save(self.record, self.optimizer)
 
 
 def _curve(record: Record) -> Float64:

@@ -158,9 +158,9 @@ def prepare(
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
-    stopping: when it is over.  checkpoint_every: seconds between checkpoints, at least twenty times
-    the time to write one.  command: command line to record.  check: gets the optimizer before
-    anything is written, and may raise.  All others, and errors, as for `fit`.
+    stopping: when it is over.  checkpoint_every: seconds between checkpoints, see
+    `CheckpointTimer`.  command: command line to record.  check: gets the optimizer before anything
+    is written, and may raise.  All others, and errors, as for `fit`.
     """
     if not callable(render):
         raise OptionError(f"render must be a function of the parameters, not {render!r}")

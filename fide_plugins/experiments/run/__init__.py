@@ -16,6 +16,7 @@ returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `ex
 `renderer_task`   a user's renderer as a task
 `user_optimizer`  any object with `ask` and `tell` as an optimizer
 `loop`            the run loop
+`checkpointing`   when to write the next checkpoint
 `record`          history, progress and results of a run
 `outcome`         the result, from record and evaluation
 `record_schema`   schema of the history in a checkpoint

@@ -26,6 +26,7 @@ import numpy as np
 
 from fide_plugins.errors import FideError, PointsError, RenderError
 from fide_plugins.experiments.run import film
+from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.experiments.run.directory import RunDirectory
 from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.judge import Verdict, judge
@@ -45,8 +46,6 @@ PIECE = 32
 """Largest number of candidates that are rendered before their results are told, where the task does
 not say another; see `TaskInfo.piece`."""
 
-_SAVE_INTERVAL = 20  # least time between two checkpoints, in times of writing one
-
 
 class Run:
     """A run that is ready to start or to continue; made by `prepare`, which checks everything.
@@ -56,7 +55,7 @@ class Run:
     settings: what defines the run, as `run.json` records it.
     record: history so far.
     directory: run directory, or None.
-    checkpoint_every: seconds between checkpoints.
+    checkpoint_every: seconds between checkpoints, see `CheckpointTimer`.
     keep, metrics: what to record beside the loss, and the losses that this needs, by name.
     fidelity: numbers of samples per pixel that rise; None where they stay.
     rounds: of learning before the search, for an optimizer that begins with a model; None: none.
@@ -107,8 +106,8 @@ class Run:
         renderer fails, any error of the optimizer, OSError if the directory cannot be written.  In
         all these cases the state is saved first if it is consistent.
         """
-        self._clock = self._saved_at = time.perf_counter()
-        self._saving_took = 0.0
+        self._clock = time.perf_counter()
+        self._checkpoints = CheckpointTimer(self._checkpoint_every)
         with Interrupts() as interrupts:
             try:
                 if on_progress is not None:
@@ -121,7 +120,7 @@ class Run:
                     self._step(interrupts)
                     if on_progress is not None:
                         on_progress(self.progress)
-                    self._save_now_and_then()
+                    self._save_if_due()
                     interrupts.check()
                 self._save()
                 with interrupts.stoppable():
@@ -132,8 +131,8 @@ class Run:
             except BaseException as error:
                 try:
                     self._leave("failed")
-                except OSError as unsaved:  # the first error matters more
-                    error.add_note(f"what was told since the last checkpoint is lost: {unsaved}")
+                except OSError as unsaved:
+                    note_unsaved(error, unsaved)
                 raise
             # a signal no longer matters: everything is about to be written
             return self._finish(verdict)
@@ -169,8 +168,8 @@ class Run:
             record.pending = X
             record.generations.append(len(X))
             self._whole = True
-            if self._checkpoint_every > 0:  # the optimizer has just waited for its training
-                self._save_now_and_then()
+            if self._checkpoints.every > 0:  # the optimizer has just waited for its training
+                self._save_if_due()
         n = min(self._piece, self._budget - record.evaluations)  # a larger budget takes the rest
         X, rest = record.pending[:n], record.pending[n:]
         with interrupts.stoppable():
@@ -268,28 +267,18 @@ class Run:
 
     # -- saving and leaving ------------------------------------------------------------------------
 
-    def _save_now_and_then(self) -> None:
-        """Save if the last checkpoint is old enough, in seconds and in times of writing one.
-
-        Not while the optimizer trains: saving would wait for the training.
-        """
-        if self._checkpoint_every > 0 and self.optimizer.training:
-            return
-        since = time.perf_counter() - self._saved_at
-        interval = _SAVE_INTERVAL if self._checkpoint_every > 0 else 0
-        if since >= max(self._checkpoint_every, interval * self._saving_took):
+    def _save_if_due(self) -> None:
+        if self._checkpoints.due(self.optimizer):
             self._save()
 
     def _save(self) -> None:
-        start = time.perf_counter()
-        if self._directory is not None:
-            self._directory.save(self.record, self.optimizer)
-            self._directory.write_curve(self.record)
-            self._directory.write_improvements(self.record)
-            self._directory.write_best(self.record.image)
-            self._directory.write_target(self.target)
-        self._saved_at = time.perf_counter()
-        self._saving_took = self._saved_at - start
+        with self._checkpoints.writing():
+            if self._directory is not None:
+                self._directory.save(self.record, self.optimizer)
+                self._directory.write_curve(self.record)
+                self._directory.write_improvements(self.record)
+                self._directory.write_best(self.record.image)
+                self._directory.write_target(self.target)
         self._tick()
 
     def _leave(self, status: str) -> None:
