@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,13 +27,12 @@ from fide_plugins.learning.renderer import BatchRenderer, Pixels, as_renderer, s
 from fide_plugins.learning.rendering import check_workers, fill, too_few
 from fide_plugins.learning.report import Distance
 from fide_plugins.learning.resumable import Resumable
-from fide_plugins.learning.store import RenderStore, check_room
+from fide_plugins.learning.store import RenderStore, check_room, folder_of
 from fide_plugins.learning.training import Progress, Training
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
 from fide_plugins.runtime.devices import resolve_device
-from fide_plugins.runtime.files import check_writable
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
@@ -185,18 +183,8 @@ def learn(
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,
         emulates=emulates, region=region,
     )  # fmt: skip
-    plan.check()
-    if workers > 1 or executor is not None:
-        check_workers(renderer, executor)
-    check_room(plan.settings, renders, store_limit * 2**30)
-    with ExitStack() as stack:
-        if out is None:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fide-renders-")))
-        else:
-            if Path(out).is_dir():
-                raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
-            check_writable(Path(out).absolute().parent)
-            folder = Path(f"{os.fspath(out)}.renders")
+    plan.check(store_limit)
+    with folder_of(out) as folder:
         draw = None if region is None else region.parameters
         store = RenderStore(folder, plan.settings, fingerprint_of(renderer.source), draw)
         model = plan.model(store)
@@ -228,7 +216,14 @@ class _Plan:
     emulates: bool
     region: Truncated | None = None
 
-    def check(self) -> None:
+    def check(self, store_limit: float) -> None:
+        """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
+        self._check_region()
+        if self.workers > 1 or self.executor is not None:
+            check_workers(self.renderer, self.executor)
+        check_room(self.settings, self.renders, store_limit * 2**30)
+
+    def _check_region(self) -> None:
         """Raise OptionError where the renders of a first round do not fit this one."""
         if self.region is None:
             return

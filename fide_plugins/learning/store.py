@@ -11,8 +11,10 @@ store is the same whatever the number of workers, and whatever was interrupted.
 from __future__ import annotations
 
 import os
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,10 +24,10 @@ from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.files import atomic_writer, remove_leftovers
+from fide_plugins.runtime.files import atomic_writer, check_writable, remove_leftovers
 from fide_plugins.types import Float64
 
-__all__ = ["SHARD", "RenderStore", "check_room"]
+__all__ = ["SHARD", "RenderStore", "check_room", "folder_of"]
 
 SHARD = 100
 """Renders of a shard: what a kill loses, at most, for each worker."""
@@ -218,6 +220,24 @@ class RenderStore:
 
     def _path(self, shard: int) -> Path:
         return self.folder / f"{shard:06d}.npz"
+
+
+@contextmanager
+def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
+    """Folder of the renders that a model is learned from: beside its file `out`.
+
+    It is a temporary one, which is removed, where nothing is kept (None).
+
+    Raises OSError where the file cannot be written.
+    """
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="fide-renders-") as folder:
+            yield Path(folder)
+        return
+    if Path(out).is_dir():
+        raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
+    check_writable(Path(out).absolute().parent)
+    yield Path(f"{os.fspath(out)}.renders")
 
 
 def check_room(settings: Mapping[str, Any], renders: int, limit: float) -> None:
