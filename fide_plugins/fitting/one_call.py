@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
@@ -19,7 +18,6 @@ from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
-from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
@@ -170,48 +168,55 @@ def prepare(
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = whole_number("workers", workers, 0)
     options = dict(options or {})
-    if resume and out is not None and seed is None:
-        seed = seed_there(out)
-    learned = model_for(options.get("learned"), render)
-    if resume and out is not None and is_saved(out):
-        learned = None  # the state has its hypotheses
-    model = {"learned": learned}
-    optimizer = FIDE(space, target, seed=seed, **{**search_options(options), **model})
+    optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     rounds = rounds_of(
-        render,
-        space,
-        optimizer.target,
-        options,
-        budget=stopping.budget,
-        seed=optimizer.seed,
-        out=None if out is None else Path(out),
-        seconds=stopping.seconds,
-    )
+        render, space, optimizer.target, options,
+        budget=stopping.budget, seed=optimizer.seed, out=out, seconds=stopping.seconds,
+    )  # fmt: skip
     renderer = Renderer(render, optimizer.space)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)
     record, saved = None, None
     if out is not None:
-        settings = settings_of(own_name(render), optimizer, options)
-        own = callable(options.get("encoder"))  # others are known by name and version
-        facts = {"features": features_of(optimizer)} if own else None
-        saved = SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)
+        saved = _saved_run(out, render, optimizer, stopping, options, resume, command)
         record = saved.restore(optimizer)
         saved.begin(optimizer)
     return Fitting(
-        optimizer,
-        renderer,
-        pool,
-        stopping,
-        watchers,
-        record,
-        saved,
-        timeout=limit,
-        progress=progress,
-        checkpoint_every=checkpoint_every,
-        rounds=rounds,
-    )
+        optimizer, renderer, pool, stopping, watchers, record, saved,
+        timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
+    )  # fmt: skip
+
+
+def _optimizer(
+    render: Callable[[Any], object],
+    target: object,
+    space: Space | int,
+    seed: int | None,
+    options: dict[str, Any],
+    resumed: str | os.PathLike[str] | None,
+) -> FIDE:
+    """The optimizer; resumed: run directory whose seed it has, where none is given."""
+    if resumed is not None and seed is None:
+        seed = seed_there(resumed)
+    there = resumed is not None and is_saved(resumed)
+    return FIDE(space, target, seed=seed, **search_options(options, render, resumed=there))
+
+
+def _saved_run(
+    out: str | os.PathLike[str],
+    render: Callable[[Any], object],
+    optimizer: FIDE,
+    stopping: Stopping,
+    options: dict[str, Any],
+    resume: bool,
+    command: Sequence[str] | None,
+) -> SavedRun:
+    """The run directory `out`, checked; nothing is read or written of the search yet."""
+    settings = settings_of(own_name(render), optimizer, options)
+    own = callable(options.get("encoder"))  # others are known by name and version
+    facts = {"features": features_of(optimizer)} if own else None
+    return SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)
 
 
 def _given(**options: Any) -> dict[str, Any]:

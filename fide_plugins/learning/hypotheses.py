@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from fide_plugins.types import Float64, Posterior
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
 
-__all__ = ["model_for", "posterior_of"]
+__all__ = ["model_for", "posterior_of", "with_model"]
 
 _DRAWN = 512
 _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
@@ -92,6 +93,13 @@ def model_for(learned: Any, render: object) -> Any:
     if isinstance(model, Model):
         _check_renderer(model, render)
     return model
+
+
+def with_model(options: Mapping[str, Any], render: object) -> dict[str, Any]:
+    """Options with a model in place of its file, see `model_for`, which raises and warns."""
+    if "learned" not in options:
+        return dict(options)
+    return {**options, "learned": model_for(options["learned"], render)}
 
 
 def _check_renderer(model: Model, render: object) -> None:

@@ -18,6 +18,7 @@ stays for other pictures of the renderer.  It has no emulator.
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 import time as clock
@@ -29,6 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError
+from fide_plugins.learning.hypotheses import model_for, with_model
 from fide_plugins.options import GLOBAL
 from fide_plugins.space import Space
 
@@ -152,7 +154,6 @@ class Rounds:
 
         Raises OptionError if it is of another version of the renderer.
         """
-        from fide_plugins.learning.hypotheses import model_for
         from fide_plugins.renderers.fingerprint import version_of
 
         version_of(self.render)  # raises for one that is no text
@@ -188,7 +189,7 @@ def rounds_of(
     *,
     budget: int | None,
     seed: int,
-    out: Path | None,
+    out: str | os.PathLike[str] | None,
     seconds: float | None = None,
 ) -> Rounds | None:
     """Rounds that the options ask for; None where the preset is another one.
@@ -212,15 +213,25 @@ def rounds_of(
             f"preset='global' learns from one picture, and the target is a list of {len(picture)} "
             "views: take another preset"
         )
-    folder = None if out is None else out / "rounds"
+    folder = None if out is None else Path(out) / "rounds"
     limit = None if seconds is None else _TIME * seconds
     device = options.get("device") or "auto"
     return Rounds(render, space, picture, budget, seed % 2**32, folder, limit, device)
 
 
-def search_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the search: those given, with its own preset in place of "global"."""
-    return {**options, "preset": _SEARCH} if options.get("preset") == GLOBAL else dict(options)
+def search_options(options: Mapping[str, Any], render: object, *, resumed: bool) -> dict[str, Any]:
+    """Options of the search by `FIDE`: those given, with its own preset in place of "global".
+
+    A model takes the place of its file, see `model_for`, which raises and warns.
+    resumed: whether the search goes on from a saved state, which has its hypotheses: the model is
+        checked, and left out.
+    """
+    found = with_model(options, render)
+    if resumed:
+        found.pop("learned", None)
+    if found.get("preset") == GLOBAL:
+        found["preset"] = _SEARCH
+    return found
 
 
 def _number(model: Model) -> int:

@@ -208,6 +208,20 @@ def test_a_time_limit_leaves_half_of_it_to_the_search() -> None:
     assert made is not None and made.seconds == 30.0
 
 
+def test_a_search_gets_its_own_preset_and_the_model_unless_its_state_has_hypotheses(
+    learned: Path,
+) -> None:
+    given = {"preset": "global", "learned": learned, "popsize": 8}
+    kept = given | {}
+    new = rounds.search_options(given, disk, resumed=False)
+    assert isinstance(new.pop("learned"), Model)
+    assert new == rounds.search_options(given, disk, resumed=True)
+    assert new == {"preset": "balanced", "popsize": 8}
+    assert given == kept
+    with pytest.raises(FileNotFoundError):  # the file is checked nevertheless
+        rounds.search_options({"learned": learned.with_name("none")}, disk, resumed=True)
+
+
 @pytest.mark.parametrize("budget", [None, 2000, 9999])
 def test_a_small_budget_is_refused(budget: int | None, tmp_path: Path) -> None:
     with pytest.raises(OptionError, match=r"a budget of at least 10,000 renders, not (None|\d+)"):

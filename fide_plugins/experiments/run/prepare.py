@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from fide_plugins import losses as losses_module, optimizers
@@ -17,8 +16,8 @@ from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
-from fide_plugins.learning.hypotheses import model_for
-from fide_plugins.learning.rounds import rounds_of, search_options
+from fide_plugins.learning.hypotheses import with_model
+from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
@@ -114,7 +113,7 @@ def prepare(
         optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
-    learned = model_for(options.get("learned"), task)
+    search = _options_of(optimizer, options, task, resume and out is not None and is_saved(out))
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     target = target_of(task)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
@@ -122,18 +121,8 @@ def prepare(
     settings = settings_of(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
-    if "learned" in options:
-        options["learned"] = learned
-    rounds = None
-    if optimizer == "fide":
-        space, out_there = TaskInfo.of(task).search_space, None if out is None else Path(out)
-        rounds = rounds_of(
-            task, space or task.dim, target, options, budget=budget, seed=seed, out=out_there
-        )
-        options = search_options(options)
-        if resume and out_there is not None and is_saved(out_there):
-            options.pop("learned", None)  # the state has its hypotheses
-    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, options)
+    rounds = _rounds(optimizer, task, target, options, budget, seed, out)
+    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search)
     record, directory = Record(), None
     if out is not None:
         _check_reloads(optimizer, searcher)
@@ -142,16 +131,37 @@ def prepare(
             out, settings, resume=resume, command=_words(command), may_change=may_change
         )
         record, searcher = _restored(directory, record, searcher, fidelity)
-        if record.evaluations > budget:
-            raise OptionError(
-                f"the run in {directory.path} has {record.evaluations} renders already, and the "
-                f"budget is {budget}: give at least as many, or name another directory"
-            )
+        _check_budget(budget, record, directory)
         directory.write_run()
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
     )  # fmt: skip
+
+
+def _options_of(
+    optimizer: str | Callable[..., AskTell], options: dict[str, Any], task: Task, resumed: bool
+) -> dict[str, Any]:
+    """Options as the optimizer gets them; resumed: whether it goes on from a saved state."""
+    if optimizer == "fide":
+        return search_options(options, task, resumed=resumed)
+    return with_model(options, task)
+
+
+def _rounds(
+    optimizer: str | Callable[..., AskTell],
+    task: Task,
+    target: Float32,
+    options: dict[str, Any],
+    budget: int,
+    seed: int,
+    out: str | os.PathLike[str] | None,
+) -> Rounds | None:
+    """Rounds of learning before the search, which FIDE alone can have."""
+    if optimizer != "fide":
+        return None
+    space = TaskInfo.of(task).search_space or task.dim
+    return rounds_of(task, space, target, options, budget=budget, seed=seed, out=out)
 
 
 def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
@@ -173,6 +183,15 @@ def _restored(
     if fidelity is not None and record.fidelity is not None:
         fidelity.load_state_dict(record.fidelity)
     return record, searcher
+
+
+def _check_budget(budget: int, record: Record, directory: RunDirectory) -> None:
+    """OptionError if the budget is below what has been rendered already."""
+    if record.evaluations > budget:
+        raise OptionError(
+            f"the run in {directory.path} has {record.evaluations} renders already, and the "
+            f"budget is {budget}: give at least as many, or name another directory"
+        )
 
 
 def make_task(
