@@ -1,0 +1,62 @@
+"""Functions stay under 50 lines, docstrings not counted."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+LIMIT = 50
+
+
+def lengths(source: str) -> Iterator[tuple[str, int]]:
+    """Name and lines of each function, from its `def` to its end, but for its docstring."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            has_docstring = ast.get_docstring(node) is not None
+            yield node.name, _lines(node) - (_lines(node.body[0]) if has_docstring else 0)
+
+
+def _lines(node: ast.stmt) -> int:
+    assert node.end_lineno is not None
+    return node.end_lineno - node.lineno + 1
+
+
+def test_lines_are_counted() -> None:
+    source = '''
+class A:
+    @decorated
+    def with_docstring(
+        self,
+    ):
+        """One line.
+
+        Two more.
+        """
+
+        async def inner():
+            # a comment is a line, too
+            return 1
+
+        return inner
+
+def without(): return "text"
+'''
+    assert dict(lengths(source)) == {"with_docstring": 9, "inner": 3, "without": 1}
+
+
+@pytest.mark.parametrize("package", ["fide_plugins", "fide_adapters", "fide_tasks"])
+def test_functions_stay_under_the_limit(package: str) -> None:
+    spec = find_spec(package)
+    assert spec is not None and spec.origin is not None
+    root = Path(spec.origin).parent
+    found = [
+        f"{path.relative_to(root)}: {name} has {lines} lines"
+        for path in sorted(root.rglob("*.py"))
+        for name, lines in lengths(path.read_text("utf-8"))
+        if lines >= LIMIT
+    ]
+    assert not found, "\n".join(found)
