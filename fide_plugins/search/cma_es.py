@@ -35,11 +35,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real, side, whole
 from fide_plugins.search.step_size import TwoPoint
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["CMAES", "are_many", "default_popsize"]
 
@@ -160,7 +159,7 @@ class CMAES:
         self,
         z: Float64,
         losses: Float64,
-        injected: npt.NDArray[np.bool_],
+        injected: Mask,
         pair: tuple[int, int] | None = (0, 1),
     ) -> None:
         """Learn from one generation.
@@ -200,7 +199,7 @@ class CMAES:
         mean = float(self.std.mean())
         self._scale_sigma(max(1.0, min(2.0, _WIDE_ENOUGH / mean)))
 
-    def preview(self, z: Float64, losses: Float64, injected: npt.NDArray[np.bool_]) -> CMAES:
+    def preview(self, z: Float64, losses: Float64, injected: Mask) -> CMAES:
         """Return a copy that was told z (n, d), only part of a generation; see `tell`.
 
         Its weights are those of a population of n.
@@ -224,7 +223,7 @@ class CMAES:
         lengths: Float64 = np.linalg.norm((y @ self._B) / self._D, axis=-1)
         return lengths
 
-    def _steps(self, z: Float64, injected: npt.NDArray[np.bool_]) -> tuple[Float64, Float64]:
+    def _steps(self, z: Float64, injected: Mask) -> tuple[Float64, Float64]:
         """Steps y (k, d), injected ones cut, and their Mahalanobis lengths (k,)."""
         y = (z - self.mean) / self.sigma  # ~ N(0, C) where not injected
         lengths = self._lengths(y)

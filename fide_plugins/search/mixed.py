@@ -17,12 +17,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.search import boundary
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.margin import correct_choice, correct_steps, default_alpha
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["Cells", "Mixed"]
 
@@ -37,7 +36,7 @@ class Cells(Protocol):
         """Number of axes d."""
 
     @property
-    def periodic(self) -> npt.NDArray[np.bool_]:
+    def periodic(self) -> Mask:
         """(d,), axes that wrap around."""
 
     @property
@@ -45,7 +44,7 @@ class Cells(Protocol):
         """Blocks of axes of which the largest coordinate decides."""
 
     @property
-    def discrete(self) -> npt.NDArray[np.bool_]:
+    def discrete(self) -> Mask:
         """(d,), axes on which many points stand for one value."""
 
     def snap(self, X: Float64) -> Float64:
