@@ -6,7 +6,6 @@ file              idea
 `descent`         one search, from its start until it is over
 `cma_es`          its distribution: CMA-ES that takes candidates it did not draw (Sec. 3.3)
 `step_size`       the step size where parameters are many
-`injection`       a point that is no member of a generation, in the place of its worst candidate
 `boundary`        the walls of the unit cube, and parameters that wrap around
 `mixed`           integers, choices and periodic parameters
 `margin`          keeps the distribution from settling on one value of an integer or a choice

@@ -18,7 +18,6 @@ from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
 from fide_plugins.runtime.schema import Schema, anything, array, check, whole
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.injection import with_injected
 from fide_plugins.search.mixed import Cells, Mixed
 from fide_plugins.search.moves.base import Start
 from fide_plugins.search.termination import (
@@ -128,13 +127,15 @@ class Descent:
     ) -> None:
         """Learn from the members of a generation and their losses (k,).
 
-        point: x (d,) and loss of an injected candidate, which may take the place of the worst.
+        point: x (d,) and loss of one that is no member; it takes the place of the worst member if
+            it is better.
         """
         self.termination.note(losses)
-        z, injected = search_columns(members)
-        if point is not None:
-            at, loss = self.near(point[0][None])[0], point[1]
-            z, losses, injected = with_injected(at, loss, z, losses, injected)
+        z, injected = search_columns(members)  # new arrays
+        worst = int(np.argmax(losses))
+        if point is not None and point[1] < losses[worst]:
+            losses = losses.copy()  # those given are the caller's
+            z[worst], losses[worst], injected[worst] = self.near(point[0][None])[0], point[1], True
         pair = mirrored_pair(members)
         if pair is not None and injected[list(pair)].any():
             pair = None

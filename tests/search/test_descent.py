@@ -1,0 +1,52 @@
+"""One search: a point that is no member of its generation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fide_plugins.options import Options
+from fide_plugins.population import Candidate
+from fide_plugins.search.descent import Descent, Setting
+from fide_plugins.search.moves.base import Start
+from fide_plugins.types import Float64
+
+D, K = 3, 6
+POINT = np.array([0.45, 0.55, 0.5])
+
+
+def search() -> Descent:
+    sigma0 = np.full(D, 1 / 6)
+    return Descent(Start(np.full(D, 0.5), sigma0), np.inf, Setting(K, sigma0, Options()))
+
+
+def generation(descent: Descent) -> tuple[list[Candidate], Float64]:
+    """Members of a generation, the fourth of which is the worst, and their losses."""
+    X, Z = descent.sample(K, np.random.default_rng(0))
+    members = [Candidate(i, x, z) for i, (x, z) in enumerate(zip(X, Z, strict=True))]
+    return members, np.array([3.0, 1.0, 2.0, 9.0, 5.0, 4.0])
+
+
+@pytest.mark.parametrize("loss", [8.9, 9.0])
+def test_a_point_takes_the_place_of_the_worst_member_if_it_is_better(loss: float) -> None:
+    told, other = search(), search()
+    members, losses = generation(told)
+    told.tell(members, losses, (POINT, loss))
+    if loss < 9.0:
+        z = other.near(POINT[None])[0]
+        members[3] = replace(members[3], x=POINT, z=z, late=True)  # late: it was not drawn now
+    other.tell(members, losses, None)
+    assert repr(told.state_dict()["distribution"]) == repr(other.state_dict()["distribution"])
+
+
+def test_what_the_caller_gave_stays_as_it_was() -> None:
+    descent = search()
+    members, losses = generation(descent)
+    point = POINT.copy()
+    descent.tell(members, losses, (point, 0.5))
+    again, same = generation(search())
+    np.testing.assert_array_equal(losses, same)
+    np.testing.assert_array_equal(point, POINT)
+    np.testing.assert_array_equal([one.z for one in members], [one.z for one in again])
