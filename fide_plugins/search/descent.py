@@ -22,8 +22,8 @@ from fide_plugins.search.mixed import Cells, Mixed
 from fide_plugins.search.moves.base import Start
 from fide_plugins.search.termination import (
     Termination,
+    default_loss_only_patience,
     default_patience,
-    default_patience_alone,
 )
 from fide_plugins.types import Float64
 
@@ -72,13 +72,13 @@ class Descent:
         dim, options = len(start.mean), setting.options
         patience = options.patience or default_patience(dim, self.popsize)
         self.termination = Termination(
-            setting.sigma0,
-            start.patience * patience,
-            options.improvement,
-            goal,
-            default_patience_alone(dim, self.popsize),
-            np.inf if start.brisk_above is None else start.brisk_above,
-            start.to_the_end,
+            sigma0=setting.sigma0,
+            patience=start.patience * patience,
+            improvement=options.improvement,
+            goal=goal,
+            loss_only_patience=default_loss_only_patience(dim, self.popsize),
+            brisk_above=np.inf if start.brisk_above is None else start.brisk_above,
+            to_the_end=start.to_the_end,
         )
 
     @property

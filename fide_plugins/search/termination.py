@@ -23,8 +23,8 @@ from fide_plugins.types import Float64
 
 __all__ = [
     "Termination",
+    "default_loss_only_patience",
     "default_patience",
-    "default_patience_alone",
     "has_stalled",
     "is_hopeless",
 ]
@@ -46,7 +46,7 @@ def default_patience(dim: int, popsize: int) -> int:
     return max(5, dim // popsize)
 
 
-def default_patience_alone(dim: int, popsize: int) -> int:
+def default_loss_only_patience(dim: int, popsize: int) -> int:
     """Generations without any improvement that end a search by losses alone."""
     return 100 + 30 * dim // popsize
 
@@ -81,23 +81,24 @@ class Termination:
     sigma0: standard deviation of a search that knows nothing, one number or (d,).
     patience, improvement: of `has_stalled`.
     goal: loss that the search has to beat; +inf for none.
-    patience_alone: generations without any improvement that end it where no image guides it.
+    loss_only_patience: generations without any improvement that end it where no image guides it.
     brisk_above: loss above which it has to be brisk; +inf for none.
     to_the_end: whether it goes on until its samples are one point, for any renderer.
     """
 
     def __init__(
         self,
+        *,
         sigma0: float | Float64,
         patience: int,
         improvement: float,
         goal: float = np.inf,
-        patience_alone: int = 100,
+        loss_only_patience: int = 100,
         brisk_above: float = np.inf,
         to_the_end: bool = False,
     ) -> None:
         self.sigma0, self.patience, self.improvement = sigma0, patience, improvement
-        self.goal, self.patience_alone = goal, patience_alone
+        self.goal, self.loss_only_patience = goal, loss_only_patience
         self.brisk_above = brisk_above
         self._narrowest = _TO_THE_END if to_the_end else _COLLAPSED
         self.history: list[float] = []
@@ -107,7 +108,7 @@ class Termination:
         """Note the losses (k,) of one generation."""
         before = self.history[-1] if self.history else np.inf
         self.history.append(min(before, float(np.min(losses))))
-        longest = max(self._brisk_patience, self.patience_alone, _BENEFIT_OF_DOUBT)
+        longest = max(self._brisk_patience, self.loss_only_patience, _BENEFIT_OF_DOUBT)
         del self.history[: -1 - longest]
 
     @property
@@ -121,7 +122,7 @@ class Termination:
         """
         if not guided:
             converged = bool((std < _CONVERGED * self.sigma0).all())
-            return converged or has_stalled(self.history, self.patience_alone, 0.0)
+            return converged or has_stalled(self.history, self.loss_only_patience, 0.0)
         collapsed = bool((std < self._narrowest * self.sigma0).all())
         if self.history and self.history[-1] > self.brisk_above:
             stalled = has_stalled(self.history, self._brisk_patience, _BRISK_IMPROVEMENT)

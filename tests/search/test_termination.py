@@ -61,7 +61,7 @@ def test_hope_does_not_depend_on_the_scale_or_origin_of_the_loss() -> None:
 
 
 def test_a_search_that_stalls_is_over() -> None:
-    progress = Termination(1 / 6, 5, 0.01)
+    progress = Termination(sigma0=1 / 6, patience=5, improvement=0.01)
     for generation in range(6):
         assert not progress.is_over(WIDE), generation
         progress.note(np.array([3.0, 1.0, np.inf, 2.0]))
@@ -70,7 +70,8 @@ def test_a_search_that_stalls_is_over() -> None:
 
 
 def test_a_search_with_something_to_beat_is_over_sooner() -> None:
-    free, bound = Termination(1 / 6, 15, 0.1), Termination(1 / 6, 15, 0.1, goal=0.5)
+    free = Termination(sigma0=1 / 6, patience=15, improvement=0.1)
+    bound = Termination(sigma0=1 / 6, patience=15, improvement=0.1, goal=0.5)
     for _ in range(6):
         assert not bound.is_over(WIDE)
         for progress in (free, bound):
@@ -79,7 +80,7 @@ def test_a_search_with_something_to_beat_is_over_sooner() -> None:
 
 
 def test_a_collapsed_search_is_over() -> None:
-    progress = Termination(1 / 6, 5, 0.01)
+    progress = Termination(sigma0=1 / 6, patience=5, improvement=0.01)
     assert progress.is_over(np.full(4, 1e-9))
     assert not progress.is_over(np.array([1e-9, 1e-9, 1e-9, 0.1]))
 
@@ -94,7 +95,7 @@ def test_patience_grows_with_the_dimension(dim: int, popsize: int, generations: 
 
 def test_a_search_by_losses_alone_ends_when_it_has_converged_or_nothing_is_better() -> None:
     """A tenth in ten generations is enough for a search that images guide, and too much to ask."""
-    progress = Termination(1.0, patience=10, improvement=0.1, patience_alone=30)
+    progress = Termination(sigma0=1.0, patience=10, improvement=0.1, loss_only_patience=30)
     for generation in range(100):
         progress.note(np.array([1.0 - 1e-6 * generation]))
     assert progress.is_over(np.array([0.5])) and not progress.is_over(np.array([0.5]), guided=False)
@@ -107,7 +108,7 @@ def test_a_search_by_losses_alone_ends_when_it_has_converged_or_nothing_is_bette
 
 
 def test_what_nobody_asks_for_is_forgotten() -> None:
-    progress = Termination(1.0, patience=10, improvement=0.1, patience_alone=30)
+    progress = Termination(sigma0=1.0, patience=10, improvement=0.1, loss_only_patience=30)
     for generation in range(1000):
         progress.note(np.array([1.0 / (1 + generation)]))
     assert len(progress.history) == 31
@@ -124,7 +125,7 @@ def test_what_nobody_asks_for_is_forgotten() -> None:
     ],
 )
 def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: bool) -> None:
-    search = Termination(1 / 6, 5, 0.1, brisk_above=above)
+    search = Termination(sigma0=1 / 6, patience=5, improvement=0.1, brisk_above=above)
     verdicts = []
     for generation in range(12):
         search.note(np.array([10.0 * rate**generation]))
@@ -136,7 +137,7 @@ def test_a_search_above_a_loss_has_to_be_brisk(rate: float, above: float, over: 
 @pytest.mark.parametrize("to_the_end", [False, True])
 def test_a_narrow_search_goes_on_to_the_end_while_the_loss_falls(to_the_end: bool) -> None:
     """Until it is 1e-7 of sigma0 wide: less than a pixel in single precision can tell."""
-    search = Termination(1 / 6, 5, 0.1, to_the_end=to_the_end)
+    search = Termination(sigma0=1 / 6, patience=5, improvement=0.1, to_the_end=to_the_end)
     for generation in range(8):
         search.note(np.array([0.5**generation]))
     assert search.is_over(np.full(4, 0.9e-3)) != to_the_end

@@ -63,17 +63,20 @@ class Start:
     held: Mask | None = None
 
 
-@dataclass(slots=True)
+@dataclass(kw_only=True, slots=True)
 class Known:
     """What is known of the scene and of its local optima.
 
     x0, sigma0: (d,), mean and standard deviation of the first search.
     target: (T, C), tokens of the target; channels: the leading ones in which images are compared.
-    axes: which of them are one parameter, and which wrap around.
+    exchangeability, removal, sensitivity: what was found of the parameters by stages of their own.
+    axes: which of the cube's are one parameter, and which wrap around.
     place: points of the cube (n, d) as they are rendered: integers and choices in their cells.
-    incumbent: local optimum that moves leave; None before the first.
-    optima: distinct local optima, see `optima`.
-    values: of integers and choices, see `values`.
+    incumbent: local optimum that moves leave; None before the first, and after a search began
+        without images.
+    optima: distinct local optima.
+    values: of integers and choices, and which of them were searched.
+    Each of these is described in its file of `search.scene`.
     """
 
     x0: Float64

@@ -89,11 +89,17 @@ class MovePolicy:
         dim = len(x0)
         axes = Axes(dim, cells)
         self.known = Known(
-            x0, sigma0, target, channels,
-            Exchangeability(dim, channels, groups, axes), Removal(),
-            Sensitivity(dim, channels, axes), axes, Mixed(cells).clipped,
+            x0=x0,
+            sigma0=sigma0,
+            target=target,
+            channels=channels,
+            exchangeability=Exchangeability(dim, channels, groups, axes),
+            removal=Removal(),
+            sensitivity=Sensitivity(dim, channels, axes),
+            axes=axes,
+            place=Mixed(cells).clipped,
             values=Values(axes, cells),
-        )  # fmt: skip
+        )
         self._candidates = max(_CANDIDATES, popsize)
         self._anew = BeginAnew()
         family: list[Move] = [

@@ -41,10 +41,17 @@ AXES = Axes(SPACE.dim, SPACE.layout)
 @pytest.fixture
 def known() -> Known:
     known = Known(
-        np.full(SPACE.dim, 0.5), np.full(SPACE.dim, 1 / 6), torch.zeros(1, 3), 3,
-        Exchangeability(SPACE.dim, 3, [], AXES), Removal(), Sensitivity(SPACE.dim, 3, AXES), AXES,
-        SPACE.snap, values=Values(AXES, SPACE.layout),
-    )  # fmt: skip
+        x0=np.full(SPACE.dim, 0.5),
+        sigma0=np.full(SPACE.dim, 1 / 6),
+        target=torch.zeros(1, 3),
+        channels=3,
+        exchangeability=Exchangeability(SPACE.dim, 3, [], AXES),
+        removal=Removal(),
+        sensitivity=Sensitivity(SPACE.dim, 3, AXES),
+        axes=AXES,
+        place=SPACE.snap,
+        values=Values(AXES, SPACE.layout),
+    )
     known.incumbent = TrainingSample(0, HERE.copy(), torch.ones(1, 3), 1.0)
     return known
 

@@ -36,14 +36,14 @@ def scene(x: Float64, x_star: Float64, *, exchangeable: bool = True) -> Known:
     """Four bumps on a line, the brightest of which is seen, once a search ended at x."""
     target = brightest(x_star, BLOCKS)
     known = Known(
-        np.full(8, 0.5),
-        SIGMA0,
-        sample(target, x_star).tokens,
-        3,
-        Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
-        Removal(),
-        Sensitivity(8, 3),
-        Axes(8),
+        x0=np.full(8, 0.5),
+        sigma0=SIGMA0,
+        target=sample(target, x_star).tokens,
+        channels=3,
+        exchangeability=Exchangeability(8, 3, BLOCKS.tolist() if exchangeable else []),
+        removal=Removal(),
+        sensitivity=Sensitivity(8, 3),
+        axes=Axes(8),
     )
     known.incumbent = rendered(known, x, x_star)
     known.optima.note(known.incumbent, known.exchangeability.distance)
@@ -272,9 +272,15 @@ def test_new_descents_stay_where_the_user_said(rng: np.random.Generator) -> None
 def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
     tokens = torch.ones((4, 3))
     known = Known(
-        np.full(dim, 0.5), np.full(dim, 0.1), tokens, 3,
-        Exchangeability(dim, 3, []), Removal(), Sensitivity(dim, 3), Axes(dim),
-    )  # fmt: skip
+        x0=np.full(dim, 0.5),
+        sigma0=np.full(dim, 0.1),
+        target=tokens,
+        channels=3,
+        exchangeability=Exchangeability(dim, 3, []),
+        removal=Removal(),
+        sensitivity=Sensitivity(dim, 3),
+        axes=Axes(dim),
+    )
     known.incumbent = TrainingSample(0, np.full(dim, 0.3), tokens, 1.0)
     known.optima.note(known.incumbent, known.exchangeability.distance)
     known.optima.note(

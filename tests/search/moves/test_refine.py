@@ -25,9 +25,15 @@ D = 4
 @pytest.fixture
 def known() -> Known:
     known = Known(
-        np.full(D, 0.5), np.full(D, 1 / 6), torch.zeros(16, 3), 3,
-        Exchangeability(D, 3, []), Removal(), Sensitivity(D, 3), Axes(D),
-    )  # fmt: skip
+        x0=np.full(D, 0.5),
+        sigma0=np.full(D, 1 / 6),
+        target=torch.zeros(16, 3),
+        channels=3,
+        exchangeability=Exchangeability(D, 3, []),
+        removal=Removal(),
+        sensitivity=Sensitivity(D, 3),
+        axes=Axes(D),
+    )
     known.incumbent = sample(np.zeros(16), np.full(D, 0.3))
     known.optima.note(known.incumbent, known.exchangeability.distance)
     return known

@@ -28,11 +28,17 @@ def scene(
 ) -> Known:
     """A search ended at x."""
     d = len(x)
+    axes = axes or Axes(d)
     known = Known(
-        np.full(d, 0.5), np.full(d, 1 / 6), torch.zeros(16, 3), 3,
-        Exchangeability(d, 3, groups or [], axes or Axes(d)), Removal(), Sensitivity(d, 3),
-        axes or Axes(d),
-    )  # fmt: skip
+        x0=np.full(d, 0.5),
+        sigma0=np.full(d, 1 / 6),
+        target=torch.zeros(16, 3),
+        channels=3,
+        exchangeability=Exchangeability(d, 3, groups or [], axes),
+        removal=Removal(),
+        sensitivity=Sensitivity(d, 3),
+        axes=axes,
+    )
     known.incumbent = sample(np.zeros(16), x)
     known.optima.note(known.incumbent, known.exchangeability.distance)
     return known

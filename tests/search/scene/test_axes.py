@@ -47,9 +47,16 @@ def rendered(x: Float64, loss: float = 1.0) -> TrainingSample:
 def known() -> Known:
     axes = Axes(DIM, SPACE.layout)
     known = Known(
-        np.full(DIM, 0.5), np.full(DIM, 1 / 6), rendered(THERE).tokens, 3,
-        Exchangeability(DIM, 3, [], axes), Removal(), Sensitivity(DIM, 3, axes), axes, SPACE.snap,
-    )  # fmt: skip
+        x0=np.full(DIM, 0.5),
+        sigma0=np.full(DIM, 1 / 6),
+        target=rendered(THERE).tokens,
+        channels=3,
+        exchangeability=Exchangeability(DIM, 3, [], axes),
+        removal=Removal(),
+        sensitivity=Sensitivity(DIM, 3, axes),
+        axes=axes,
+        place=SPACE.snap,
+    )
     known.incumbent = rendered(HERE)
     known.optima.note(known.incumbent, known.exchangeability.distance)
     known.optima.note(rendered(THERE, 2.0), known.exchangeability.distance)
