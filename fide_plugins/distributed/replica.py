@@ -15,9 +15,9 @@ was told, so replicas that were told the same log propose the same candidates, a
 
 Rounding that differs from machine to machine, or features that are not known to all their digits
 everywhere, may change a candidate a little; it is then told as what was rendered.  They must not
-change *when a search is over*, and whether images or losses *alone* say where the next one begins:
+change *when a search is over*, and whether images say where the next one begins, or losses only:
 these decide what the next generation is for and how large it is. Whoever asks in a generation says
-in which one its search `began`, and whether by losses `alone`, and the others follow.
+in which one its search `began`, and whether it was `guided` there, and the others follow.
 
 What an entry of the log counts for is its `Role`:
 
@@ -81,8 +81,8 @@ class Replica:
         """Number of the present generation."""
         self.began = 0
         """Generation in which the present search, or its tests or restart candidates, began."""
-        self.alone = False
-        """Whether the present search began where losses alone said, without images."""
+        self.guided = True
+        """False where losses only, without images, said where the present search begins."""
         self._batches: dict[int, list[Candidate]] = {}  # of the present generation
         self._taken: set[int] = set()  # slots of the present generation that have counted
 
@@ -142,7 +142,7 @@ class Replica:
         slot: int = 0,
         proposed: bool = False,
         over: bool | None = None,
-        alone: bool | None = None,
+        guided: bool | None = None,
     ) -> Role:
         """Next entry of the log; says what it counts for.
 
@@ -151,7 +151,7 @@ class Replica:
         proposed: whether the one who asked had it from a proposer, should it be unknown here.
         over: whether somebody began a search, tests or restart candidates after this generation;
             None: nobody has drawn the next one yet.
-        alone: whether they began it by losses alone; None as for `over`.
+        guided: False if they began it where losses only said, without images; None as for `over`.
         Raises as `FIDE.tell`, before anything changes.
         """
         self._open()
@@ -161,8 +161,8 @@ class Replica:
         stage, completed = self._stage_of_search(), self._population.generations
         features = None if tokens is None else tokens[None]
         optimizer.search_over = over
-        optimizer.search_guided = None if alone is None else not alone
-        beginnings = optimizer.state.moves.alone
+        optimizer.search_guided = guided
+        loss_only_searches = optimizer.state.moves.loss_only_searches
         try:
             optimizer.tell(x[None], losses=np.array([loss]), features=features)
         finally:  # what training raises comes after the generation was completed
@@ -172,7 +172,7 @@ class Replica:
                 self._batches, self._taken = {}, set()
                 if self._stage_of_search() != stage:
                     self.began = self.generation
-                    self.alone = optimizer.state.moves.alone != beginnings
+                    self.guided = optimizer.state.moves.loss_only_searches == loss_only_searches
         return role
 
     def _check(self, x: Float64, loss: float, tokens: Tensor | None) -> None:
@@ -222,7 +222,7 @@ class Replica:
             "optimizer": as_arrays(self.optimizer.state_dict()),
             "generation": self.generation,
             "began": self.began,
-            "alone": self.alone,
+            "guided": self.guided,
             "batches": self._batches,
             "taken": self._taken,
         }
@@ -238,6 +238,6 @@ class Replica:
         replica = cls(optimizer, snap)
         optimizer.load_state_dict(state["optimizer"])
         replica.generation, replica.began = state["generation"], state["began"]
-        replica.alone = state["alone"]
+        replica.guided = state["guided"]
         replica._batches, replica._taken = dict(state["batches"]), set(state["taken"])
         return replica

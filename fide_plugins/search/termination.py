@@ -10,7 +10,7 @@ A search from hypotheses of a learned model has to be *brisk* as long as its los
 the right place it loses a third in every few generations.
 
 That is for a search that images guide: it is quick, and moves have a use for what it found.  A
-search by losses alone is slow, some of its descents wait long for the covariance, and all that
+search by losses only is slow, some of its descents wait long for the covariance, and all that
 comes after it is another beginning.  It is over only when it has *converged*: its samples differ by
 rounding, as the library `cma` has it, or no sample of very many generations was better.
 """
@@ -47,7 +47,7 @@ def default_patience(dim: int, popsize: int) -> int:
 
 
 def default_loss_only_patience(dim: int, popsize: int) -> int:
-    """Generations without any improvement that end a search by losses alone."""
+    """Generations without any improvement that end a search by losses only."""
     return 100 + 30 * dim // popsize
 
 

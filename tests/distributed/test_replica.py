@@ -253,13 +253,13 @@ def test_others_say_whether_images_guide_the_next_search(bench: Bench) -> None:
             x = one.candidate(slot).x.copy()
             log.append((x, *bench.look(x)))
             one.tell(*log[-1], generation=generation, slot=slot)
-        over, alone = one.began == one.generation, one.alone
+        over, guided = one.began == one.generation, one.guided
         for slot, entry in enumerate(log):
-            following.tell(*entry, generation=generation, slot=slot, over=over, alone=alone)
+            following.tell(*entry, generation=generation, slot=slot, over=over, guided=guided)
             if stages(parted) == stages(one):
                 parted.tell(*entry, generation=generation, slot=slot, over=over)
-        assert stages(following) == stages(one) and following.alone == one.alone
-    assert not one.alone and stages(parted) != stages(one)
+        assert stages(following) == stages(one) and following.guided == one.guided
+    assert one.guided and stages(parted) != stages(one)
 
 
 def test_a_test_has_its_own_candidates_again_in_further_slots(bench: Bench) -> None:

@@ -214,6 +214,6 @@ def test_all_hypotheses_are_asked_first_however_few_samples_a_generation_has(
 def test_restarts_by_losses_alone_are_counted_anew(target: Float32, render: Render) -> None:
     opt = FIDE(6, target, popsize=8, seed=1)
     go_on(opt, render, 10)
-    opt.state.moves.alone = 5
+    opt.state.moves.loss_only_searches = 5
     opt.retarget(1 - target)
-    assert opt.state.moves.alone == 0
+    assert opt.state.moves.loss_only_searches == 0

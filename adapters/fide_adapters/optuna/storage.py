@@ -73,7 +73,7 @@ class Ask:
         between trials in which it is equal.
     generation, slot: name of the candidate, see `fide_plugins.distributed.replica`.
     began: generation in which the search began that the candidate belongs to.
-    alone: whether it began where losses alone said, without images.
+    guided: False if it began where losses only said, without images.
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
@@ -86,7 +86,7 @@ class Ask:
     proposed: bool = False
     skipped: tuple[int, ...] = ()
     late: tuple[int, ...] = ()
-    alone: bool = False
+    guided: bool = True
 
     def about_trials_before(self, number: int) -> Ask:
         """Copy that names no trials from `number` on; a record can only be about earlier ones."""
@@ -104,7 +104,7 @@ class Ask:
             "p": int(self.proposed),
             "passed": list(self.skipped),
             "late": list(self.late),
-            "a": int(self.alone),
+            "a": int(not self.guided),
         }
         return record | {key: value for key, value in optional.items() if value}
 
@@ -120,9 +120,9 @@ def read_ask(record: Any) -> Ask | None:
         return None
     if max(len(skipped), len(late)) > MOST_NAMED or not _are_counts([*counts, *skipped, *late]):
         return None
-    generation, slot, began, proposed, alone = counts
+    generation, slot, began, proposed, loss_only = counts
     named = tuple(skipped), tuple(late)
-    return Ask(optimizer, generation, slot, began, bool(proposed), *named, bool(alone))
+    return Ask(optimizer, generation, slot, began, bool(proposed), *named, not loss_only)
 
 
 def _are_counts(values: list[Any]) -> bool:

@@ -58,7 +58,7 @@ class StudyOptimizer:
         self.replica = Replica(self._make(), self.space.snap)
         self._order = TrialOrder(self._history)
         self._first = 0  # number of the trial that gets slot 0
-        self._begins = [(0, False)]  # when a search, or part of a restart, began; by losses alone?
+        self._begins = [(0, True)]  # when a search, or part of a restart, began; guided by images?
         self.counts: Counter[str] = Counter()
         """How many trials counted as what; see `FIDESampler.counts`."""
 
@@ -95,17 +95,17 @@ class StudyOptimizer:
             name = {"generation": ask.generation, "slot": ask.slot, "proposed": ask.proposed}
         generation = self.replica.generation
         began = self._history.began(self.digest, generation + 1)
-        over, alone = (None, None) if began is None else (began[0] == generation + 1, began[1])
+        over, guided = (None, None) if began is None else (began[0] == generation + 1, began[1])
         x = self.space.encode(trial.params)
         if trial.number == 0 and self.replica.is_candidate(0, x):  # see `StudyState.first`
             name = {"generation": 0, "slot": 0}
-        role = self.replica.tell(x, loss, tokens, over=over, alone=alone, **name)
+        role = self.replica.tell(x, loss, tokens, over=over, guided=guided, **name)
         self.counts[role.value] += 1
         self.counts["image"] += tokens is not None
         if self.replica.generation != generation:
             self._first = max(self._order.next, trial.number + 1)
             if self.replica.began != self._begins[-1][0]:
-                self._begins.append((self.replica.began, self.replica.alone))
+                self._begins.append((self.replica.began, self.replica.guided))
 
     def agrees(self, news: News) -> bool:
         """Whether the trials processed so far are consistent with what is new."""
@@ -147,7 +147,7 @@ class StudyOptimizer:
             candidate.proposed,
             tuple(skipped),
             tuple(late[:MOST_NAMED]),
-            self.replica.alone,
+            self.replica.guided,
         )
         return ask, self.space.decode(candidate.x)
 

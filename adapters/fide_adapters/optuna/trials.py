@@ -49,7 +49,7 @@ class News:
 
     finished: trials that have finished since.
     skipped: numbers of trials that are skipped since.
-    began: (optimizer, generation, generation in which its search began, whether by losses alone),
+    began: (optimizer, generation, generation in which its search began, whether guided there),
         each read for the first time.
     """
 
@@ -126,11 +126,11 @@ class History:
         key = ask.optimizer, ask.generation
         known = self._began.get(key)
         if known is None or number < known[0]:
-            self._began[key] = number, ask.began, ask.alone
-            news.began.append((*key, ask.began, ask.alone))
+            self._began[key] = number, ask.began, ask.guided
+            news.began.append((*key, ask.began, ask.guided))
 
     def began(self, optimizer: str, generation: int) -> tuple[int, bool] | None:
-        """Generation in which the search of `generation` began, and whether by losses alone.
+        """Generation in which the search of `generation` began, and whether guided there.
 
         None if no record says it.
         """

@@ -1,6 +1,6 @@
 """A new descent, from a random place.
 
-Where images guide the search, the best of some random places is where it begins. By losses alone
+Where images guide the search, the best of some random places is where it begins. By losses only
 it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a
 BI-population CMA-ES on the BBOB-2009 function testbed"): populations that double, and small ones
 with narrow beginnings.
@@ -47,8 +47,8 @@ class BeginAnew(Move):
         """Begin around one of them."""
         return Start(x, _WIDTH * known.sigma0)
 
-    def alone(self, known: Known, number: int, rng: np.random.Generator) -> Start:
-        """Begin a search by losses alone, the `number`-th, from 1.
+    def begin_without_images(self, known: Known, number: int, rng: np.random.Generator) -> Start:
+        """Begin a search by losses only, the `number`-th, from 1.
 
         Odd ones double the population; even ones have the first population and a narrow beginning,
         and may become as wide as the first search, since the answer may be far away.

@@ -121,8 +121,8 @@ class MovePolicy:
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
         """Standard deviation of the loss of one candidate; None where it was not measured."""
-        self.alone = 0
-        """Searches that began anew by losses alone."""
+        self.loss_only_searches = 0
+        """Searches that began anew where losses only said, without images."""
 
     @property
     def goal(self) -> float:
@@ -175,8 +175,9 @@ class MovePolicy:
             return self._begin_at_hypothesis()
         if found is None or not guided:
             self.known.incumbent = None
-            self.alone += 1
-            self.start = self._anew.alone(self.known, self.alone, self._rng)
+            self.loss_only_searches += 1
+            number = self.loss_only_searches
+            self.start = self._anew.begin_without_images(self.known, number, self._rng)
             self.move = BeginAnew.name
             return self._go(Stage.SEARCH)
         self._settle(found, evaluations)
@@ -255,7 +256,7 @@ class MovePolicy:
         known.removal.forget()
         known.values.forget()
         self.hypotheses.forget()
-        self.alone = 0
+        self.loss_only_searches = 0
         self.move, self.start = None, start
         self._go(Stage.SEARCH)
 
@@ -340,7 +341,7 @@ class MovePolicy:
             "stage": self.stage.value,
             "move": self.move,
             "start": asdict(self.start),
-            "alone": self.alone,
+            "loss_only_searches": self.loss_only_searches,
             "noise": self.noise,
             "rng": self._rng.bit_generator.state,
             "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
@@ -364,7 +365,7 @@ class MovePolicy:
         self.hypotheses.load_state_dict(state.get("hypotheses"))
         self.stage, self.move = Stage(state["stage"]), state["move"]
         self.start = Start(**state["start"])
-        self.alone, self.noise = state["alone"], state["noise"]
+        self.loss_only_searches, self.noise = state["loss_only_searches"], state["noise"]
         self._rng.bit_generator.state = state["rng"]
         known.optima.load_state_dict(state["optima"], device)
         saved = state["incumbent"]

@@ -39,7 +39,7 @@ _SCHEMA: dict[str, Schema] = {
         "to_the_end": flag,
         "held": maybe(array("d", kind="b")),
     },
-    "alone": whole(),
+    "loss_only_searches": whole(),
     "noise": maybe(real(0.0)),
     "incumbent": maybe(SAMPLE),
     "optima": {

@@ -252,7 +252,7 @@ def test_new_descents_begin_in_different_places(rng: np.random.Generator) -> Non
     x = BeginAnew().draw(known, 20_000, rng)
     assert np.abs(x.mean(axis=0) - 0.5).max() < 0.02
     assert np.abs(x.std(axis=0) - np.sqrt(1 / 12)).max() < 0.01
-    starts = [BeginAnew().alone(known, i, rng) for i in range(1, 20)]
+    starts = [BeginAnew().begin_without_images(known, i, rng) for i in range(1, 20)]
     assert len({tuple(start.mean) for start in starts}) == 19
     assert [start.population for start in starts[::2]] == [2, 4, 8, 16, 32, 64, 64, 64, 64, 64]
     assert all(start.population == 1 for start in starts[1::2])

@@ -179,7 +179,7 @@ def test_state_goes_on_in_the_middle_of_every_move(render: Any, after: int) -> N
         {"stage": "nap"},
         {"stage": "restart"},
         {"move": "leap"},
-        {"alone": -1},
+        {"loss_only_searches": -1},
         {"optima": {"samples": [], "counts": [], "descents": -1}},
         {"start": {"mean": np.zeros(7), "std": np.ones(8), "population": 1, "patience": 1}},
     ],
