@@ -17,7 +17,7 @@ from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna.features import ImageEvaluator
-from fide_adapters.optuna.storage import MOST_NAMED, Ask, write_image
+from fide_adapters.optuna.storage import MOST_NAMED, Ask, read_ask, write_image
 from fide_plugins import FIDE
 
 from .conftest import Bench, state_of
@@ -75,6 +75,13 @@ def test_point_6_two_kibibytes_a_trial_at_200_dimensions() -> None:
     worst = Ask("0" * 8, 10**6, 2 * 10**6, 10**6, True, numbers, numbers).to_json()
     assert size_of({"fide:ask": worst, "fide:image": write_image("0" * 8, code)}) <= 2048
     assert not study._storage.get_study_system_attrs(study._study_id)
+
+
+def test_a_record_says_where_losses_only_began_a_search() -> None:
+    ask = Ask("0" * 8, generation=3, slot=1, began=2, guided=False)
+    assert ask.to_json()["a"] == 1 and read_ask(ask.to_json()) == ask
+    guided = Ask("0" * 8, generation=3, slot=1, began=2)
+    assert "a" not in guided.to_json() and read_ask(guided.to_json()) == guided
 
 
 def test_point_7_eight_threads(bench: Bench) -> None:
