@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, array, check, real, row
+from fide_plugins.runtime.schema import check, real, row
 from fide_plugins.types import Float64
 
 __all__ = ["Choice"]
@@ -23,11 +23,6 @@ _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
 _FLOOR = 0.3  # of all draws are even
 _LEAST = 1e-300  # gain or cost that can be
-_POSITIONS = (
-    "split", "swap", "crossover", "half turn", "relocate group", "relocate segment", "refine",
-    "begin anew", "change value", "resample",
-)  # fmt: skip
-"""Moves in the order of states without names, as earlier versions saved them; none is added."""
 
 
 class Choice:
@@ -73,8 +68,6 @@ class Choice:
         """
         if not isinstance(state, dict):
             raise ValueError("choice is no dict")
-        if set(state) == {"gain", "cost"}:
-            state = self._by_name(state)
         pair = row(real(_LEAST), real(_LEAST))
         check(state, {name: pair for name in self.names if name in state}, {}, "choice")
         gain, cost = (untried.copy() for untried in self._untried)
@@ -82,13 +75,3 @@ class Choice:
             i = self.names.index(name)
             gain[i], cost[i] = values
         self._gain, self._cost = gain, cost
-
-    def _by_name(self, state: dict[str, Any]) -> dict[str, Any]:
-        """The state of an earlier version, arrays "gain" and "cost" (n,), as it is now."""
-        names = [name for name in _POSITIONS if name in self.names]
-        if np.shape(state["gain"]) == (len(names) - 1,):  # saved before there was the last move
-            del names[-1]
-        form: Schema = dict.fromkeys(("gain", "cost"), array(len(names), low=_LEAST))
-        check(state, form, {}, "choice")
-        pairs = zip(state["gain"].tolist(), state["cost"].tolist(), strict=True)
-        return {name: list(pair) for name, pair in zip(names, pairs, strict=True)}

@@ -37,7 +37,7 @@ _NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
 _NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
 _SCHEMA: dict[str, Schema] = {
     "x": array("n", "d", low=0.0, high=1.0),
-    "refined": maybe(array("refined", "d", low=0.0, high=1.0)),
+    "refined": array("refined", "d", low=0.0, high=1.0),
     "waiting": array("waiting", "d", low=0.0, high=1.0),
     "typical": maybe(real()),
 }
@@ -154,16 +154,11 @@ class Hypotheses:
             "typical": self.typical,
         }
 
-    def load_state_dict(self, state: Mapping[str, Any] | None) -> None:
-        """Put back what `state_dict` gave; None: there are none.  Raises ValueError."""
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         dim = self.x.shape[1]
-        if state is None:
-            self.forget()
-            return
-        state = {"typical": None, "refined": None, **state}  # files of earlier versions lack them
         check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
         self.x = state["x"].reshape(-1, dim)
-        refined = state["refined"]
-        self._refined = np.empty((0, dim)) if refined is None else refined.reshape(-1, dim)
+        self._refined = state["refined"].reshape(-1, dim)
         self._waiting = state["waiting"].reshape(-1, dim)
         self.typical = state["typical"]

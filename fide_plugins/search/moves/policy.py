@@ -360,9 +360,8 @@ class MovePolicy:
         Raises ValueError for what it cannot have given.
         """
         known = self.known
-        state = _completed(state)
         check_policy(state, known, [*self._moves, Hypotheses.name])
-        self.hypotheses.load_state_dict(state.get("hypotheses"))
+        self.hypotheses.load_state_dict(state["hypotheses"])
         self.stage, self.move = Stage(state["stage"]), state["move"]
         self.start = Start(**state["start"])
         self.loss_only_searches, self.noise = state["loss_only_searches"], state["noise"]
@@ -378,12 +377,6 @@ class MovePolicy:
         known.sensitivity.load_state_dict(state["sensitivity"])
         known.values.load_state_dict(state["values"])
         self._choice.load_state_dict(state["choice"])
-
-
-def _completed(state: Mapping[str, Any]) -> dict[str, Any]:
-    """State of a version whose starts had fewer settings, as this one has it."""
-    older = {"brisk_above": None, "widest": 1.0, "to_the_end": False}
-    return {**state, "start": {**older, **state["start"]}}
 
 
 def _gain(before: float, after: float) -> float:

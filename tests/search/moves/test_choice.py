@@ -61,24 +61,3 @@ def test_a_move_that_is_added_anywhere_takes_no_other_ones_gain() -> None:
     expected.note("a", 0.7, 30)
     expected.note("c", 0.9, 40)
     assert now.state_dict() == expected.state_dict()
-
-
-MOVES = (
-    "split", "swap", "crossover", "half turn", "relocate group", "relocate segment", "refine",
-    "begin anew",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("saved", [MOVES, (*MOVES, "resample"), (*MOVES, "change value")])
-@pytest.mark.parametrize("first", [(), ("new",)])
-def test_a_state_by_positions_is_understood(saved: tuple[str, ...], first: tuple[str, ...]) -> None:
-    """It is of an earlier version, which may have lacked the last move."""
-    names = (*first, *saved) if saved[-1] == "resample" else (*first, *saved, "resample")
-    fresh, now = (Choice(dict.fromkeys(names, 0.1), 100) for _ in range(2))
-    gain = np.linspace(0.1, 1.0, len(saved))
-    now.load_state_dict({"gain": gain, "cost": 2 * gain})
-    pairs = {name: [g, 2 * g] for name, g in zip(saved, gain.tolist(), strict=True)}
-    assert now.state_dict() == {**fresh.state_dict(), **pairs}
-    for wrong in (np.zeros(len(saved)), np.ones(len(saved) - 2), np.full(len(saved), np.nan)):
-        with pytest.raises(ValueError, match="choice"):
-            now.load_state_dict({"gain": wrong, "cost": gain})

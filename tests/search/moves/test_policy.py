@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.training_sample import TrainingSample
-from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.scene.optima import Optima
 from fide_plugins.types import Float64
 
@@ -181,7 +181,8 @@ def test_state_goes_on_in_the_middle_of_every_move(render: Any, after: int) -> N
         {"move": "leap"},
         {"loss_only_searches": -1},
         {"optima": {"samples": [], "counts": [], "descents": -1}},
-        {"start": {"mean": np.zeros(7), "std": np.ones(8), "population": 1, "patience": 1}},
+        {"start": {"mean": np.zeros(8), "std": np.ones(8), "population": 1, "patience": 1}},
+        {"start": {**asdict(Start(np.zeros(8), np.ones(8))), "mean": np.zeros(7)}},
     ],
 )
 def test_impossible_states_are_refused(wrong: dict[str, Any]) -> None:
