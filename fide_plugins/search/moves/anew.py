@@ -28,6 +28,8 @@ class BeginAnew(Move):
     """Random places, and the distribution around the best of them."""
 
     name = "begin anew"
+    from_incumbent = False
+    has_goal = False
 
     def possible(self, known: Known) -> bool:
         """Return True: it needs nothing."""

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from torch import Tensor
@@ -120,9 +121,22 @@ class Known:
 
 
 class Move(ABC):
-    """One way to leave a local optimum."""
+    """One way to leave a local optimum.
 
-    name: str
+    name: by which it is chosen and saved.
+    prior_gain: share by which it is expected to lower the loss, as long as it was not tried.
+    from_incumbent: whether its restart candidates are copies of the incumbent with something
+        changed.  Then its gain is measured from there, and it is chosen by its gain (`choice`);
+        otherwise the policy says when it is due.
+    has_goal: whether its search is over when it has no hope to become better than the incumbent.
+    has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
+    """
+
+    name: ClassVar[str]
+    prior_gain: ClassVar[float] = 0.1
+    from_incumbent: ClassVar[bool] = True
+    has_goal: ClassVar[bool] = True
+    has_more: ClassVar[bool] = True
 
     @abstractmethod
     def possible(self, known: Known) -> bool:
@@ -134,7 +148,7 @@ class Move(ABC):
 
     @abstractmethod
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Draw restart candidates, (n, d) in [0, 1]."""
+        """Draw restart candidates, (n, d) in [0, 1]; fewer where the move has no more."""
 
     @abstractmethod
     def begin_at(self, known: Known, x: Float64) -> Start:

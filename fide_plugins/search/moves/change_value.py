@@ -22,6 +22,8 @@ class ChangeValue(Move):
     """The incumbent with another value of one integer or choice."""
 
     name = "change value"
+    prior_gain = 0.5
+    has_more = False
 
     def possible(self, known: Known) -> bool:
         """Whether an integer or a choice has another value."""

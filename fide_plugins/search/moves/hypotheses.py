@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
-from fide_plugins.search.moves.base import Known, Start
+from fide_plugins.search.moves.base import Known, Move, Start
 from fide_plugins.types import Float64, Posterior
 
 __all__ = ["Hypotheses"]
@@ -43,7 +43,7 @@ _SCHEMA: dict[str, Schema] = {
 }
 
 
-class Hypotheses:
+class Hypotheses(Move):
     """Points of the cube that a model takes for possible; none without a model.
 
     posterior: draws x (n, d), which say how probable an answer is, and refined points.
@@ -52,6 +52,8 @@ class Hypotheses:
     """
 
     name = "learned"
+    from_incumbent = False
+    has_more = False
 
     def __init__(
         self,
@@ -86,8 +88,15 @@ class Hypotheses:
         """
         return None if self.typical is None or self.typical <= 0 else _BETTER * self.typical
 
-    def draw(self) -> Float64:
-        """Those that are rendered first, (m, d): what was refined, the best first, and draws."""
+    def possible(self, known: Known) -> bool:
+        """Whether there are any."""
+        return self.available
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Those that are rendered first, (m, d): what was refined, the best first, and draws.
+
+        How many does not depend on n, and nothing is drawn at random.
+        """
         few = self._sets or len(self._refined) > 0
         refined = self._refined[: _RENDERED_SETS - _BESIDE_REFINED]
         draws = self.x[: (_RENDERED_SETS if few else _RENDERED) - len(refined)]
@@ -118,6 +127,10 @@ class Hypotheses:
     def next(self, known: Known) -> Start:
         """Begin at the next one; there must be one."""
         x, self._waiting = self._waiting[0], self._waiting[1:]
+        return self.begin_at(known, x)
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at x (d,), as wide as the hypotheses around it."""
         return Start(x, self._spread(x, known), brisk_above=self.brisk_above)
 
     def _spread(self, x: Float64, known: Known) -> Float64:

@@ -50,10 +50,6 @@ from fide_plugins.types import Float64, Posterior
 
 __all__ = ["MovePolicy", "Stage", "Start"]
 
-_PRIOR, _PRIORS = (
-    0.1,
-    {"split": 0.5, "change value": 0.5, "resample": 0.5},
-)  # gain of a move before it is tried
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least
 _TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
@@ -101,22 +97,20 @@ class MovePolicy:
             values=Values(axes, cells),
         )
         self._candidates = max(_CANDIDATES, popsize)
-        self._anew = BeginAnew()
+        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
+        self._refine, self._anew, self._resample = Refine(), BeginAnew(), Resample(self.hypotheses)
         family: list[Move] = [
             Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
-            Refine(), self._anew,
+            self._refine, self._anew,
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
-        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
-        family.append(Resample(self.hypotheses))
-        self._moves = {move.name: move for move in family}
-        self._choice = Choice(
-            {name: _PRIORS.get(name, _PRIOR) for name in self._moves}, _COST * popsize
-        )
+        family.append(self._resample)
+        self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
+        self._moves = {move.name: move for move in (*family, self.hypotheses)}
         self._rng = np.random.default_rng((seed, 1))
         self.stage = Stage.RESTART if self.hypotheses.available else Stage.SEARCH
-        self.move: str | None = Hypotheses.name if self.hypotheses.available else None
+        self.move: str | None = self.hypotheses.name if self.hypotheses.available else None
         """Name of the move that is under way; None in the first search."""
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
@@ -127,8 +121,10 @@ class MovePolicy:
     @property
     def goal(self) -> float:
         """Loss that the search has to beat; +inf for none."""
-        free = self.move in (None, BeginAnew.name, Refine.name)
-        return np.inf if free or self.known.incumbent is None else self.known.incumbent.loss
+        incumbent = self.known.incumbent
+        if incumbent is None or self.move is None or not self._the_move.has_goal:
+            return np.inf
+        return incumbent.loss
 
     @property
     def ended(self) -> list[int]:
@@ -165,12 +161,12 @@ class MovePolicy:
             if found is not None:
                 self._settle(found, evaluations)
             if guided and self._refines():
-                start = self._moves[Refine.name].begin_at(self.known, self.known.here.x)
+                start = self._refine.begin_at(self.known, self.known.here.x)
                 self.start = replace(start, to_the_end=False)  # other hypotheses wait
-                self.move = Refine.name
+                self.move = self._refine.name
                 return self._go(Stage.SEARCH)
             if guided and self._resamples(before):
-                self.move = Resample.name
+                self.move = self._resample.name
                 return self._go(Stage.RESTART)
             return self._begin_at_hypothesis()
         if found is None or not guided:
@@ -178,7 +174,7 @@ class MovePolicy:
             self.loss_only_searches += 1
             number = self.loss_only_searches
             self.start = self._anew.begin_without_images(self.known, number, self._rng)
-            self.move = BeginAnew.name
+            self.move = self._anew.name
             return self._go(Stage.SEARCH)
         self._settle(found, evaluations)
         return self._decide()
@@ -187,8 +183,7 @@ class MovePolicy:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
         best = known.optima.note(found, known.exchangeability.distance)
-        begun = self.move in (None, BeginAnew.name, Hypotheses.name)
-        if incumbent is not None and self.move is not None and not begun:
+        if incumbent is not None and self.move is not None and self._the_move.from_incumbent:
             self._choice.note(self.move, _gain(incumbent.loss, found.loss), evaluations)
             if found.loss >= incumbent.loss:
                 known.optima.fail(incumbent)
@@ -209,19 +204,13 @@ class MovePolicy:
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
         if following is None:
-            self.move = BeginAnew.name
+            self.move = self._anew.name
             return self._go(Stage.RESTART)
         self._leave(following)
-        possible = self._possible() or [BeginAnew.name]
-        self.move = self._choice.draw(possible, self._rng)
-        return self._go(self._moves[self.move].needs(known) or Stage.RESTART)
-
-    def _possible(self) -> list[str]:
-        return [
-            name
-            for name, move in self._moves.items()
-            if name != BeginAnew.name and move.possible(self.known)
-        ]
+        moves = self._moves.values()
+        possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
+        self.move = self._choice.draw(possible or [self._anew.name], self._rng)
+        return self._go(self._the_move.needs(known) or Stage.RESTART)
 
     def _refines(self) -> bool:
         """Whether the best so far is in the right place, and not yet at the end of its descent."""
@@ -234,12 +223,12 @@ class MovePolicy:
     def _resamples(self, before: TrainingSample | None) -> bool:
         """Whether to draw again what is open: after a hypothesis, and as long as that helps."""
         known = self.known
-        if known.incumbent is None or not self._moves[Resample.name].possible(known):
+        if known.incumbent is None or not self._resample.possible(known):
             return False
-        return self.move == Hypotheses.name or known.incumbent is not before
+        return self.move == self.hypotheses.name or known.incumbent is not before
 
     def _begin_at_hypothesis(self) -> Stage:
-        self.move, self.start = Hypotheses.name, self.hypotheses.next(self.known)
+        self.move, self.start = self.hypotheses.name, self.hypotheses.next(self.known)
         return self._go(Stage.SEARCH)
 
     def _go(self, stage: Stage) -> Stage:
@@ -272,14 +261,12 @@ class MovePolicy:
             return known.removal.draw(known.here.x, known.exchangeability.blocks, rng)
         if self.stage is Stage.SENSITIVITY:
             return known.sensitivity.draw(known.here.x, rng)
-        if self.move == Hypotheses.name:
-            return self.hypotheses.draw()
         return self._the_move.draw(known, self._candidates, rng)
 
     @property
     def has_more(self) -> bool:
         """Whether `draw` gives other candidates each time, which are as good as the first ones."""
-        return self.stage is Stage.RESTART and self.move not in (Hypotheses.name, ChangeValue.name)
+        return self.stage is Stage.RESTART and self._the_move.has_more
 
     def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
         """Learn from a generation that was no search's; return what comes next.
@@ -288,7 +275,7 @@ class MovePolicy:
         best: (d,), the candidate with the lowest loss, as it was asked.
         """
         known = self.known
-        if self.stage is Stage.RESTART and self.move == Hypotheses.name:
+        if self.stage is Stage.RESTART and self._the_move is self.hypotheses:
             found = [(sample.loss, sample.x) for sample in samples]
             self.hypotheses.learn(found, best, known.exchangeability.distance)
             return self._begin_at_hypothesis()
@@ -313,14 +300,15 @@ class MovePolicy:
     def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
         """Return the candidate (d,) at which the search begins.
 
-        The one with the lowest loss, where blocks are exchangeable or the descent is a new one.
-        Elsewhere candidates of low loss are mostly those that change little, and what counts is how
-        much of an image is better than the incumbent's: the sum over tokens of the lesser of the
-        two errors. What a move makes worse elsewhere, the search makes good again.
+        The one with the lowest loss, where blocks are exchangeable or candidates are no copies of
+        the incumbent.  Elsewhere candidates of low loss are mostly those that change little, and
+        what counts is how much of an image is better than the incumbent's: the sum over tokens of
+        the lesser of the two errors.  What a move makes worse elsewhere, the search makes good
+        again.
         """
         known = self.known
         blocks = known.exchangeability.blocks
-        if blocks is not None or not samples or self.move == BeginAnew.name:
+        if blocks is not None or not samples or not self._the_move.from_incumbent:
             return best
         here = changed(known.here.tokens, known.target, known.channels) ** 2
         errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]
@@ -360,7 +348,7 @@ class MovePolicy:
         Raises ValueError for what it cannot have given.
         """
         known = self.known
-        check_policy(state, known, [*self._moves, Hypotheses.name])
+        check_policy(state, known, self._moves)
         self.hypotheses.load_state_dict(state["hypotheses"])
         self.stage, self.move = Stage(state["stage"]), state["move"]
         self.start = Start(**state["start"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE
@@ -19,9 +19,7 @@ from fide_plugins.runtime.schema import (
     text,
     whole,
 )
-from fide_plugins.search.moves.anew import BeginAnew
-from fide_plugins.search.moves.base import Known, Stage
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.base import Known, Move, Stage
 
 __all__ = ["check_policy"]
 
@@ -50,10 +48,10 @@ _SCHEMA: dict[str, Schema] = {
 }
 
 
-def check_policy(state: Mapping[str, Any], known: Known, moves: Collection[str]) -> None:
+def check_policy(state: Mapping[str, Any], known: Known, moves: Mapping[str, Move]) -> None:
     """Raise ValueError unless this can be the state of a policy for such a scene.
 
-    known: what is known of the scene at first.  moves: names of the moves.
+    known: what is known of the scene at first.  moves: all moves by their names.
     """
     tokens, channels = known.target.shape
     sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
@@ -62,11 +60,11 @@ def check_policy(state: Mapping[str, Any], known: Known, moves: Collection[str])
     stage = Stage(state["stage"])
     if state["move"] is not None and state["move"] not in moves:
         raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")
-    anew = stage is Stage.RESTART and state["move"] in (BeginAnew.name, Hypotheses.name)
-    if stage is not Stage.SEARCH and not anew and state["incumbent"] is None:
-        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
     if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and state["move"] is None:
         raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
+    free = stage is Stage.RESTART and not moves[state["move"]].from_incumbent
+    if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
+        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
     blocks = state["exchangeability"]["blocks"]
     if stage is Stage.REMOVAL and blocks is None:
         raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")

@@ -24,6 +24,7 @@ class Refine(Move):
     """A narrow search around the incumbent, once for each."""
 
     name = "refine"
+    has_goal = False  # it begins behind the loss of the incumbent, and needs time to come back
 
     def possible(self, known: Known) -> bool:
         """Whether the incumbent was left in vain, and was not refined yet."""

@@ -30,6 +30,7 @@ class Resample(Move):
     """Parameters of hypotheses in copies of the incumbent."""
 
     name = "resample"
+    prior_gain = 0.5
 
     def __init__(self, hypotheses: Hypotheses) -> None:
         self._hypotheses = hypotheses

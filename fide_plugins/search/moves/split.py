@@ -23,6 +23,7 @@ class Split(Move):
     """Donor := source + N(0, s^2), s log-uniform for each parameter."""
 
     name = "split"
+    prior_gain = 0.5
 
     def possible(self, known: Known) -> bool:
         """Whether there are exchangeable blocks."""

@@ -54,7 +54,7 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
     assert rendered[0] < rendered[1] / 2
     stds, waiting = [], []
     for policy in policies:
-        found = [(float(i), row) for i, row in enumerate(policy.hypotheses.draw())]
+        found = [(float(i), row) for i, row in enumerate(policy.draw(rng))]
         policy.hypotheses.learn(found, found[0][1], policy.known.exchangeability.distance)
         stds.append(policy.hypotheses.next(policy.known).std.max())
         waiting.append(policy.hypotheses.waiting)
@@ -96,10 +96,10 @@ def test_what_was_refined_is_rendered_first_and_searched_narrowly() -> None:
 
     again = Hypotheses(None, 7, sets=True)
     again.load_state_dict(there.state_dict())
-    np.testing.assert_array_equal(again.draw(), first)
+    np.testing.assert_array_equal(again.draw(policy.known, 20, rng), first)
     np.testing.assert_array_equal(again.x, draws)
     again.forget()
-    assert not len(again.draw())
+    assert not len(again.draw(policy.known, 20, rng))
 
 
 def test_where_the_emulator_was_wrong_the_search_begins_as_wide_as_the_draws() -> None:
@@ -110,7 +110,7 @@ def test_where_the_emulator_was_wrong_the_search_begins_as_wide_as_the_draws() -
     policy = refined_policy(draws, rng.random((8, 7)))
     without = refined_policy(draws, np.empty((0, 7)))
     for one in (policy, without):
-        found = [(float(not np.array_equal(x, TRUTH)), x) for x in one.hypotheses.draw()]
+        found = [(float(not np.array_equal(x, TRUTH)), x) for x in one.draw(rng)]
         one.hypotheses.learn(found, TRUTH, one.known.exchangeability.distance)
     starts = [one.hypotheses.next(one.known) for one in (policy, without)]
     np.testing.assert_array_equal(starts[0].mean, TRUTH)
