@@ -11,8 +11,8 @@ Notation
 =====  ======  ===================================================================================
 m      (d,)    mean
 s      (d,)    standard deviations of samples, A sigma sqrt(diag C)
-A      (d,)    how much samples are stretched about the mean, at least 1 at the beginning, on axes
-               with cells; v = m + A (z - m) is rendered, z is what CMA-ES learns from
+A      (d,)    how much samples are stretched about the mean, 1 at the beginning, on axes with
+               cells; v = m + A (z - m) is rendered, z is what CMA-ES learns from
 l, u   (d,)    where the cell of the mean begins and ends; -inf, inf for the first and the last
 alpha  ()      smallest probability; the paper's is 1 / (d k) with k candidates a generation
 q(p)           quantile of the normal distribution; q(1 - p) = sqrt(chi2_ppf(1 - 2 p)) of the paper

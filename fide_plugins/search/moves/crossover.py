@@ -20,7 +20,7 @@ _WIDE = 1 / 4  # of sigma0, in the parameters from elsewhere
 
 
 class Crossover(Move):
-    """Segments of two ends, from optima drawn by rank."""
+    """A segment of the incumbent, and all else of another optimum, or the other way round."""
 
     name = "crossover"
 
@@ -34,7 +34,10 @@ class Crossover(Move):
         return [x for x in every if not np.array_equal(x, here)]
 
     def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Copies (n, d) of the incumbent, each with a segment, or all but a segment, of another."""
+        """Copies (n, d) of the incumbent, each with a segment, or all but a segment, of another.
+
+        The other optimum is drawn by its rank.
+        """
         others = self._others(known)
         weights = np.exp(-np.arange(len(others)) / max(1.0, len(others) / 3))
         x = known.copies(n)

@@ -2,7 +2,8 @@
 
 The first generation renders some of them. The best distinct ones are the starts of searches, each
 as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
-(`termination.is_hopeless`). The other moves come after them.
+(`termination.is_hopeless`). Between two of them `refine` goes on with what is in the right place,
+and `resample` draws again what is left open. The other moves come after all of them.
 
 Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
 wrong then is repaired by moves of single blocks (`split`), not by another set.  So few are

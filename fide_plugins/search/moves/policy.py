@@ -12,6 +12,10 @@
 
 The incumbent is the best local optimum, until moves from it have failed often: then another one,
 or a new descent (`optima`).
+
+With a learned model the run begins in RESTART, where its hypotheses are rendered, and all of them
+are searched before other moves are chosen (`hypotheses`).  Where no image says where to go on, the
+next search begins at once at a random place (`anew`).
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 A search is over soon, so that the next move can begin, and what it found is mostly not as good as
 it could be. This move goes on with more patience and a narrow distribution, once an optimum has
-been left in vain. It ends where the loss hardly falls any more (`termination.has_stalled`, with
-three times the patience), or where the distribution is as narrow as images can tell; where
-hypotheses of a learned model wait, as narrow as that with which other searches end.
+been left in vain, or at once where a hypothesis has led to the right place. It ends where the loss
+hardly falls any more (`termination.has_stalled`, with three times the patience), or where the
+distribution is as narrow as images can tell; where hypotheses of a learned model wait, as narrow as
+that with which other searches end.
 """
 
 from __future__ import annotations
