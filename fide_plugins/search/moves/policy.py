@@ -204,6 +204,8 @@ class MovePolicy:
         """Choose the next move, and the stage that comes first."""
         known = self.known
         if not known.exchangeability.settled:
+            if known.incumbent is None:  # the last search began without images, and was no better
+                self._leave(known.optima.all[0].sample)
             return self._go(Stage.EXCHANGE)
         blocks = known.exchangeability.blocks
         following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))

@@ -145,6 +145,21 @@ def test_a_search_by_losses_alone_goes_on_with_the_next_hypothesis() -> None:
     assert moves.move == "learned"
 
 
+def test_after_a_search_without_images_a_worse_one_is_followed_by_tests_of_the_best() -> None:
+    """The scene was not tested before: hypotheses came first, and images did not guide them."""
+    moves, rng = policy(), np.random.default_rng(0)
+    x = moves.draw(rng)
+    moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
+    best = sample(np.full(16, 0.1), HERE, 0.5)
+    while moves.move == "learned":
+        moves.after_search(best, 100, guided=False)
+    assert moves.known.incumbent is None and not moves.known.exchangeability.settled
+    worse = sample(np.full(16, 0.1), 1 - HERE, 0.9)
+    assert moves.after_search(worse, 100, guided=True) is Stage.EXCHANGE
+    np.testing.assert_array_equal(moves.draw(rng)[0], HERE)
+    policy().load_state_dict(moves.state_dict())
+
+
 def test_what_is_in_the_right_place_is_refined_before_anything_else_is_tried() -> None:
     moves, rng = policy(), np.random.default_rng(0)
     several = [sample(np.full(16, 0.1), x, 1.0 + i) for i, x in enumerate(moves.draw(rng))]
