@@ -162,7 +162,6 @@ class Replica:
         features = None if tokens is None else tokens[None]
         optimizer.search_over = over
         optimizer.search_guided = guided
-        loss_only_searches = optimizer.state.moves.loss_only_searches
         try:
             optimizer.tell(x[None], losses=np.array([loss]), features=features)
         finally:  # what training raises comes after the generation was completed
@@ -172,7 +171,7 @@ class Replica:
                 self._batches, self._taken = {}, set()
                 if self._stage_of_search() != stage:
                     self.began = self.generation
-                    self.guided = optimizer.state.moves.loss_only_searches == loss_only_searches
+                    self.guided = optimizer.state.moves.guided
         return role
 
     def _check(self, x: Float64, loss: float, tokens: Tensor | None) -> None:

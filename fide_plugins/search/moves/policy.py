@@ -121,6 +121,8 @@ class MovePolicy:
         """Standard deviation of the loss of one candidate; None where it was not measured."""
         self.loss_only_searches = 0
         """Searches that began anew where losses only said, without images."""
+        self.guided = True
+        """Whether images had a say when the last search was over."""
 
     @property
     def goal(self) -> float:
@@ -160,6 +162,7 @@ class MovePolicy:
         evaluations: since the last search was over.
         guided: whether images say where to go on.
         """
+        self.guided = guided
         if self.hypotheses.waiting:
             before = self.known.incumbent
             if found is not None:
@@ -174,7 +177,7 @@ class MovePolicy:
                 return self._go(Stage.RESTART)
             return self._begin_at_hypothesis()
         if found is None or not guided:
-            self.known.incumbent = None
+            self.known.incumbent, self.guided = None, False
             self.loss_only_searches += 1
             number = self.loss_only_searches
             self.start = self._anew.begin_without_images(self.known, number, self._rng)
@@ -251,7 +254,7 @@ class MovePolicy:
         known.removal.forget()
         known.values.forget()
         self.hypotheses.forget()
-        self.loss_only_searches = 0
+        self.loss_only_searches, self.guided = 0, True
         self.move, self.start = None, start
         self._go(Stage.SEARCH)
 
@@ -336,6 +339,7 @@ class MovePolicy:
             "move": self.move,
             "start": asdict(self.start),
             "loss_only_searches": self.loss_only_searches,
+            "guided": self.guided,
             "noise": self.noise,
             "rng": self._rng.bit_generator.state,
             "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
@@ -358,7 +362,8 @@ class MovePolicy:
         self.hypotheses.load_state_dict(state["hypotheses"])
         self.stage, self.move = Stage(state["stage"]), state["move"]
         self.start = Start(**state["start"])
-        self.loss_only_searches, self.noise = state["loss_only_searches"], state["noise"]
+        self.loss_only_searches, self.guided = state["loss_only_searches"], state["guided"]
+        self.noise = state["noise"]
         self._rng.bit_generator.state = state["rng"]
         known.optima.load_state_dict(state["optima"], device)
         saved = state["incumbent"]

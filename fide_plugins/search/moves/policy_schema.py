@@ -38,6 +38,7 @@ _SCHEMA: dict[str, Schema] = {
         "held": maybe(array("d", kind="b")),
     },
     "loss_only_searches": whole(),
+    "guided": flag,
     "noise": maybe(real(0.0)),
     "incumbent": maybe(SAMPLE),
     "optima": {

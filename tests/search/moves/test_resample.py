@@ -142,7 +142,20 @@ def test_a_search_by_losses_alone_goes_on_with_the_next_hypothesis() -> None:
     x = moves.draw(rng)
     moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
     assert moves.after_search(None, 100, guided=False) is Stage.SEARCH
-    assert moves.move == "learned"
+    assert moves.move == "learned" and not moves.guided
+
+
+def test_what_followed_a_hypothesis_can_be_told_to_others() -> None:
+    """Who is told whether images guided, and has the same hypotheses, goes on as the first one."""
+    for guided in (True, False):
+        one, other = policy(), policy()
+        for moves in (one, other):
+            x = moves.draw(np.random.default_rng(0))
+            moves.learn([sample(np.full(16, 0.1), row, 1.0 + i) for i, row in enumerate(x)], x[0])
+        found = sample(np.full(16, 0.1), HERE, 0.5)
+        one.after_search(found, 100, guided=guided)
+        other.after_search(found, 100, guided=one.guided)
+        assert (one.stage, one.move, one.guided) == (other.stage, other.move, guided)
 
 
 def test_after_a_search_without_images_a_worse_one_is_followed_by_tests_of_the_best() -> None:
