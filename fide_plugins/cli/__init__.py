@@ -67,7 +67,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _Done as done:
         return int(done.args[0])
     except MemoryError as error:
-        return complain("fide", f"there is not enough memory ({error}); use smaller images")
+        return complain(
+            "fide", f"there is not enough memory ({error}); use smaller images or fewer parameters"
+        )
     except KeyboardInterrupt:
         complain("fide", "stopped")
         return 130

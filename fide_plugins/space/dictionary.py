@@ -38,17 +38,18 @@ def _data(name: str, member: Member) -> dict[str, Any]:
     if isinstance(member, Group):
         return to_dict(member.members, f"{name}.")
     if isinstance(member, Choice):
-        return {"type": "choice", "values": [_plain(name, value) for value in member.values]}
+        values = [_plain(f"parameter {name!r}", value) for value in member.values]
+        return {"type": "choice", "values": values}
     fields = member.__dataclass_fields__
     given = {key: getattr(member, key) for key in _KEYS[member.type]}
     return {"type": member.type} | {k: v for k, v in given.items() if v != fields[k].default}
 
 
-def _plain(name: str, value: Any) -> Any:
+def _plain(where: str, value: Any) -> Any:
     if type(value) not in (str, int, float, bool, type(None)):
         raise SpaceError(
-            f"parameter {name!r} has the value {value!r}, which files cannot hold; use texts and "
-            "look the objects up by them"
+            f"{where} has the value {value!r}, which files cannot hold; use texts and look the "
+            "objects up by them"
         )
     return value
 
@@ -106,7 +107,7 @@ def _parameter(table: str, data: Mapping[str, Any]) -> Kind:
     if kind == "choice":
         if not isinstance(values["values"], list | tuple):
             raise SpaceError(f'values: must be a list such as ["a", "b"], not {values["values"]!r}')
-        return Choice(*values["values"])
+        return Choice(*(_plain("values:", value) for value in values["values"]))
     return _KINDS[kind](**values)
 
 

@@ -288,6 +288,8 @@ def _check_range(kind: Any, low: float, high: float) -> None:
         _refuse(kind, "low must be less than high", "swap them, or use Choice for a constant")
     if not math.isfinite(high - low):
         _refuse(kind, "high - low must be finite", "take a narrower range")
+    if kind.log and low > 0 and not math.log(low) < math.log(high):
+        _refuse(kind, "doubles cannot tell the logarithms of low and high apart", "drop log")
 
 
 def _check_settings(kind: Any) -> None:

@@ -1,11 +1,12 @@
 """Rules for the values of options: each takes an option's name and value, and returns the value.
 
-All rules raise OptionError (a ValueError) that names the option, its value and the rule.
+`check_names` is about names only.  All raise OptionError (a ValueError) that names the option, its
+value and the rule.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
@@ -13,6 +14,7 @@ from fide_plugins.validation.points import whole_number
 
 __all__ = [
     "Rule",
+    "check_names",
     "fraction",
     "groups",
     "not_negative",
@@ -29,6 +31,18 @@ __all__ = [
 Rule: TypeAlias = Callable[[str, Any], Any]
 
 _MOST_STEPS = 1000
+_ARGUMENTS = ("self", "dim", "target", "loss", "seed")
+
+
+def check_names(options: Iterable[str], instead: str, allowed: Iterable[str] = ()) -> None:
+    """Refuse options of an optimizer that are named as arguments that its caller gives it.
+
+    instead: what such an option is, to end the error.  allowed: arguments that may be options.
+    """
+    names = set(options)
+    for name in _ARGUMENTS:
+        if name in names and name not in allowed:
+            raise OptionError(f"{name} {instead}")
 
 
 def whole(low: int, high: int | None = None, note: str = "") -> Rule:

@@ -105,6 +105,7 @@ def test_settings_are_typed(text: str, value: object) -> None:
             r"'groups=\[\[0,1\],\[2,3': a value in brackets is a list such as \[\[0,1\],\[2,3\]\]",
         ),
         (["run", "voronoi", *SMALL, "--set", "seed=1"], "seed is an argument of the run"),
+        (["run", "voronoi", *SMALL, "--set", "dim=1"], "dim is an argument of the run"),
         (["run", "voronoi", *SMALL, "--preset", "fast"], "cma has no option 'preset'"),
         (["run", "voronoi", *SMALL, "--task-set", "colour=1"], "voronoi has no option 'colour'"),
         (["run", "voronoi", *SMALL, "--budget", "0"], "--budget: a whole number >= 1, not '0'"),

@@ -67,6 +67,14 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
         (["compare", "voronoi", *SMALL, "--optimizers", "a,,b"], "names separated by commas"),
         (["compare", "voronoi", *SMALL, "--threshold", "mse"], "LOSS=VALUE"),
         (["compare", "voronoi", *SMALL, "--threshold", "mse=inf"], "LOSS=VALUE"),
+        (
+            ["compare", "voronoi", *SMALL, "--threshold", "mze=1"],
+            "a threshold is given for 'mze', which is not compared; choose from mse, voronoi/mse",
+        ),
+        (
+            ["compare", "voronoi", *SMALL, "--optimizers", "cma:dim=3"],
+            "dim is a setting of the comparison, not of one optimizer",
+        ),
         (["compare", "voronoi", *SMALL, "--jobs", "1000"], "at most one process per core"),
         (["compare", "voronoi", *SMALL, "--jobs", "2", "--dask", "tcp://x"], "not allowed with"),
         (["compare", "voronoi", *SMALL, "--seeds", "0"], "a whole number >= 1"),

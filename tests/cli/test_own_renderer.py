@@ -110,6 +110,27 @@ def test_the_size_of_one_s_own_renderer_is_its_own(capsys: pytest.CaptureFixture
         assert not Path("out").exists()
 
 
+def test_a_picture_of_another_size_is_refused_before_anything_is_written(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Image.open(target).resize((9, 7)).save("small.png")
+    for words in (["run", "scene.py:render"], ["compare", "scene.py:render", "--seeds", 1]):
+        assert fide(*words, "--budget", 8, "--target", "small.png", "--out", "out") == 2
+        message = "the picture has 9 x 7 pixels, and scene.py:render renders 16 x 12: give"
+        assert message in one_line(capsys)
+        assert not Path("out").exists()
+
+
+def test_arguments_of_the_fit_are_no_options(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("dim", "target", "seed"):
+        words = ["fit", target.name, "--renderer", "scene.py:render", "--set", f"{name}=3"]
+        assert fide(*words, "--out", "out") == 2
+        assert f"{name} is no option of the optimizer, but an argument" in one_line(capsys)
+        assert not Path("out").exists()
+
+
 DRAW = """
 import sys
 import numpy as np

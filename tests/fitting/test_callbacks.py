@@ -56,6 +56,16 @@ def test_an_event_says_what_was_evaluated() -> None:
         assert event.image == pytest.approx(gray, abs=1e-6)
 
 
+@pytest.mark.parametrize(("answer", "stops"), [(True, True), (np.True_, True), (np.False_, False),
+    (1, False), (np.ones(2), False), (None, False)])  # fmt: skip
+def test_a_callback_stops_with_true_of_python_or_numpy(answer: object, stops: bool) -> None:
+    """A condition on `event.x` is NumPy's."""
+    result = fit(
+        disk(), target(), SPACE, budget=9, workers=0, seed=1, callbacks=lambda event: answer
+    )
+    assert result.evaluations == (1 if stops else 9)
+
+
 def test_tensorboard_is_asked_for_by_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(DependencyError, match=r"pip install tensorboard"):

@@ -200,6 +200,10 @@ BAD_KINDS = [
     (lambda: Float(3, 1), r"Float\(3, 1\): low must be less than high; swap them"),
     (lambda: Float(1, 1), "low must be less than high"),
     (lambda: Float(0, 1, log=True), r"Float\(0, 1, log=True\): the logarithm needs low > 0, not 0"),
+    (
+        lambda: Float(1e300, float(np.nextafter(1e300, np.inf)), log=True),
+        "cannot tell the logarithms of low and high apart; drop log",
+    ),
     (lambda: Float(float("nan"), 1), "low must be a finite number, not nan"),
     (lambda: Float(0, float("inf")), "high must be a finite number, not inf"),
     (lambda: Float(-1.7e308, 1.7e308), "high - low must be finite"),

@@ -37,7 +37,7 @@ from nevergrad.optimization import base
 from fide_adapters.image_loss import Result, read_result
 from fide_adapters.nevergrad.parametrization import Cube
 from fide_adapters.nevergrad.search import Evaluation, Search
-from fide_plugins.errors import ImageError
+from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.options import make_options
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import new_seed
@@ -80,6 +80,15 @@ class TargetImage:
         views = self.views
         content = views.target.tobytes() + views.version.encode()
         return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
+
+
+def _check_options(options: object) -> None:
+    """Raise OptionError for what is no mapping, or names an argument of its own."""
+    if options is not None and not isinstance(options, Mapping):
+        raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
+    for name in ("encoder", "popsize"):
+        if name in (options or {}):
+            raise OptionError(f"{name} is an argument of its own: give {name}=, not in options")
 
 
 def _as_setting(target: object, mask: object, weights: object) -> TargetImage | None:
@@ -322,6 +331,7 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
         seed: int | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
+        _check_options(options)
         make_options(preset, {"encoder": encoder, "popsize": popsize, **(options or {})})
         settings = {
             "target": _as_setting(target, mask, weights),

@@ -133,9 +133,18 @@ class Space:
         return (
             all(name in params and type(kinds[name]) is type(own[name]) for name in own)
             and all(params[name] == value for name, value in self._fixed.items())
-            and all(params[name] in d.choices for name, d in self._choices.items())
+            and all(_is_choice(params[name], d) for name, d in self._choices.items())
             and self._scale.holds([params[name] for name in self._scale.names])
         )
+
+
+def _is_choice(value: Any, distribution: CategoricalDistribution) -> bool:
+    """Whether the value is one of the choices, as Optuna compares them: a NaN is a NaN."""
+    try:
+        distribution.to_internal_repr(value)
+    except ValueError:
+        return False
+    return True
 
 
 def _chosen(axes: Float64) -> int:
@@ -165,7 +174,8 @@ class _Scale:
         self._whole = [isinstance(d, IntDistribution) for d in distributions]
         margin = self._step / 2  # 1/2 for each int, also with `log`
         self._bottom = self._scaled(self._low - margin)
-        self._length = self._scaled(self._high + margin) - self._bottom
+        length = self._scaled(self._high + margin) - self._bottom
+        self._length = np.where(length > 0, length, 1.0)  # 0: doubles cannot tell the ends apart
 
     def _scaled(self, values: Float64) -> Float64:
         scaled = values.copy()

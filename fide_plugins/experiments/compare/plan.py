@@ -15,6 +15,7 @@ from fide_plugins.experiments.run import Keep
 from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.types import Float32
+from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Checked", "Plan", "RunKey"]
@@ -156,9 +157,7 @@ def _check_options(configuration: Configuration, options: dict[str, Any]) -> Non
             f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
             f"as NAME:{unknown[0]}={options[unknown[0]]}"
         )
-    clash = sorted({"loss", "seed"} & set(options))
-    if clash:
-        raise OptionError(f"{clash[0]} is a setting of the comparison, not of one optimizer")
+    check_names(options, "is a setting of the comparison, not of one optimizer")
 
 
 def _check_budget(

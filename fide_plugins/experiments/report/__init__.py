@@ -36,7 +36,7 @@ from fide_plugins.experiments.compare.results import (
     Results,
 )
 from fide_plugins.experiments.report import export, pictures, plots, sentences, svg, tables
-from fide_plugins.experiments.report.panel import Panel, panels
+from fide_plugins.experiments.report.panel import Panel, check_thresholds, panels
 from fide_plugins.runtime import files
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def write(
     from fide_plugins.experiments.report import page as page_module
 
     path = page_path(page)
-    _check(results, thresholds or {})
+    check_thresholds(thresholds or {}, [run.key for run in results.runs])
     found = panels(results, thresholds or {})
     AllFailedError.check(results)
     if not found:
@@ -100,17 +100,6 @@ def page_path(page: str | os.PathLike[str]) -> Path:
 def companion(page: Path, name: str) -> Path:
     """Path of the file `name` of the report `page`: reports in one folder do not share files."""
     return page.with_name(name if page.stem == "report" else f"{page.stem}-{name}")
-
-
-def _check(results: Results, thresholds: dict[str, float]) -> None:
-    keys = [run.key for run in results.runs]
-    known = {key.loss for key in keys} | {f"{key.task}/{key.loss}" for key in keys}
-    unknown = sorted(set(thresholds) - known)
-    if unknown:
-        raise OptionError(
-            f"a threshold is given for {unknown[0]!r}, which was not compared; choose from "
-            f"{', '.join(sorted(known))}"
-        )
 
 
 def _write_figures(results: Results, panel: Panel, folder: Path) -> dict[str, bytes]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments.compare.plan import RunKey
 from fide_plugins.experiments.compare.results import Results, StoredRun
 from fide_plugins.experiments.report import statistics
 from fide_plugins.experiments.report.labels import short_names
 from fide_plugins.experiments.report.statistics import Paired, Success
 from fide_plugins.experiments.run.record import PARTS
 
-__all__ = ["SIGNIFICANT", "Panel", "Row", "panels"]
+__all__ = ["SIGNIFICANT", "Panel", "Row", "check_thresholds", "panels"]
 
 SIGNIFICANT = 0.05
 """Adjusted p below which a difference is called significant."""
@@ -199,3 +202,14 @@ def _loss(run: StoredRun, renders: int | None) -> float:
         return run.final
     value = float(run.curve.value("renders", [renders])[0])
     return np.inf if np.isnan(value) else value
+
+
+def check_thresholds(thresholds: Collection[str], runs: Iterable[RunKey]) -> None:
+    """Raise OptionError for a threshold of what is none of the runs' "loss" or "task/loss"."""
+    known = {name for key in runs for name in (key.loss, f"{key.task}/{key.loss}")}
+    unknown = sorted(set(thresholds) - known)
+    if unknown:
+        raise OptionError(
+            f"a threshold is given for {unknown[0]!r}, which is not compared; choose from "
+            f"{', '.join(sorted(known))}"
+        )

@@ -21,6 +21,7 @@ from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
+from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["make_task", "prepare", "run", "settings_of", "target_of"]
@@ -257,9 +258,7 @@ def _make_optimizer(
     budget: int,
     options: dict[str, Any],
 ) -> Optimizer:
-    clash = sorted({"loss", "seed"} & set(options))
-    if clash:
-        raise OptionError(f"{clash[0]} is an argument of the run, not an option of its optimizer")
+    check_names(options, "is an argument of the run, not an option of its optimizer")
     options = {"loss": loss, "seed": seed, **options}
     if isinstance(optimizer, str):
         if _depends_on_budget(optimizer):

@@ -6,11 +6,12 @@ What is to be found are random parameters of its own, or the parameters of a giv
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
 from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
 from fide_plugins.runtime.reference import is_reference
@@ -57,7 +58,7 @@ class RendererTask:
         x = np.random.default_rng((seed, self.dim)).random(self.dim)
         x = x if self.search_space is None else self.search_space.snap(x)
         self.x_star: Float64 | None = x if picture is None else None
-        self._target: Float32 | None = None if picture is None else as_target(picture)
+        self._picture: Float32 | None = None if picture is None else as_target(picture)
 
     @property
     def fingerprint(self) -> str | None:
@@ -69,13 +70,23 @@ class RendererTask:
         """That of the renderer."""
         return version_of(self._render)
 
-    @property
+    @cached_property
     def target(self) -> Float32:
-        """Picture (H, W, 3); or the image of `x_star`, rendered once, in the renderer's size."""
-        if self._target is None:
-            assert self.x_star is not None, "without a picture there are parameters"
-            self._target = as_target(self._render(self.decode(self.x_star)))
-        return self._target
+        """Picture (H, W, 3); or the image of `x_star`, in the renderer's size.  It renders once.
+
+        Raises ImageError (a ValueError) for a picture of another size than the renderer's images.
+        """
+        x = np.full(self.dim, 0.5) if self.x_star is None else self.x_star
+        image = as_target(self._render(self.decode(x)))
+        if self._picture is None:
+            return image
+        if image.shape != self._picture.shape:
+            (height, width), (h, w) = self._picture.shape[:2], image.shape[:2]
+            raise ImageError(
+                f"the picture has {width} x {height} pixels, and {self.name} renders {w} x {h}: "
+                "give a picture of that size, or render that of the picture"
+            )
+        return self._picture
 
     def render(self, X: Float64, seed: Any = None) -> list[Any]:
         """Images of candidates (n, dim); the seed is for other tasks."""

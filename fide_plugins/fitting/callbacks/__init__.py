@@ -22,6 +22,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.failures import CallbackError
 from fide_plugins.types import Float64
@@ -110,7 +112,8 @@ class Callbacks:
         stops = False
         for method in self._methods[name]:
             try:
-                stops |= method(argument) is True
+                answer = method(argument)
+                stops |= isinstance(answer, bool | np.bool_) and bool(answer)
             except StopFitting:
                 stops = True
             except Exception as error:

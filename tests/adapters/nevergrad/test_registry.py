@@ -94,6 +94,11 @@ def test_point_19_bad_settings() -> None:
         ParametrizedFIDE(popsize=2)
     with pytest.raises(OptionError, match="population"):
         ParametrizedFIDE(options={"population": 3})
+    for name in ("encoder", "popsize"):
+        with pytest.raises(OptionError, match=f"{name} is an argument of its own"):
+            ParametrizedFIDE(options={name: None})
+    with pytest.raises(OptionError, match="must be a dictionary of options"):
+        ParametrizedFIDE(options="proposer=none")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="fast"):
         ParametrizedFIDE(preset="fats")
     with pytest.raises(OptionError, match="seed"):

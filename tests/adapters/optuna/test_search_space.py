@@ -125,6 +125,30 @@ def test_trials_of_another_space_are_left_out(what: str) -> None:
     assert not Space({"x": FloatDistribution(0, 5)}).holds(frozen(params, distributions))
 
 
+@pytest.mark.filterwarnings("ignore:Choices for a categorical distribution")
+def test_a_choice_of_nan_is_any_nan() -> None:
+    mine, other = (CategoricalDistribution([float("nan"), "b"]) for _ in range(2))
+    space = Space({"x": mine})
+    for value in (float("nan"), "b"):
+        trial = frozen({"x": value}, {"x": other})
+        assert space.holds(trial)
+        assert space.decode(space.encode(trial.params))["x"] in (mine.choices[0], "b")
+
+
+@pytest.mark.parametrize(
+    "narrow",
+    [
+        IntDistribution(1_700_000_000_000_000_000, 1_700_000_000_000_000_100),
+        FloatDistribution(1e300, float(np.nextafter(1e300, np.inf)), log=True),
+    ],
+)
+def test_ranges_whose_ends_doubles_cannot_tell_apart(narrow: BaseDistribution) -> None:
+    space = Space({"x": narrow, "y": FloatDistribution(0, 1)})
+    x = space.encode({"x": narrow.low, "y": 0.25})  # type: ignore[attr-defined]
+    assert np.isfinite(x).all() and space.decode(x)["y"] == 0.25
+    assert narrow._contains(narrow.to_internal_repr(space.decode(x)["x"]))
+
+
 def test_trials_with_more_or_in_a_wider_range_are_taken() -> None:
     trial = frozen({"x": 3.0, "y": 1}, {"x": FloatDistribution(0, 9), "y": IntDistribution(0, 1)})
     assert Space({"x": FloatDistribution(0, 5)}).holds(trial)
