@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable
-from importlib import import_module
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.errors import OptionError
 from fide_plugins.runtime.reference import is_reference
+from fide_plugins.runtime.registry import Registry
 
 if TYPE_CHECKING:
     from fide_plugins.space import Space
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["load", "make", "names", "options", "register"]
 
-_CLASSES: dict[str, Callable[..., Optimizer] | str] = {
+PLACES: Mapping[str, str] = {
     "bipop-cma-es": "fide_plugins.baselines.bipop:BIPOP",
     "cma": "fide_plugins.baselines.cma:CMA",
     "composite-bo": "fide_plugins.baselines.trust_region.composite:CompositeBO",
@@ -47,17 +48,17 @@ _CLASSES: dict[str, Callable[..., Optimizer] | str] = {
     "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
     "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
 }
-_FAMILIES = {
-    "nevergrad": "fide_plugins.baselines.frameworks:nevergrad",
-    "optuna": "fide_plugins.baselines.frameworks:optuna",
-}
-"""Functions that make a class, by the first word of ``"FAMILY:NAME"``."""
-_CLASSES_OF_FAMILIES: dict[str, Callable[..., Optimizer]] = {}
+"""Where the classes of ours are."""
+FAMILIES = ("nevergrad", "optuna")
+"""First words of ``"FAMILY:NAME"``; functions of `baselines.frameworks`, which make classes."""
+_REGISTRY: Registry[Any] = Registry("optimizer", [f"{family}:NAME" for family in FAMILIES])
+for _name, _place in PLACES.items():
+    _REGISTRY.register(_name, _place)
 
 
 def names() -> list[str]:
     """Names of all optimizers, sorted; those of the frameworks are not among them."""
-    return sorted(_CLASSES)
+    return _REGISTRY.names()
 
 
 def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
@@ -65,8 +66,10 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
 
     It may be a function that makes an optimizer, too; `load` needs a class.  A class with a true
     attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
+
+    Raises OptionError (a ValueError) for a name with a colon, or what is neither of the two.
     """
-    _CLASSES[name] = cls
+    _REGISTRY.register(name, cls)
 
 
 def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
@@ -131,22 +134,21 @@ def options(name: str) -> list[str]:
 
 
 def _resolve(name: str) -> Any:
-    entry = _CLASSES.get(name) if isinstance(name, str) else None
-    if entry is None and isinstance(name, str):
+    """Class of that name, or function that makes such an optimizer."""
+    if isinstance(name, str) and name not in names():
         family, _, method = name.partition(":")
-        if method and family in _FAMILIES:
-            entry = _CLASSES_OF_FAMILIES.get(name) or _import(_FAMILIES[family])(method)
-            _CLASSES_OF_FAMILIES[name] = entry
-        elif family not in _FAMILIES and is_reference(name):
-            return _import("fide_plugins.baselines.own:own")(name)
-    if entry is None:
-        known = [*_CLASSES, *(f"{family}:NAME" for family in _FAMILIES)]
-        raise UnknownNameError.of("optimizer", name, known)
-    if isinstance(entry, str):
-        entry = _CLASSES[name] = _import(entry)
-    return entry
+        if family in FAMILIES and method:
+            return _of_family(family, method)
+        if family not in FAMILIES and is_reference(name):
+            from fide_plugins.baselines.own import own
+
+            return own(name)
+    return _REGISTRY.resolve(name)
 
 
-def _import(place: str) -> Any:
-    module, attribute = place.split(":")
-    return getattr(import_module(module), attribute)
+@cache
+def _of_family(family: str, method: str) -> Any:
+    """Class of the optimizer `method` of a framework; always the same one."""
+    from fide_plugins.baselines import frameworks
+
+    return getattr(frameworks, family)(method)

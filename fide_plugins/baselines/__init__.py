@@ -15,6 +15,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from fide_plugins.optimizers import FAMILIES, PLACES
+
 if TYPE_CHECKING:
     from fide_plugins.baselines.base import Baseline as Baseline
     from fide_plugins.baselines.bipop import BIPOP as BIPOP
@@ -34,54 +36,21 @@ if TYPE_CHECKING:
     from fide_plugins.baselines.trust_region.turbo import TuRBO as TuRBO
     from fide_plugins.baselines.zerograds import ZeroGrads as ZeroGrads
 
-_MODULES = {
-    "BIPOP": "bipop",
-    "Baseline": "base",
-    "CMA": "cma",
-    "CompositeBO": "trust_region.composite",
-    "DFOLS": "dfols",
-    "DiBO": "dibo",
-    "DualAnnealing": "dual_annealing",
-    "EKI": "eki",
-    "FIDEAnnealing": "fide_annealing",
-    "Inverse": "inverse",
-    "LQCMA": "lq_cma",
-    "NPE": "npe.search",
-    "PGPE": "pgpe",
-    "Random": "random",
-    "TuRBO": "trust_region.turbo",
-    "ZeroGrads": "zerograds",
-    "nevergrad": "frameworks",
-    "optuna": "frameworks",
-}
-
-__all__ = [
-    "BIPOP",
-    "CMA",
-    "DFOLS",
-    "EKI",
-    "LQCMA",
-    "NPE",
-    "PGPE",
-    "Baseline",
-    "CompositeBO",
-    "DiBO",
-    "DualAnnealing",
-    "FIDEAnnealing",
-    "Inverse",
-    "Random",
-    "TuRBO",
-    "ZeroGrads",
-    "nevergrad",
-    "optuna",
+_PLACES = [
+    f"{__name__}.base:Baseline",
+    *(place for place in PLACES.values() if place.startswith(f"{__name__}.")),
+    *(f"{__name__}.frameworks:{family}" for family in FAMILIES),
 ]
+_MODULES = {name: module for module, _, name in (place.partition(":") for place in _PLACES)}
+
+__all__ = sorted(_MODULES)
 
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         """Import a baseline the first time somebody asks for it."""
         if name in _MODULES:
-            return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+            return getattr(import_module(_MODULES[name]), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -1,9 +1,9 @@
-"""Factories by name, for encoders and losses, also those of plug-ins."""
+"""Factories by name, for encoders, losses and optimizers, also those of plug-ins."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Generic, TypeVar
 
@@ -21,6 +21,8 @@ class Registry(Generic[T]):
     when the name is first used: listing names imports nothing.  A factory with an option `variant`
     also accepts ``"name:variant"``.
 
+    kind: what they make, for errors.  patterns: names that somebody else understands, for errors.
+
     >>> shapes = Registry[str]("shape")
     >>> shapes.register("line", lambda n: "-" * n)
     >>> shapes.names()
@@ -29,8 +31,8 @@ class Registry(Generic[T]):
     '---'
     """
 
-    def __init__(self, kind: str) -> None:
-        self._kind = kind
+    def __init__(self, kind: str, patterns: Sequence[str] = ()) -> None:
+        self._kind, self._patterns = kind, patterns
         self._factories: dict[str, Callable[..., T] | str] = {}
 
     def register(self, name: str, factory: Callable[..., T] | str) -> None:
@@ -55,7 +57,7 @@ class Registry(Generic[T]):
         """Return the factory called `name`; raises `UnknownNameError` if there is none."""
         factory = self._factories.get(name) if isinstance(name, str) else None
         if factory is None:
-            raise UnknownNameError.of(self._kind, name, self._factories)
+            raise self._unknown(name)
         if isinstance(factory, str):
             module, attribute = factory.split(":")
             imported: Callable[..., T] = getattr(import_module(module), attribute)
@@ -77,7 +79,7 @@ class Registry(Generic[T]):
         what the factory raises.
         """
         if not isinstance(name, str):
-            raise UnknownNameError.of(self._kind, name, self._factories)
+            raise self._unknown(name)
         name, colon, variant = name.partition(":")
         factory = self.resolve(name)
         self._check(name, factory, len(args), options)
@@ -86,6 +88,9 @@ class Registry(Generic[T]):
         if not self.takes(name, "variant"):
             raise OptionError(f"the {self._kind} {name!r} has no variants, got {name}:{variant}")
         return factory(*args, variant=variant, **options)
+
+    def _unknown(self, name: object) -> UnknownNameError:
+        return UnknownNameError.of(self._kind, name, [*self._factories, *self._patterns])
 
     def _check(
         self, name: str, factory: Callable[..., T], n: int, options: dict[str, object]

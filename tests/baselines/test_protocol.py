@@ -286,7 +286,7 @@ def a_function(dim: int, target: object = None, *, seed: int = 0) -> Random:
 def test_functions_and_classes_that_take_a_space_can_be_registered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(optimizers, "_CLASSES", {})
+    monkeypatch.setattr(optimizers._REGISTRY, "_factories", {})
     optimizers.register("function", a_function)
     optimizers.register("spaces", TakesSpaces)
     space = Space(a=Float(0, 1), b=Int(0, 3))

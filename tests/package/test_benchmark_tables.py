@@ -23,7 +23,8 @@ pytestmark = pytest.mark.skipif(not BENCHMARKS.exists(), reason="the benchmarks 
 def program(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Imports a program of `benchmarks/`."""
     monkeypatch.setenv("OMP_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))  # they set it
-    monkeypatch.setattr(optimizers, "_CLASSES", dict(optimizers._CLASSES))  # some register more
+    registry = optimizers._REGISTRY  # some register more
+    monkeypatch.setattr(registry, "_factories", dict(registry._factories))
     monkeypatch.syspath_prepend(BENCHMARKS)
     before = set(sys.modules)
 

@@ -66,7 +66,7 @@ def misbehaving(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Raises]]:
     monkeypatch.undo()
     Raises.mended = False
     for name in names:
-        optimizers._CLASSES.pop(name)
+        optimizers._REGISTRY._factories.pop(name)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

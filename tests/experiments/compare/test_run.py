@@ -182,7 +182,7 @@ def stopped(tmp_path: Path) -> Any:
     with pytest.raises(harness.Interrupted):
         compare.run(small("stops"), tmp_path / "out")
     yield tmp_path / "out"
-    optimizers._CLASSES.pop("stops")
+    optimizers._REGISTRY._factories.pop("stops")
 
 
 def test_a_comparison_that_was_stopped_goes_on(stopped: Path, tmp_path: Path) -> None:

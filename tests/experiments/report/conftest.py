@@ -89,7 +89,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         compare.run(plan, out, command=["fide", "compare", NASTY["task"]])
     finally:  # at once, for others list what is known
         tasks.pop(NASTY["task"])
-        optimizers._CLASSES.pop(NASTY["configuration"])
+        optimizers._REGISTRY._factories.pop(NASTY["configuration"])
         losses._REGISTRY._factories.pop(NASTY["loss"])
     return out
 

@@ -174,7 +174,7 @@ def test_an_optimizer_that_leaves_the_box_is_named(candidates: Any, message: str
             harness.run(task, "astray", budget=20)
         assert task.calls == 0
     finally:
-        optimizers._CLASSES.pop("astray")
+        optimizers._REGISTRY._factories.pop("astray")
 
 
 def test_other_metrics_are_another_run(tmp_path: Path) -> None:

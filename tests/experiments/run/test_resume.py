@@ -163,7 +163,7 @@ def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path)
         resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
         assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
     finally:
-        optimizers._CLASSES.pop("slow")
+        optimizers._REGISTRY._factories.pop("slow")
 
 
 def test_another_run_s_directory_is_refused_and_the_setting_named(tmp_path: Path) -> None:
@@ -248,4 +248,4 @@ def test_an_optimizer_that_fails_leaves_the_last_whole_state(tmp_path: Path) -> 
         resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
         assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
     finally:
-        optimizers._CLASSES.pop("breaks")
+        optimizers._REGISTRY._factories.pop("breaks")

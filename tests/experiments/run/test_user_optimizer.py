@@ -95,7 +95,7 @@ def test_what_an_optimizer_lacks_is_named() -> None:
 def test_a_run_directory_needs_save(
     cls: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(optimizers._CLASSES, "own", cls)
+    monkeypatch.setitem(optimizers._REGISTRY._factories, "own", cls)
     settings: dict[str, Any] = {"optimizer": "own", "budget": 30, "out": tmp_path / "run"}
     if cls is Least:
         with pytest.raises(OptionError, match="Least has no method save"):
