@@ -25,7 +25,6 @@ __all__ = [
     "ProposalOptions",
     "flat",
     "make_options",
-    "with_present_values",
     "without_images",
 ]
 
@@ -211,17 +210,10 @@ def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
         present = _FORMER_NAMES.get(name, name)
         if present in renamed:
             raise OptionError(f"{present} is given twice, once by a former name; give it once")
+        if present in _FORMER_VALUES and isinstance(value, str):
+            value = _FORMER_VALUES[present].get(value, value)
         renamed[present] = value
-    return with_present_values(renamed)
-
-
-def with_present_values(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings, with former names of values replaced by the present ones."""
-    present = dict(settings)
-    for name in _FORMER_VALUES.keys() & settings.keys():
-        if isinstance(value := settings[name], str):
-            present[name] = _FORMER_VALUES[name].get(value, value)
-    return present
+    return renamed
 
 
 def flat(options: Options) -> dict[str, Any]:

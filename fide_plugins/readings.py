@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.options import Options, flat, with_present_values
+from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
@@ -165,11 +165,6 @@ class Readings(Saved):
         given = dict(settings)
         space = given.pop("space")
         return given if space is None else given | {"dim": Space.from_dict(space)}
-
-    @classmethod
-    def present_settings(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """What `settings` would give now, of what it gave in an earlier version."""
-        return with_present_values(settings)
 
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:

@@ -27,7 +27,6 @@ starts around a random point.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,7 +62,6 @@ class EKI(ImageBased, Stateful):
         "starts": whole(),
         "rng": GENERATOR,
     }
-    unknown_before: ClassVar[dict[str, Any]] = {"ended": None}
 
     def __init__(
         self,
@@ -123,14 +121,6 @@ class EKI(ImageBased, Stateful):
 
     def _smallest_popsize(self) -> int:
         return 2
-
-    @classmethod
-    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor from the `settings` of a checkpoint.
-
-        A run from before the option `patience` existed keeps what it had then.
-        """
-        return {"patience": 20, **super().arguments(settings)}
 
     def _own_settings(self) -> dict[str, Any]:
         return {**super()._own_settings(), "patience": self.patience}

@@ -136,7 +136,7 @@ class Own(Replayed):
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor, by name, of what `settings` gave."""
         given = {k: v for k, v in settings.items() if k not in ("popsize", "options")}
-        return {**given, **settings.get("options", {})}  # older files have them beside the others
+        return {**given, **settings["options"]}
 
     def _sample(self) -> Float64:
         if self._last_word is not None:

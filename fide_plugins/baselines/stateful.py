@@ -19,8 +19,6 @@ class Stateful(Baseline):
 
     own_schema: ClassVar[dict[str, Schema]]
     """What `_own_state` looks like; sides: d, k = popsize, f = features of an image."""
-    unknown_before: ClassVar[dict[str, Any]] = {}
-    """Entries of it that checkpoints of earlier versions lack, and what these are given."""
 
     @abstractmethod
     def _own_state(self) -> dict[str, Any]:
@@ -41,8 +39,6 @@ class Stateful(Baseline):
 
     def _load_search_state(self, state: dict[str, Any]) -> None:
         sides = self._sides()
-        if isinstance(state, dict) and isinstance(state.get("own"), dict):
-            state = {**state, "own": {**self.unknown_before, **state["own"]}}
         check(state, {**_SCHEMA, "own": self.own_schema}, sides)
         self._load_own_state(state["own"])
         self._population = Population.from_state(state["population"], self.dim)

@@ -69,7 +69,6 @@ _SCHEMA: Schema = {
     },
     "report": table(anything),
 }
-_EMULATED: Schema = {"emulated": maybe(real())}
 
 
 @contextmanager
@@ -272,10 +271,8 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
-        earlier = {"fingerprint": None, "scale": 1.0, "emulator": None}  # files lack these
-        state = {**earlier, **state}
         check(state, _SCHEMA, {}, "model")
-        check({"emulated": state["report"].get("emulated")}, _EMULATED, {}, "model['report']")
+        check(state["report"]["emulated"], maybe(real()), {}, "model['report']['emulated']")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
             raise ValueError("its head or its axes are none")

@@ -45,9 +45,8 @@ class Report:
         for exchangeable blocks, whose order means nothing: NaN.
     unseen: parameters of which the images tell nothing, as far as was learned.
     curve: of each pass, see `training.Curve`.
-    augment: how much its renders were changed, see `augmentation`; None: not known of a model that
-        was made before there was a choice.
-    parameters: how many there are; 0: not known of a model that was made before it was counted.
+    augment: how much its renders were changed, see `augmentation`.
+    parameters: how many there are; axes are more where a choice has several.
     emulated: share of the variance of held-out renders that the emulator explains; None without
         an emulator.
     """
@@ -62,16 +61,16 @@ class Report:
     ranks: tuple[float, ...]
     unseen: tuple[str, ...]
     curve: tuple[tuple[float, float, float], ...]
-    augment: str | None = None
-    scale: float = 1.0
-    fitted: int = 0
-    parameters: int = 0
-    emulated: float | None = None
+    augment: str
+    scale: float
+    fitted: int
+    parameters: int
+    emulated: float | None
 
     def __str__(self) -> str:
         lines = [
-            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s"
-            + ("" if self.augment is None else f", augment={self.augment!r}"),
+            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s, "
+            f"augment={self.augment!r}",
             f"{against_prior(self.nll)} on {self.held_out - self.fitted:,} held-out renders",
             *self._passes,
             *self._found,
@@ -130,7 +129,7 @@ class Report:
         )
         if not self.unseen:
             return [near]
-        of = self.parameters or len(self.ranks)  # axes, which are more only where a choice has them
+        of = self.parameters
         them = "it" if len(self.unseen) == 1 else "them"
         why = f"the images do not show {them}, or it takes more renders or passes"
         if len(self.unseen) >= of:

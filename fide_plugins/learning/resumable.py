@@ -63,7 +63,7 @@ class Resumable:
         if not self.file.exists():
             return None
         saved = checkpoint.read(self.file, _KIND)
-        there = {"augment": "photograph", **saved.get("plan", {})}  # older plans do not name it
+        there = saved.get("plan", {})
         passes = there.get("passes")
         if not isinstance(passes, int) or passes > self.plan["passes"]:
             return None
@@ -73,8 +73,7 @@ class Resumable:
         passes = saved["plan"]["passes"]
         try:
             training.load_state_dict(saved["state"])
-            ended = training.ended_at(passes)  # in files of earlier versions, which lack "over"
-            was_over = saved["state"].get("over", ended)
+            was_over = saved["state"]["over"]
             if was_over and over:
                 training.seconds = 0.0
             longer = self.plan["passes"] > passes

@@ -130,13 +130,9 @@ class Training:
 
     @property
     def over(self) -> bool:
-        """Whether training is complete."""
-        return self._late() or self.ended_at(self.passes)
-
-    def ended_at(self, passes: int) -> bool:
-        """Whether a schedule of so many passes is over, or was ended early."""
+        """Whether training is complete, or was ended early."""
         stalled = not self.extended and self.passed - self._best_pass > _PATIENCE
-        return self.passed >= passes or stalled
+        return self._late() or self.passed >= self.passes or stalled
 
     @property
     def best(self) -> float:
@@ -229,7 +225,7 @@ class Training:
         self.network.load(state["weights"])
         self._best_weights = {k: torch.as_tensor(v) for k, v in state["best_weights"].items()}
         self.passed, self.spent = state["passed"], state["spent"]
-        self.extended = state.get("extended", False)  # which earlier versions do not have
+        self.extended = state["extended"]
         self.curve, self._best = [list(row) for row in state["curve"]], state["best"]
         whole, weights = self._optimizer.state_dict(), list(self.network.parameters())
         whole["state"] = {

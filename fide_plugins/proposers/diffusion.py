@@ -252,8 +252,7 @@ class DiffusionProposer(ProposerDefaults):
             load_adam_state(optimizer, state["adam"])
         else:
             self._network = self._optimizer = None
-        if "room" in state:  # which older checkpoints have not
-            self._batch.size, self._proposals.size = map(int, state["room"])
+        self._batch.size, self._proposals.size = map(int, state["room"])
         self.updates = int(state["updates"])
         self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
 
@@ -289,9 +288,8 @@ def _check(state: Mapping[str, Any], sides: Sides) -> None:
         "updates": whole(),
         "weights_seed": whole(high=2**32),
         "generator": array("bytes", kind="u"),
+        "room": row(whole(1), whole(1)),
     }
-    if "room" in state:
-        schema["room"] = row(whole(1), whole(1))
     if "weights" in state:
         moments: Schema = {"step": numbers, "exp_avg": numbers, "exp_avg_sq": numbers}
         schema |= {"image_tokens": side("T"), "channels": side("C")}

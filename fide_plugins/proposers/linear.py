@@ -262,7 +262,6 @@ class LinearProposer(Previewed, ProposerDefaults):
         """
         self._fits = {}
         own = {"d": self.dim}
-        state = {"screening": False, **state}  # saved before there was screening
         check(state, _SCHEMA, own, "proposer")
         self.screening = state["screening"]
         self._x, self._losses = state["x"], state["losses"]

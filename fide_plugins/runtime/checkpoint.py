@@ -35,7 +35,7 @@ from .files import atomic_writer
 
 __all__ = ["VERSION", "read", "write"]
 
-VERSION = 2
+VERSION = 3
 _MAGIC = b"\x89FIDE\r\n\x1a"
 _HEADER = struct.Struct("<8sIQ32s")
 _LENGTH = struct.Struct("<Q")

@@ -53,11 +53,6 @@ class Saved(Locked, ABC):
         return dict(settings)
 
     @classmethod
-    def present_settings(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """What `settings` would give now, of what it gave in an earlier version."""
-        return dict(settings)
-
-    @classmethod
     def check_settings(cls, settings: Mapping[str, Any]) -> None:
         """Raise ValueError for impossible numbers of parameters or candidates, or no target."""
         for name in ("dim", "popsize"):
@@ -148,7 +143,7 @@ class Saved(Locked, ABC):
         """
         saved = checkpoint.read(path, self.name)
         with _possible(path):
-            there, here = self.present_settings(saved["settings"]), self.settings()
+            there, here = saved["settings"], self.settings()
             other = [name for name in here if not _same(there.get(name), here[name])]
             if other:
                 raise ValueError(f"it was saved with another {', '.join(other)}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_plugins.baselines.dibo.round import trajectory_balance
 from fide_plugins.baselines.networks import make
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime import checkpoint
 
 DOUBLE = torch.float64
 
@@ -227,18 +225,6 @@ def test_the_buffer_keeps_the_best() -> None:
     for i in range(3):
         opt.tell(opt.ask(), losses=losses[20 * i : 20 * i + 20])
     np.testing.assert_array_equal(opt._losses, np.sort(losses)[:50])
-
-
-@pytest.mark.parametrize(("choice", "former"), [("likelihood", "exact"), ("schedule", "paper")])
-def test_a_run_from_before_a_choice_goes_on_with_what_it_had(
-    choice: str, former: str, tmp_path: Path
-) -> None:
-    DiBO(2, seed=0).save(tmp_path / "now")
-    assert DiBO.load(tmp_path / "now").round_options.as_dict()[choice] == "authors"
-    saved = checkpoint.read(tmp_path / "now", "dibo")
-    del saved["settings"][choice]
-    checkpoint.write(tmp_path / "before", "dibo", saved)
-    assert DiBO.load(tmp_path / "before").round_options.as_dict()[choice] == former
 
 
 def test_it_minimizes() -> None:

@@ -153,7 +153,7 @@ def forgeries(whole: dict[str, Any], opt: Baseline) -> list[tuple[tuple[str, ...
         found += [((*search, "population", name), None) for name in ("evaluated", "losses")]
         found += [((*search, "features_of"), np.arange(9)), ((*search, "own"), {})]
         own = whole["state"]["search"]["own"]
-        found += [((*search, "own", name), LACKING) for name in own.keys() - opt.unknown_before]
+        found += [((*search, "own", name), LACKING) for name in own]
         found += [((*search, "own", name), "x") for name in own]
     for parent in ((), ("state",), search):
         found += [((*parent, name), LACKING) for name in at(whole, parent)]

@@ -186,14 +186,6 @@ def test_the_center_comes_first(botorch: Any) -> None:
     np.testing.assert_array_equal(TuRBO(3, seed=0).ask()[0], 0.5)
 
 
-@pytest.mark.parametrize("kind", [TuRBO, CompositeBO])
-def test_a_run_from_before_the_option_smallest_keeps_its_region(botorch: Any, kind: Any) -> None:
-    settings = kind(DIM, TARGET, smallest=0.1).settings()
-    assert kind.arguments(settings)["smallest"] == 0.1
-    del settings["smallest"]
-    assert kind.arguments(settings)["smallest"] == SMALLEST
-
-
 @pytest.mark.parametrize(("kind", "name"), [(TuRBO, "turbo"), (CompositeBO, "composite-bo")])
 def test_without_botorch_it_is_named(kind: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "botorch", None)

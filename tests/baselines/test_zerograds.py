@@ -12,7 +12,6 @@ import torch
 from fide_plugins.baselines.networks import make
 from fide_plugins.baselines.zerograds import Proxy, ZeroGrads
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 from fide_plugins.validation import key_value
 
@@ -127,16 +126,6 @@ def test_a_saved_scale_goes_on(scale: str, tmp_path: Path) -> None:
             X = again.ask()
             again.tell(X, losses=9.0 * valley(X))
         np.testing.assert_array_equal(again.recommend(), opt.recommend())
-
-
-def test_a_run_from_before_the_choice_goes_on_as_it_was(tmp_path: Path) -> None:
-    ZeroGrads(2, seed=0).save(tmp_path / "now")
-    saved = checkpoint.read(tmp_path / "now", "zerograds")
-    del saved["settings"]["scale"]
-    saved["settings"] |= {"learning_rate": 2e-3, "proxy_rate": 3e-3}  # its defaults
-    checkpoint.write(tmp_path / "before", "zerograds", saved)
-    opt = ZeroGrads.load(tmp_path / "before")
-    assert (opt.scale, opt.learning_rate, opt.proxy_rate) == ("first", 2e-3, 3e-3)
 
 
 def test_the_command_line_says_none() -> None:

@@ -419,18 +419,3 @@ def test_a_state_is_read_between_two_calls_of_other_threads(
             reader.join(0.2)
             assert reader.is_alive()
         reader.join()
-
-
-def test_a_checkpoint_with_a_value_of_an_earlier_version_goes_on(
-    target: Float32, render: Render, tmp_path: Path
-) -> None:
-    original = begun(target, render, {"popsize": 8})
-    original.save(tmp_path / "c")
-    saved = checkpoint.read(tmp_path / "c", "fide")
-    saved["settings"]["restarts"] = "parts"
-    checkpoint.write(tmp_path / "c", "fide", saved)
-    again = FIDE(6, target, seed=original.seed, popsize=8)
-    again.continue_from(tmp_path / "c")
-    for copy in (again, FIDE.load(tmp_path / "c")):
-        assert copy.options == original.options
-        np.testing.assert_array_equal(copy.ask(), FIDE.load(tmp_path / "c").ask())

@@ -312,17 +312,6 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert resumed.report.emulated == whole.report.emulated
 
 
-def test_files_of_earlier_versions_have_none(model: Model, tmp_path: Path) -> None:
-    model.save(tmp_path / "m.fide")
-    state = checkpoint.read(tmp_path / "m.fide", "learned model")
-    del state["emulator"], state["report"]["emulated"]
-    checkpoint.write(tmp_path / "m.fide", "learned model", state)
-    earlier = Model.load(tmp_path / "m.fide")
-    assert earlier.emulator is None
-    assert earlier.report.emulated is None
-    assert not earlier.emulates
-
-
 def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
     """State of a model with something wrong about its emulator."""
     weights, report = dict(state["emulator"]), dict(state["report"])

@@ -392,11 +392,3 @@ def test_more_time_extends_a_schedule_that_the_time_ended(tmp_path: Path) -> Non
 def test_an_unknown_way_to_change_images_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="unknown augment 'photo': known are none, photo"):
         learn(plain, 2, augment="photo")
-
-
-def test_a_model_of_before_there_was_a_choice_does_not_say(tmp_path: Path) -> None:
-    model = learn(plain, 2, renders=100, size=SIDE, passes=1)
-    state = model.report.state_dict()
-    del state["augment"]
-    report = type(model.report).from_state(state)
-    assert report.augment is None and "augment" not in str(report)

@@ -10,7 +10,8 @@ from fide_plugins.learning.report import Report
 
 REPORT = Report(
     renders=980, failed=0, held_out=20, seconds=3.0, nll=-1.25, within=(0.4, 0.75), coverage=0.9,
-    ranks=(0.9,) * 4, unseen=(), curve=((1.0, -1.0, -1.0),), parameters=4,
+    ranks=(0.9,) * 4, unseen=(), curve=((1.0, -1.0, -1.0),), augment="photograph", scale=1.0,
+    fitted=0, parameters=4, emulated=None,
 )  # fmt: skip
 NEAR = "one of 64 hypotheses is within 0.05 of the box in 40%, within 0.1 in 75% of pictures"
 SINGLE = "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
@@ -43,10 +44,8 @@ def test_several_passes_are_a_curve() -> None:
     assert "after each pass" not in str(REPORT)
 
 
-@pytest.mark.parametrize("counted", [True, False])
-def test_a_share_says_of_which_parameters_it_is(counted: bool) -> None:
-    """A model of before they were counted has as many as axes."""
-    report = replace(REPORT, unseen=("dust", "fog"), parameters=4 if counted else 0)
+def test_a_share_says_of_which_parameters_it_is() -> None:
+    report = replace(REPORT, unseen=("dust", "fog"))
     assert lines(report)[2:4] == [
         f"{NEAR}, in the 2 of 4 parameters that the images show",
         f"nothing was learned of dust, fog: {WHY}",

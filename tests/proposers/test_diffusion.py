@@ -302,8 +302,6 @@ def test_out_of_memory_gives_smaller_batches_said_once(monkeypatch: pytest.Monke
     for each in (proposer, twin):  # the twin has not seen that there is so little room
         each.update(x, tokens, None, STD)
     assert state_as_bytes(twin) == state_as_bytes(proposer)
-    older = {name: value for name, value in proposer.state_dict().items() if name != "room"}
-    make(batch_size=16).load_state_dict(older)
 
 
 def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:

@@ -238,12 +238,3 @@ def test_a_search_goes_on_from_a_checkpoint_bit_for_bit() -> None:
             other.tell(Y, pixels(Y))
             opt.tell(X, pixels(X))
         opt = told(8, screening=True)
-
-
-def test_a_checkpoint_without_screening_is_read() -> None:
-    opt = told(8, proposer="linear")
-    saved = opt.state_dict()
-    del saved["proposer"]["screening"]  # as it was before
-    other = told(0, proposer="linear")
-    other.load_state_dict(saved)
-    np.testing.assert_array_equal(opt.ask(), other.ask())

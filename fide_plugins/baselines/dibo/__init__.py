@@ -31,7 +31,6 @@ Where this deviates from the authors' program
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -151,14 +150,6 @@ class DiBO(Stateful):
         proposed: Tensor = Round(self.round_options, x, y, self._generator).candidates(self.popsize)
         candidates: Float64 = (proposed * std + mean).clamp(0.0, 1.0).to(torch.float64).numpy()
         return candidates
-
-    @classmethod
-    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor from the `settings` of a checkpoint.
-
-        A run from before an option existed keeps what it had then.
-        """
-        return {"likelihood": "exact", "schedule": "paper", **settings}
 
     def _default_popsize(self) -> int:
         return 50

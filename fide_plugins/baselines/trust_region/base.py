@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -155,14 +154,6 @@ class TrustRegion(Stateful):
             chosen = surrogate.choose(points, self.popsize, generator)
         proposed: Float64 = chosen.clamp(0.0, 1.0).numpy()
         return proposed
-
-    @classmethod
-    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Arguments of the constructor from the `settings` of a checkpoint.
-
-        A run from before the option `smallest` existed keeps what it had then.
-        """
-        return {"smallest": SMALLEST, **super().arguments(settings)}
 
     def _default_popsize(self) -> int:
         return 4
