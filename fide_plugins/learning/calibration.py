@@ -10,13 +10,12 @@ than a Gaussian's.)
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["COVERAGE", "DRAWS", "LARGEST_SCALE", "fitted_scale", "in_region", "split_held_out"]
 
@@ -28,8 +27,8 @@ _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
 
 
 def split_held_out(
-    aside: npt.NDArray[np.bool_],
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    aside: Mask,
+) -> tuple[Mask, Mask]:
     """Split held-out renders (n,) bool into those that choose the scale and those that judge.
 
     Every second one chooses, at most 300; none, and so no scale, where these were fewer than 50.

@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers.fingerprint import changed, fingerprint_of, version_of
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
-from fide_plugins.types import Float64, Posterior
+from fide_plugins.types import Float64, Mask, Posterior
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
@@ -71,7 +70,7 @@ def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
     return model.refined(target, np.concatenate([x[:_DESCENTS], anywhere]), seed)
 
 
-def _middle(x: Float64, periodic: npt.NDArray[np.bool_]) -> Float64:
+def _middle(x: Float64, periodic: Mask) -> Float64:
     """Middle (d,) of sets (n, d) whose blocks come in one order: more exact than any of them."""
     turn = np.mod(np.angle(np.exp(2j * np.pi * x).mean(axis=0)) / (2 * np.pi), 1.0)
     return np.asarray(np.where(periodic, turn, np.median(x, axis=0)), np.float64)

@@ -16,7 +16,7 @@ from fide_plugins.fitting.rendering import Failed, attempt
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.space import Space
-from fide_plugins.types import Float64
+from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import whole_number
 
@@ -67,7 +67,7 @@ class BatchRenderer:
     def _one(self, x: Float64) -> Any:
         return self.source(x if self.space is None else self.space.decode(x))
 
-    def first(self) -> npt.NDArray[np.float32]:
+    def first(self) -> Float32:
         """Image (H, W, 3) of the middle of the cube, to know its shape.
 
         Raises RenderError if the renderer fails, ImageError if it gives no image.
@@ -120,7 +120,7 @@ def small_size(shape: tuple[int, ...], size: int) -> tuple[int, int]:
     return max(1, round(shape[0] * scale)), max(1, round(shape[1] * scale))
 
 
-def resized(image: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+def resized(image: Float32, size: tuple[int, int]) -> Float32:
     """Image (H, W, 3) resized to (height, width), by means of areas where it shrinks."""
     if image.shape[:2] == size:
         return image

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy.optimize import linear_sum_assignment
 
@@ -16,7 +15,7 @@ from fide_plugins.learning.calibration import DRAWS, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.search.boundary import distance
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["Distance", "Report", "against_prior", "judge"]
 
@@ -163,9 +162,7 @@ class Distance:
     periodic: (d,), axes that wrap around.  blocks: (n, L), axes of each exchangeable block.
     """
 
-    def __init__(
-        self, periodic: npt.NDArray[np.bool_], blocks: Sequence[Sequence[int]] = ()
-    ) -> None:
+    def __init__(self, periodic: Mask, blocks: Sequence[Sequence[int]] = ()) -> None:
         self.periodic, self.blocks = periodic, np.array(blocks, np.intp)
 
     def __call__(self, X: Float64, x: Float64) -> Float64:
@@ -247,9 +244,7 @@ def _batches(images: Pixels, u: torch.Tensor) -> Iterator[tuple[Pixels, torch.Te
         yield images[first : first + _BATCH], u[first : first + _BATCH]
 
 
-def _nearest(
-    samples: Float64, truth: Float64, seen: npt.NDArray[np.bool_], distance: Distance
-) -> float:
+def _nearest(samples: Float64, truth: Float64, seen: Mask, distance: Distance) -> float:
     """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show."""
     return float(distance(np.where(seen, samples, truth), truth).min())
 

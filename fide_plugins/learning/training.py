@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -25,7 +24,7 @@ from fide_plugins.learning.network import as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.trainable import Trainable
 from fide_plugins.runtime.devices import repeatable
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Curve", "Progress", "Training", "held_out"]
 
@@ -54,9 +53,9 @@ class Progress:
     held_out: float
 
 
-def held_out(n: int) -> npt.NDArray[np.bool_]:
+def held_out(n: int) -> Mask:
     """Which of n renders judge, and are never learned from: (n,), at least one."""
-    every: npt.NDArray[np.bool_] = np.arange(n) % _HELD_OUT == 0
+    every: Mask = np.arange(n) % _HELD_OUT == 0
     every[np.flatnonzero(every)[_MOST_HELD_OUT:]] = False
     return every
 
@@ -171,7 +170,7 @@ class Training:
             total, seen = total + float(loss.detach()) * len(some), seen + len(some)
         return total / max(1, seen), seen
 
-    def _batch(self, some: npt.NDArray[np.intp]) -> tuple[Tensor, Tensor]:
+    def _batch(self, some: Indices) -> tuple[Tensor, Tensor]:
         """Images (B, 3, H, W) and parameters (B, d) of some renders, where the network is."""
         device, u = self.network.device, torch.from_numpy(self.x[some].astype(np.float32))
         return as_input(self.images[some], device), u.to(device)

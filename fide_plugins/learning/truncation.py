@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.encoders.pretrained.weights import digest
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.store import SHARD, RenderStore
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
 
 __all__ = ["Truncated", "choose_evenly"]
@@ -90,7 +89,7 @@ class Truncated:
         return self.store.read_all()
 
 
-def choose_evenly(density: Float64, n: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+def choose_evenly(density: Float64, n: int, rng: np.random.Generator) -> Indices:
     """Which n of the points with these logarithms of a density (m,) are as if drawn uniformly.
 
     Without repetition, with weights 1 / density, by Gumbel's trick.

@@ -13,10 +13,9 @@ from math import ceil, isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from fide_plugins.types import Float32
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["gaussian_means", "planes", "resample", "samples_at"]
 
@@ -34,7 +33,7 @@ def gaussian_means(pixels: int, samples: int, scale: float) -> Any:
     centers = (np.arange(samples) + 0.5) * (pixels / samples) - 0.5
     distance = np.abs(np.arange(pixels) - centers[:, None])
     nearest = distance == distance.min(axis=1, keepdims=True)
-    weights: NDArray[np.float64] = nearest.astype(np.float64)
+    weights: Float64 = nearest.astype(np.float64)
     if scale > 0:
         weights = np.exp(-0.5 * np.square(distance / scale)) * (distance <= REACH * scale)
         weights = np.where(weights.any(axis=1, keepdims=True), weights, nearest)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from fide_plugins.denoiser.network import ParameterTransformer
@@ -47,10 +46,9 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.runtime.threads import user_threads
+from fide_plugins.types import Float64
 
 __all__ = ["DiffusionProposer"]
-
-Floats = NDArray[np.float64]
 
 MOST_PROPOSALS = 4096  # that are denoised together
 
@@ -131,7 +129,7 @@ class DiffusionProposer(ProposerDefaults):
     @user_threads
     @torch.inference_mode(False)
     @torch.enable_grad()
-    def update(self, x: Floats, tokens: Tensor, losses: Floats | None, std: Floats) -> Tensor:
+    def update(self, x: Float64, tokens: Tensor, losses: Float64 | None, std: Float64) -> Tensor:
         """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
 
         `losses` of the images play no part.
@@ -184,12 +182,12 @@ class DiffusionProposer(ProposerDefaults):
     @torch.no_grad()
     def propose(
         self,
-        z: Floats,
+        z: Float64,
         target: Tensor,
-        mean: Floats,
-        std: Floats,
+        mean: Float64,
+        std: Float64,
         rng: np.random.Generator | None = None,
-    ) -> Floats:
+    ) -> Float64:
         """Denoise samples `z` (m, d) of the search distribution towards the target's tokens (T, C).
 
         The sampler needs neither `mean` nor `rng`.
@@ -233,7 +231,9 @@ class DiffusionProposer(ProposerDefaults):
             "adam": adam,
         }
 
-    def preview(self, x: Floats, tokens: Tensor, losses: Floats, std: Floats) -> DiffusionProposer:
+    def preview(
+        self, x: Float64, tokens: Tensor, losses: Float64, std: Float64
+    ) -> DiffusionProposer:
         """The proposer as it is: training takes too long for a preview."""
         return self
 
@@ -278,7 +278,7 @@ class DiffusionProposer(ProposerDefaults):
             )
         return self._network, self._optimizer
 
-    def _tensor(self, values: Floats) -> Tensor:
+    def _tensor(self, values: Float64) -> Tensor:
         return torch.as_tensor(values, dtype=torch.float32, device=self.device)
 
 

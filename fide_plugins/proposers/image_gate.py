@@ -33,12 +33,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from fide_plugins.options import Options
 from fide_plugins.runtime.schema import Schema, check, real, whole
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
 __all__ = ["ImageGate", "adapt_fraction", "rank_correlation"]
 
@@ -131,7 +130,7 @@ class ImageGate:
         self._recent = keep * self._recent + n * float(rho)
         self._weight = keep * self._weight + n
 
-    def note_ranks(self, losses: Float64, proposed: npt.NDArray[np.bool_]) -> None:
+    def note_ranks(self, losses: Float64, proposed: Mask) -> None:
         """Note how proposed candidates (k,) of a generation rank, by all its losses (k,)."""
         o = self._options
         if o.fraction_rate:
@@ -161,6 +160,7 @@ class ImageGate:
 
 def rank_correlation(a: Float64, b: Float64) -> float:
     """Spearman's, of a (n,) and b (n,), in [-1, 1]; 0 where one of them is constant."""
+    # written out: importing scipy.stats takes most of a second, and nothing else here needs it
     u, v = _ranks(a), _ranks(b)
     norm = float(np.sqrt((u @ u) * (v @ v)))
     return float(u @ v) / norm if norm > 0 else 0.0
@@ -176,7 +176,7 @@ def _ranks(values: Float64) -> Float64:
 def adapt_fraction(
     fraction: float,
     losses: Float64,
-    proposed: npt.NDArray[np.bool_],
+    proposed: Mask,
     *,
     smallest: float,
     largest: float,

@@ -50,7 +50,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -58,7 +57,7 @@ from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -198,15 +197,13 @@ class LinearProposer(Previewed, ProposerDefaults):
         trusted: Float64 = z + trust * (proposals - z)
         return trusted
 
-    def _fitted(self, v: int, ranks: npt.NDArray[np.intp], std: Float64) -> _Regression:
+    def _fitted(self, v: int, ranks: Indices, std: Float64) -> _Regression:
         """Regression of the buffer of that number, fitted once for whatever was told."""
         if v not in self._fits or not np.array_equal(self._fits[v][0], std):
             self._fits[v] = std.copy(), self._regress(self._buffers[v], ranks, std)
         return self._fits[v][1]
 
-    def _regress(
-        self, buffer: FeatureBuffer, ranks: npt.NDArray[np.intp], std: Float64
-    ) -> _Regression:
+    def _regress(self, buffer: FeatureBuffer, ranks: Indices, std: Float64) -> _Regression:
         """Parameters on the features of a buffer; stable when the buffer has collapsed."""
         n = len(ranks)
         w = _rank_weights(ranks, self.rank_weight_scale * n)
@@ -269,9 +266,7 @@ class LinearProposer(Previewed, ProposerDefaults):
             buffer.load_state_dict(saved, own["n"], (sides or {}).get("T"))
 
 
-def _correct(
-    buffer: FeatureBuffer, fit: _Regression, sources: npt.NDArray[np.intp], target: Tensor
-) -> Float64:
+def _correct(buffer: FeatureBuffer, fit: _Regression, sources: Indices, target: Tensor) -> Float64:
     """(e* - e_i) K for the sources i, (m, d)."""
     products = buffer.products(target, sources)
     deviations = products - (products @ fit.w)[:, None]
@@ -284,17 +279,17 @@ def _correct(
     return corrections + local[which]
 
 
-def _ranks(losses: Float64) -> npt.NDArray[np.intp]:
+def _ranks(losses: Float64) -> Indices:
     return np.argsort(np.argsort(losses, kind="stable"), kind="stable")
 
 
-def _of_every_rank(losses: Float64, n: int) -> npt.NDArray[np.intp]:
+def _of_every_rank(losses: Float64, n: int) -> Indices:
     """Indices, rising, of n candidates of (m,), m > n, evenly by rank; the best is one of them."""
     by_rank = np.argsort(losses, kind="stable")
     return np.sort(by_rank[np.linspace(0, len(losses) - 1, n).round().astype(np.intp)])
 
 
-def _rank_weights(ranks: npt.NDArray[np.intp], scale: float) -> Float64:
+def _rank_weights(ranks: Indices, scale: float) -> Float64:
     w = np.exp(-ranks / max(scale, _SMALLEST_SCALE))
     weights: Float64 = w / w.sum()
     return weights

@@ -33,7 +33,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csc_array
 
 from fide_plugins.proposers.ridge import explained, ridges
@@ -51,10 +50,8 @@ _TINY = 1e-300
 class Local(NamedTuple):
     """Regressions of single parameters."""
 
-    better: npt.NDArray[np.bool_]
-    """(d,): which parameters they predict better than the regression on all tokens."""
     explained: Float64
-    """(d,): leave-one-out R^2 of the better one."""
+    """(d,): leave-one-out R^2 of the better one, local or of all tokens."""
     coefficients: Float64
     """(n, d): of the scalar products of all tokens alike."""
     slopes: csc_array
@@ -103,7 +100,6 @@ def local_regressions(
     ends = np.concatenate([[0], np.cumsum(np.where(better, features.shape[1], 0))])
     entries = np.array(slopes)[better].ravel(), features[better].ravel(), ends
     return Local(
-        better,
         np.where(better, found, all_tokens[1]),
         np.where(better, _FLOOR * fit.coefficients, all_tokens[0]),
         csc_array(entries, shape=(e.shape[1], len(v))),

@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.space.kinds import Float, Kind
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Layout"]
 
@@ -60,7 +59,7 @@ class Layout:
         return [kinds[i] for i in self._one]
 
     @property
-    def discrete(self) -> npt.NDArray[np.bool_]:
+    def discrete(self) -> Mask:
         """(d,), axes on which many points stand for one value."""
         mask = self.stepped.copy()
         for block in self.choices:
@@ -131,7 +130,7 @@ class Layout:
         return np.clip((middle - self._bottom) / self._length, 0.0, 1.0)
 
 
-def _one_hot(chosen: npt.NDArray[np.intp], n: int) -> Float64:
+def _one_hot(chosen: Indices, n: int) -> Float64:
     points = np.full((len(chosen), n), _NOT_CHOSEN)
     points[np.arange(len(chosen)), chosen] = _CHOSEN
     return points

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from fide_plugins.errors import SpaceError
 from fide_plugins.space import dictionary, toml_file
@@ -22,7 +21,7 @@ from fide_plugins.space.group import (
 )
 from fide_plugins.space.kinds import Kind
 from fide_plugins.space.layout import Layout
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 from fide_plugins.validation.points import as_points
 
 __all__ = ["Space"]
@@ -89,7 +88,7 @@ class Space:
         return {leaf.name: list(range(s.start, s.stop)) for leaf, s in slices}
 
     @property
-    def periodic(self) -> npt.NDArray[np.bool_]:
+    def periodic(self) -> Mask:
         """(dim,), axes whose ends are the same."""
         return self.layout.periodic.copy()
 

@@ -17,9 +17,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 from fide_plugins.uncertainty.covariance import scale_of, unexplained
 from fide_plugins.uncertainty.local_fit import LocalFit
 
@@ -43,7 +42,7 @@ class Pairs(NamedTuple):
     e: Float64
     own_u: Float64
     own_e: Float64
-    own: npt.NDArray[np.intp]
+    own: Indices
 
 
 def looks_alike(fit: LocalFit, target: Float64, f: int, pairs: Pairs) -> bool:

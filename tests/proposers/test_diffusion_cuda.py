@@ -14,8 +14,9 @@ import torch
 
 from fide_plugins.fide import FIDE
 from fide_plugins.proposers.background import BackgroundProposer
-from fide_plugins.proposers.diffusion import DiffusionProposer, Floats
+from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime.devices import has_bfloat16
+from fide_plugins.types import Float64
 
 pytestmark = pytest.mark.gpu
 
@@ -27,13 +28,13 @@ def make(device: str, **options: Any) -> DiffusionProposer:
     return DiffusionProposer(DIM, seed=3, device=device, epochs=4, batch_size=20, **options)
 
 
-def scene(device: str) -> tuple[Floats, torch.Tensor]:
+def scene(device: str) -> tuple[Float64, torch.Tensor]:
     """Parameters (40, d) and "images" (40, d, 1) that show them."""
     x = 0.5 + STD * np.random.default_rng(0).standard_normal((40, DIM))
     return x, torch.as_tensor(x[:, :, None], dtype=torch.float32, device=device)
 
 
-def propose(proposer: DiffusionProposer | BackgroundProposer, device: str) -> Floats:
+def propose(proposer: DiffusionProposer | BackgroundProposer, device: str) -> Float64:
     x, tokens = scene(device)
     rng = np.random.default_rng(0)
     return proposer.propose(x, tokens[0], np.full(DIM, 0.5), STD, rng)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Indices
 
 __all__ = ["canonical"]
 
 
-def canonical(X: Float64, blocks: npt.NDArray[np.intp] | None) -> Float64:
+def canonical(X: Float64, blocks: Indices | None) -> Float64:
     """Points (n, d) with their exchangeable blocks in ascending order of their values.
 
     blocks: (m, L), the L parameters of each block; None: there are none.  Blocks are ordered by
