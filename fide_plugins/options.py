@@ -19,6 +19,7 @@ from fide_plugins.validation import option_rules as rules
 
 __all__ = [
     "GLOBAL",
+    "PAPER_SCHEDULE",
     "PRESETS",
     "NetworkOptions",
     "Options",
@@ -29,6 +30,9 @@ __all__ = [
 ]
 
 Rule: TypeAlias = rules.Rule
+
+PAPER_SCHEDULE = (0.3, 0.2, 0.1)
+"""Times of the sampler, supplement S1.  The last step goes to time 0, where z = x_hat."""
 
 
 def _option(default: Any, rule: Rule) -> Any:
@@ -88,7 +92,7 @@ class NetworkOptions:
     epochs: int = _option(20, rules.whole(1, 10_000, "4 to 20 are published"))
     learning_rate: float = _option(1e-3, rules.positive)
     batch_size: int = _option(50, rules.whole(1))
-    schedule: tuple[float, ...] = _option((0.3, 0.2, 0.1), rules.schedule)
+    schedule: tuple[float, ...] = _option(PAPER_SCHEDULE, rules.schedule)
     steps: int | None = _option(None, rules.whole(1, 1000, "3 are published"))
     precision: str = _option("float32", rules.one_of("float32", "bfloat16"))
     parameter_tokens: int | None = _option(None, rules.whole(1))

@@ -18,11 +18,9 @@ from torch import Tensor
 
 from fide_plugins.denoiser import Denoise
 from fide_plugins.errors import OptionError
+from fide_plugins.options import PAPER_SCHEDULE
 
-__all__ = ["PAPER_SCHEDULE", "check_schedule", "euler", "evenly"]
-
-PAPER_SCHEDULE = (0.3, 0.2, 0.1)
-"""Supplement S1.  The last step goes to time 0, where z = x_hat."""
+__all__ = ["check_schedule", "euler", "evenly"]
 
 
 def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
@@ -41,12 +39,12 @@ def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
 
 
 def evenly(steps: int) -> tuple[float, ...]:
-    """Schedule of evenly spaced times from 0.3; 3 steps give the published schedule.
+    """Schedule of evenly spaced times from that of the paper; 3 steps give the published one.
 
     >>> evenly(2), evenly(3) == PAPER_SCHEDULE
     ((0.3, 0.15), True)
     """
-    return tuple(round(0.3 * (steps - i) / steps, 12) for i in range(steps))
+    return tuple(round(PAPER_SCHEDULE[0] * (steps - i) / steps, 12) for i in range(steps))
 
 
 @torch.no_grad()

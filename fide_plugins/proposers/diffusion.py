@@ -19,7 +19,7 @@ from torch import Tensor
 from fide_plugins.denoiser.network import ParameterTransformer
 from fide_plugins.denoiser.precision import autocast, check_precision
 from fide_plugins.denoiser.preconditioning import x_prediction
-from fide_plugins.denoiser.sampling import PAPER_SCHEDULE, check_schedule, euler
+from fide_plugins.denoiser.sampling import check_schedule, euler
 from fide_plugins.denoiser.training import (
     Backup,
     Objective,
@@ -31,6 +31,7 @@ from fide_plugins.denoiser.training import (
     load_adam_state,
 )
 from fide_plugins.errors import OptionError
+from fide_plugins.options import NetworkOptions
 from fide_plugins.proposers.base import ProposerDefaults
 from fide_plugins.runtime.batch_size import BatchSize
 from fide_plugins.runtime.devices import resolve_device
@@ -50,6 +51,7 @@ from fide_plugins.types import Float64
 
 __all__ = ["DiffusionProposer"]
 
+_DEFAULTS = NetworkOptions()
 MOST_PROPOSALS = 4096  # that are denoised together
 
 
@@ -88,13 +90,13 @@ class DiffusionProposer(ProposerDefaults):
         *,
         seed: int = 0,
         device: str | torch.device = "cpu",
-        epochs: int = 20,
-        learning_rate: float = 1e-3,
-        batch_size: int = 50,
-        schedule: Sequence[float] = PAPER_SCHEDULE,
+        epochs: int = _DEFAULTS.epochs,
+        learning_rate: float = _DEFAULTS.learning_rate,
+        batch_size: int = _DEFAULTS.batch_size,
+        schedule: Sequence[float] = _DEFAULTS.schedule,
         objective: Objective | None = None,
         precondition: Preconditioner = x_prediction,
-        precision: str = "float32",
+        precision: str = _DEFAULTS.precision,
         **network: Any,
     ) -> None:
         if dim < 1 or epochs < 1 or batch_size < 1:

@@ -180,7 +180,7 @@ def adapt_fraction(
     *,
     smallest: float,
     largest: float,
-    rate: float = 0.1,
+    rate: float,
 ) -> float:
     """Raise `fraction` where proposals rank before samples, lower it where they rank behind.
 

@@ -53,6 +53,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from fide_plugins.options import ProposalOptions
 from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer
 from fide_plugins.proposers.ridge import explained, ridge
@@ -64,7 +65,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LinearProposer"]
 
-
+_DEFAULTS = ProposalOptions()
 _SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
@@ -93,6 +94,8 @@ class _Regression(NamedTuple):
 class LinearProposer(Previewed, ProposerDefaults):
     """Ridge regression from features to parameters, weighted by rank.
 
+    Defaults are those of `ProposalOptions`.
+
     Parameters
     ----------
     dim : d, the number of parameters.
@@ -120,14 +123,14 @@ class LinearProposer(Previewed, ProposerDefaults):
         *,
         capacity: int,
         channel_subsets: tuple[int | None, ...] = (None,),
-        rank_weight_scale: float = 0.5,
-        ridge: float = 0.02,
-        sources: int = 5,
-        step: tuple[float, float] = (0.3, 1.2),
-        noise: float = 0.5,
-        r2_threshold: float = 0.05,
+        rank_weight_scale: float = _DEFAULTS.rank_weight_scale,
+        ridge: float = _DEFAULTS.ridge,
+        sources: int = _DEFAULTS.sources,
+        step: tuple[float, float] = (_DEFAULTS.shortest_step, _DEFAULTS.longest_step),
+        noise: float = _DEFAULTS.sample_noise,
+        r2_threshold: float = _DEFAULTS.r2_threshold,
         minimum: int = 2,
-        select: bool = True,
+        select: bool = _DEFAULTS.select_tokens,
         screening: bool = False,
     ) -> None:
         self.dim, self.capacity, self.minimum = dim, capacity, minimum

@@ -17,8 +17,9 @@ from torch import Tensor
 
 from fide_plugins.denoiser import Denoise
 from fide_plugins.denoiser.preconditioning import whitened, x_prediction
-from fide_plugins.denoiser.sampling import PAPER_SCHEDULE, euler
+from fide_plugins.denoiser.sampling import euler
 from fide_plugins.errors import OptionError
+from fide_plugins.options import PAPER_SCHEDULE
 
 MEAN = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
 VARIANCE = torch.tensor([0.01, 0.04, 0.25], dtype=torch.float64)
