@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .types import Solution as Solution
     from .validation import images as images
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 _SUBMODULES = {
     "baselines": ".baselines",
