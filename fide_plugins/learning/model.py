@@ -42,7 +42,7 @@ from fide_plugins.runtime.threads import one_thread
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.points import as_points, whole_number
+from fide_plugins.validation.points import as_points, torch_seed, whole_number
 
 __all__ = ["Model"]
 
@@ -128,8 +128,7 @@ class Model:
         picture: anything that `FIDE` takes as a target, of the aspect of the renders; other sizes
         are resized.  Same seed, same hypotheses.  Raises ImageError or OptionError.
         """
-        n, seed = whole_number("n", n, 1), whole_number("seed", seed, 0)
-        generator = torch.Generator().manual_seed(seed)
+        n, generator = whole_number("n", n, 1), torch.Generator().manual_seed(torch_seed(seed))
         return self.network.sample(self._input(picture), n, generator).numpy().astype(np.float64)
 
     @torch.no_grad()
@@ -166,7 +165,7 @@ class Model:
         points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
         if not len(points):
             raise OptionError("X has no points: give at least one, where descents begin")
-        generator = torch.Generator().manual_seed(whole_number("seed", seed, 0))
+        generator = torch.Generator().manual_seed(torch_seed(seed))
         found = inverted(self.emulator, self._input(picture), points, generator)
         return found.numpy().astype(np.float64)
 

@@ -37,7 +37,8 @@ from fide_plugins.runtime.threads import user_threads
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.option_rules import not_negative
+from fide_plugins.validation.points import torch_seed, whole_number
 
 __all__ = ["LearnProgress", "learn"]
 
@@ -80,7 +81,7 @@ def learn(
     augment: str = "photograph",
     emulator: bool | None = None,
     version: str | None = None,
-    seed: int = 0,
+    seed: int | None = 0,
     store_limit: float = 20.0,
     device: str | torch.device = "auto",
     after: str | os.PathLike[str] | None = None,
@@ -136,7 +137,7 @@ def learn(
         of the renderer, a text; other versions have other renders.  None: that which the renderer
         states as its attribute `version`, if it does.
     seed
-        of the parameters, the initial weights and the order of learning.
+        of the parameters, the initial weights and the order of learning; None draws one.
     store_limit
         GiB that the renders may take.
     device
@@ -169,6 +170,7 @@ def learn(
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, workers, head, augment)
+    seed, store_limit = torch_seed(seed), not_negative("store_limit", store_limit)
     seconds = None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
     renderer = as_renderer(render, space)

@@ -17,6 +17,7 @@ __all__ = [
     "standard_deviation",
     "standard_deviations",
     "starting_point",
+    "torch_seed",
     "whole_number",
 ]
 
@@ -64,6 +65,11 @@ def new_seed(seed: object) -> int:
         entropy = np.random.SeedSequence().entropy
         return int(entropy) if isinstance(entropy, int) else 0
     return whole_number("seed", seed, 0)
+
+
+def torch_seed(seed: object) -> int:
+    """`seed`, checked as `new_seed` does, in the range that PyTorch takes: modulo 2^63."""
+    return new_seed(seed) % 2**63
 
 
 _SMALLEST_STD = 1e-16  # a smaller one cannot change doubles near the center of the cube

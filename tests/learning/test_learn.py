@@ -192,9 +192,25 @@ def test_each_render_has_noise_of_its_own_whoever_renders_it(tmp_path: Path) -> 
     assert len(np.unique(one.reshape(200, -1), axis=0)) == 200
 
 
+@pytest.mark.parametrize("seed", [None, np.int64(3), 2**70 + 3])
+def test_seeds_of_any_size_and_none(seed: int | None) -> None:
+    model = learn(plain, 2, renders=100, size=SIDE, passes=1, seed=seed)
+    x = model.sample(plain(np.array([0.3, 0.6])), 4, seed=2**70)
+    assert x.shape == (4, 2)
+    if seed is not None:
+        same = learn(plain, 2, renders=100, size=SIDE, passes=1, seed=3)
+        np.testing.assert_array_equal(same.sample(plain(np.array([0.3, 0.6])), 4, seed=2**70), x)
+
+
 def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="raise store_limit"):
         learn(plain, 2, renders=10_000, size=64, out=tmp_path / "m", store_limit=0.01)
+    for seed in (-1, 1.5, "a", True):
+        with pytest.raises(OptionError, match="seed must be a whole number >= 0"):
+            learn(plain, 2, size=SIDE, out=tmp_path / "m", seed=seed)  # type: ignore[arg-type]
+    for limit in ("x", float("nan"), -1):
+        with pytest.raises(OptionError, match="store_limit"):
+            learn(plain, 2, size=SIDE, out=tmp_path / "m", store_limit=limit)  # type: ignore[arg-type]
     lock = threading.Lock()
     with pytest.raises(OptionError, match="cannot be sent to other processes .*lock"):
         learn(lambda x: plain(x) if lock else x, 2, size=SIDE, out=tmp_path / "m", workers=2)
