@@ -11,8 +11,8 @@ from abc import abstractmethod
 import numpy as np
 
 from fide_plugins.population import Population
-from fide_plugins.population.preview import make_next
-from fide_plugins.proposers.training_sample import columns
+from fide_plugins.population.training_sample import columns
+from fide_plugins.preview import make_next
 from fide_plugins.retargeting import Retargeting
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
@@ -47,8 +47,9 @@ class Asking(Retargeting):
 
         None: what is left of the present generation, or, if all of it is pending, as many again,
         for users with more workers than that.  As soon as what is pending will complete the
-        generation, candidates are drawn for the next one, see `preview`.  Generations have
-        `popsize` candidates; after a search has stalled there may be others, see `search.moves`.
+        generation, candidates are drawn for the next one (`fide_plugins.preview`).
+        Generations have `popsize` candidates; after a search has stalled there may be others, see
+        `search.moves`.
         Who asks for a number may get Gauss-Newton steps before a generation (`proposers.steps`).
         """
         n = None if n is None else whole_number("n", n, 1)

@@ -40,9 +40,9 @@ from fide_plugins import encoders
 from fide_plugins.asking import Asking
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
+from fide_plugins.population.training_sample import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.proposers.training_sample import TrainingSample, columns, in_order
 from fide_plugins.runtime.locks import Lock, one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed

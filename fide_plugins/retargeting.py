@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.learning.hypotheses import posterior_of
+from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.remembered import for_jacobian
-from fide_plugins.proposers.training_sample import TrainingSample, columns
 from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 
 from fide_plugins.population import Candidate, Population
+from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.steps import GaussNewtonSteps
-from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.runtime.schema import (
     GENERATOR,
     Rule,

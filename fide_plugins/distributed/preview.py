@@ -1,4 +1,4 @@
-"""A candidate of the next generation for a replica, see `fide_plugins.population.preview`.
+"""A candidate of the next generation for a replica, see `fide_plugins.preview`.
 
 Unlike there, nothing changes: the proposer, too, is updated in a copy (line 8 of Algorithm 1). All
 of it is updated again when all results are here.
@@ -10,9 +10,9 @@ import numpy as np
 
 from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate
-from fide_plugins.population.preview import previewed
+from fide_plugins.population.training_sample import columns
+from fide_plugins.preview import previewed
 from fide_plugins.proposers import Proposer
-from fide_plugins.proposers.training_sample import columns
 
 __all__ = ["preview_candidate"]
 

@@ -1,10 +1,10 @@
 """The record of candidates, which FIDE and all baselines keep.
 
-============  ============================================================
-`population`  which were drawn, which are pending, which were evaluated
-`candidate`   one of them
-`preview`     candidates of the next generation, while results are pending
-============  ============================================================
+=================  =======================================================
+`population`       which were drawn, which are pending, which were evaluated
+`candidate`        one of them
+`training_sample`  one whose image is known
+=================  =======================================================
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@
 `screening`        each parameter from the tokens that show it
 `feature_buffer`   features of the images that a proposer remembers
 `remembered`       how many candidates proposers remember, and learn from at once
-`training_sample`  a candidate whose image is known
 `background`       trains while the user renders
 =================  ==============================================================================
 """

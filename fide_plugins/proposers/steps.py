@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.proposers.forward import ForwardProposer, best_and_latest
-from fide_plugins.proposers.training_sample import (
+from fide_plugins.population.training_sample import (
     SCHEMA as SAMPLE,
     TrainingSample,
     columns,
     in_order,
 )
+from fide_plugins.proposers.forward import ForwardProposer, best_and_latest
 from fide_plugins.runtime.schema import Schema, Sides, anything, check, each, flag, whole
 from fide_plugins.types import Float64
 

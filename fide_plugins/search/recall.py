@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
+from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.proposers.remembered import MOST
-from fide_plugins.proposers.training_sample import TrainingSample
 from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.search.scene.optima import APART
 from fide_plugins.types import Float64

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.proposers.training_sample import TrainingSample, in_order
+from fide_plugins.population.training_sample import TrainingSample, in_order
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices, Mask

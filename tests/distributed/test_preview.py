@@ -12,8 +12,8 @@ from fide_plugins import encoders
 from fide_plugins.distributed.preview import preview_candidate
 from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
+from fide_plugins.population.training_sample import columns
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.proposers.training_sample import columns
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float32, Float64
 

@@ -133,6 +133,9 @@ def test_a_search_that_sees_no_image_has_no_options_of_a_network() -> None:
 
 
 def test_the_options_of_users_come_first_where_one_is_unknown() -> None:
+    for name in ("x0", "learned"):
+        with pytest.raises(OptionError, match=f"^{name} is an argument of FIDE itself, not one of"):
+            make_options("balanced", {name: 1})
     with pytest.raises(OptionError, match="no option 'sahre'") as caught:
         make_options("balanced", {"sahre": 0.3})
     few, others = str(caught.value).split("for ablations also:")

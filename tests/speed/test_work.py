@@ -24,8 +24,8 @@ from torch.utils.flop_counter import FlopCounterMode
 import fide_tasks
 from fide_plugins import asking, fide
 from fide_plugins.fide import FIDE
+from fide_plugins.population.training_sample import columns
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.proposers.training_sample import columns
 
 BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are full by then
 MORE = 1.2

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, device
 
-from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.mixed import Cells, Mixed
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move, Stage, Start

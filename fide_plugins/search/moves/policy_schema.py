@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fide_plugins.proposers.training_sample import SCHEMA as SAMPLE
+from fide_plugins.population.training_sample import SCHEMA as SAMPLE
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,

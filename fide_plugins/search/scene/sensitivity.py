@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.runtime.schema import array, check, whole
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.parameter_groups import find_parts, overlaps

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.crossover import Crossover

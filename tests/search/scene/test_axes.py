@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.proposers.training_sample import TrainingSample
+from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.crossover import Crossover
