@@ -81,7 +81,6 @@ STAGES = {
     "perceptual": [Stage(FAST, ("perceptual",), CHEAP)],
     "loi": [Stage(FAST, ("loi",), ("FIDE",))],
     "dibo": [Stage(FAST, METRICS, (DIBO,))],
-    "dibo-whole": [Stage(FAST, ("mse",), (DIBO_WHOLE,))],
     "published": [Stage(FAST, (*METRICS, "loi"), (PUBLISHED,))],
     "rendered": [Stage(RENDERED, ("perceptual",), RENDERED_RACERS, (0,))],
     "backbones": [
@@ -90,6 +89,7 @@ STAGES = {
     ],
     "rendered-mse": [Stage(RENDERED, ("mse",), RENDERED_RACERS, (0,))],
     "rendered-loi": [Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,))],
+    "dibo-whole": [Stage(FAST, ("mse",), (DIBO_WHOLE,))],
 }
 
 

@@ -66,7 +66,9 @@ def picture(rows: Sequence[Row]) -> Figure:
     for axes in grid[-1]:
         axes.set_xlabel("renders", fontsize=9)
     handles = [
-        Line2D([], [], color=plots.style(i).color, label=name) for i, name in enumerate(RACERS)
+        Line2D([], [], color=plots.style(i).color, label=name)
+        for i, name in enumerate(RACERS)
+        if any(row["configuration"] == name for row in rows)
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=6, fontsize=9, frameon=False)
     return figure

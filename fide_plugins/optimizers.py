@@ -67,7 +67,8 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     It may be a function that makes an optimizer, too; `load` needs a class.  A class with a true
     attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
 
-    Raises OptionError (a ValueError) for a name with a colon, or what is neither of the two.
+    Raises OptionError (a ValueError) for a name with a colon, or a `cls` that is neither
+    callable nor "module:attribute".
     """
     _REGISTRY.register(name, cls)
 

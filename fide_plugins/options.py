@@ -234,7 +234,7 @@ def _all_fields() -> Iterator[tuple[str, Field[Any]]]:
 
 
 def _unknown(name: str) -> str:
-    if name in (*_FIRST, "learned"):
+    if name in (*_FIRST, "dim", "target", "weights", "learned"):
         return f"{name} is an argument of FIDE itself, not one of the options that are taken here"
     others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST)]
     rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *others)]

@@ -82,7 +82,7 @@ class Replica:
         self.began = 0
         """Generation in which the present search, or its tests or restart candidates, began."""
         self.guided = True
-        """False where losses only, without images, said where the present search begins."""
+        """False if only losses, not images, said where the present search begins."""
         self._batches: dict[int, list[Candidate]] = {}  # of the present generation
         self._taken: set[int] = set()  # slots of the present generation that have counted
 
@@ -151,7 +151,7 @@ class Replica:
         proposed: whether the one who asked had it from a proposer, should it be unknown here.
         over: whether somebody began a search, tests or restart candidates after this generation;
             None: nobody has drawn the next one yet.
-        guided: False if they began it where losses only said, without images; None as for `over`.
+        guided: False if only losses, not images, said where it begins; None as for `over`.
         Raises as `FIDE.tell`, before anything changes.
         """
         self._open()

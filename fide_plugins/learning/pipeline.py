@@ -137,9 +137,10 @@ def learn(
         of the renderer, a text; other versions have other renders.  None: that which the renderer
         states as its attribute `version`, if it does.
     seed
-        of the parameters, the initial weights and the order of learning; None draws one.
+        of the parameters, the initial weights and the order of learning; None draws one, and a call
+        that was interrupted cannot go on.
     store_limit
-        GiB that the renders may take.
+        GiB that the renders may take, finite.
     device
         where the network trains: "auto" takes CUDA if there is some.  The model computes on the
         CPU, whatever trained it.  A training goes on wherever it is continued, but results of

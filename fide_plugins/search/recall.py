@@ -5,7 +5,7 @@ whose image is nearest to it; D = |e* - e_b|, what is wrong with that image.
 
 *Losses.*  The images themselves are not kept, so their true losses to the new picture cannot be
 computed.  They are estimated from distances of features: an image gets the loss that images at its
-distance had to the old picture: if n of them were nearer, the lowest but n.
+distance had to the old picture: if n of them were nearer, the (n + 1)-th lowest.
 
 *Step size.*  How far do parameters move when the image changes by D?  The remembered candidates
 whose images differ from that of b by about D say so: their root mean square difference from b, one

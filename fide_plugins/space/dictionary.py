@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from fide_plugins.errors import SpaceError
 from fide_plugins.space.group import Group, Member, Repeated, did_you_mean
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
@@ -24,6 +26,7 @@ _KEYS = {
     "int": ("low", "high", "unit", "log", "step"),
     "choice": ("values",),
 }
+_PLAIN = (str, int, float, bool, type(None))
 _REQUIRED = {"float": ("low", "high"), "int": ("low", "high"), "choice": ("values",)}
 
 
@@ -46,10 +49,21 @@ def _data(name: str, member: Member) -> dict[str, Any]:
 
 
 def _plain(where: str, value: Any) -> Any:
-    if type(value) not in (str, int, float, bool, type(None)):
+    if type(value) not in _PLAIN:
         raise SpaceError(
             f"{where} has the value {value!r}, which files cannot hold; use texts and look the "
             "objects up by them"
+        )
+    return value
+
+
+def _read(value: Any) -> Any:
+    """A value of a choice; SpaceError for one that `to_dict` could not give back."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if type(value) not in _PLAIN:
+        raise SpaceError(
+            f"values: must be texts, numbers or booleans, not {value!r}; write a text, and look "
+            "the object up by it"
         )
     return value
 
@@ -107,7 +121,7 @@ def _parameter(table: str, data: Mapping[str, Any]) -> Kind:
     if kind == "choice":
         if not isinstance(values["values"], list | tuple):
             raise SpaceError(f'values: must be a list such as ["a", "b"], not {values["values"]!r}')
-        return Choice(*(_plain("values:", value) for value in values["values"]))
+        return Choice(*(_read(value) for value in values["values"]))
     return _KINDS[kind](**values)
 
 

@@ -75,6 +75,7 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
             ["compare", "voronoi", *SMALL, "--optimizers", "cma:dim=3"],
             "dim is a setting of the comparison, not of one optimizer",
         ),
+        (["compare", "voronoi", *SMALL, "--set", "dim=3"], "dim is a setting of the comparison"),
         (["compare", "voronoi", *SMALL, "--jobs", "1000"], "at most one process per core"),
         (["compare", "voronoi", *SMALL, "--jobs", "2", "--dask", "tcp://x"], "not allowed with"),
         (["compare", "voronoi", *SMALL, "--seeds", "0"], "a whole number >= 1"),

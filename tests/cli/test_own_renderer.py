@@ -121,6 +121,19 @@ def test_a_picture_of_another_size_is_refused_before_anything_is_written(
         assert not Path("out").exists()
 
 
+@pytest.mark.parametrize("middle", ["np.ones((12, 16)) * 1.5", "1 / 0"])
+def test_a_render_of_the_middle_that_overshoots_or_fails_stops_no_run(
+    middle: str, target: Path
+) -> None:
+    """It is made to compare sizes, and no candidate."""
+    source = (
+        f"def half(params):\n    if params['x'] == 0: return {middle}\n    return render(params)\n"
+    )
+    Path("scene.py").write_text(Path("scene.py").read_text() + "\nimport numpy as np\n" + source)
+    words = ["scene.py:half", "--target", target.name, "--optimizer", "random", "--budget", 3]
+    assert fide("run", *words, "--out", "out") == 0
+
+
 def test_arguments_of_the_fit_are_no_options(
     target: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

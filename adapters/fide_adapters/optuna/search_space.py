@@ -171,7 +171,9 @@ class _Scale:
         self._high = np.array([d.high for d in distributions], np.float64)
         self._step = np.array([d.step or 0.0 for d in distributions], np.float64)
         self._log = np.array([d.log for d in distributions], bool)
-        self._whole = [isinstance(d, IntDistribution) for d in distributions]
+        self._whole = {
+            name: (d.low, d.high) for name, d in numeric.items() if isinstance(d, IntDistribution)
+        }
         margin = self._step / 2  # 1/2 for each int, also with `log`
         self._bottom = self._scaled(self._low - margin)
         length = self._scaled(self._high + margin) - self._bottom
@@ -196,12 +198,10 @@ class _Scale:
 
     def values(self, points: Float64) -> dict[str, float | int]:
         """As `rounded`, by name, as native numbers."""
-        return {
-            name: int(value) if whole else value
-            for name, whole, value in zip(
-                self.names, self._whole, self.rounded(points).tolist(), strict=True
-            )
-        }
+        found = dict(zip(self.names, self.rounded(points).tolist(), strict=True))
+        for name, (low, high) in self._whole.items():  # beyond 2^53 doubles may miss both ends
+            found[name] = min(max(int(found[name]), low), high)
+        return found
 
     def holds(self, values: list[Any]) -> bool:
         array: npt.NDArray[np.float64] = np.array(values, np.float64)

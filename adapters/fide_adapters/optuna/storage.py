@@ -73,7 +73,7 @@ class Ask:
         between trials in which it is equal.
     generation, slot: name of the candidate, see `fide_plugins.distributed.replica`.
     began: generation in which the search began that the candidate belongs to.
-    guided: False if it began where losses only said, without images.
+    guided: False if only losses, not images, said where it began.
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.

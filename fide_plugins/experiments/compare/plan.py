@@ -150,6 +150,7 @@ class Plan:
 
 
 def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:
+    check_names(options, "is a setting of the comparison, not of one optimizer")
     known = optimizers.options(configuration.name)
     unknown = sorted(set(options) - set(known)) if known else []
     if unknown and unknown[0] not in configuration.options:
@@ -157,7 +158,6 @@ def _check_options(configuration: Configuration, options: dict[str, Any]) -> Non
             f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
             f"as NAME:{unknown[0]}={options[unknown[0]]}"
         )
-    check_names(options, "is a setting of the comparison, not of one optimizer")
 
 
 def _check_budget(

@@ -64,7 +64,7 @@ def prepare(
     command: Sequence[str] | None = None,
     keep: Keep | None = None,
 ) -> Run:
-    """Check the arguments, and make or resume a run; only the target is rendered yet.
+    """Check the arguments, and make or resume a run; one image is rendered at most.
 
     Parameters
     ----------
@@ -112,6 +112,8 @@ def prepare(
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
     if isinstance(optimizer, str):
         optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
+    may = () if isinstance(optimizer, str) else ("self", "dim", "target")  # a user's own options
+    check_names(options, "is an argument of the run, not an option of its optimizer", may)
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     search = _options_of(optimizer, options, task, resume and out is not None and is_saved(out))
@@ -258,7 +260,6 @@ def _make_optimizer(
     budget: int,
     options: dict[str, Any],
 ) -> Optimizer:
-    check_names(options, "is an argument of the run, not an option of its optimizer")
     options = {"loss": loss, "seed": seed, **options}
     if isinstance(optimizer, str):
         if _depends_on_budget(optimizer):

@@ -17,7 +17,7 @@ from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.images import as_target
+from fide_plugins.validation.images import as_batch, as_target
 
 __all__ = ["RendererTask", "is_own", "make"]
 
@@ -72,21 +72,30 @@ class RendererTask:
 
     @cached_property
     def target(self) -> Float32:
-        """Picture (H, W, 3); or the image of `x_star`, in the renderer's size.  It renders once.
+        """Picture (H, W, 3); or the image of `x_star`, in the renderer's size.
 
+        One image is rendered: that of `x_star`, or of the middle of the cube, to compare sizes.
         Raises ImageError (a ValueError) for a picture of another size than the renderer's images.
         """
-        x = np.full(self.dim, 0.5) if self.x_star is None else self.x_star
-        image = as_target(self._render(self.decode(x)))
         if self._picture is None:
-            return image
-        if image.shape != self._picture.shape:
-            (height, width), (h, w) = self._picture.shape[:2], image.shape[:2]
+            assert self.x_star is not None, "without a picture there are parameters"
+            return as_target(self._render(self.decode(self.x_star)))
+        self._check_size(self._picture)
+        return self._picture
+
+    def _check_size(self, picture: Float32) -> None:
+        """Raise ImageError if the renderer's images have another size."""
+        try:
+            image = self._render(self.decode(np.full(self.dim, 0.5)))
+            found = as_batch([image], on_clip=lambda message: None).shape[1:3]
+        except Exception:  # the run says so if others fail, too
+            return
+        if found != picture.shape[:2]:
+            (height, width), (h, w) = picture.shape[:2], found
             raise ImageError(
                 f"the picture has {width} x {height} pixels, and {self.name} renders {w} x {h}: "
                 "give a picture of that size, or render that of the picture"
             )
-        return self._picture
 
     def render(self, X: Float64, seed: Any = None) -> list[Any]:
         """Images of candidates (n, dim); the seed is for other tasks."""

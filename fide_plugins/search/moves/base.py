@@ -71,13 +71,15 @@ class Known:
     x0, sigma0: (d,), mean and standard deviation of the first search.
     target: (T, C), tokens of the target; channels: the leading ones in which images are compared.
     exchangeability, removal, sensitivity: what was found of the parameters by stages of their own.
-    axes: which of the cube's are one parameter, and which wrap around.
+    axes: which axes of the cube belong to one parameter, and which wrap around.
     place: points of the cube (n, d) as they are rendered: integers and choices in their cells.
     incumbent: local optimum that moves leave; None before the first, and after a search began
         without images.
     optima: distinct local optima.
     values: of integers and choices, and which of them were searched.
-    Each of these is described in its file of `search.scene`.
+
+    What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
+    in its file of `search.scene`.
     """
 
     x0: Float64

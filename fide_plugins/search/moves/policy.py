@@ -13,9 +13,9 @@
 The incumbent is the best local optimum, until moves from it have failed often: then another one,
 or a new descent (`optima`).
 
-With a learned model the run begins in RESTART, where its hypotheses are rendered, and all of them
-are searched before other moves are chosen (`hypotheses`).  Where no image says where to go on, the
-next search begins at once at a random place (`anew`).
+With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
+the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
+where to go on, the next search begins at once at a random place (`anew`).
 """
 
 from __future__ import annotations
@@ -120,9 +120,9 @@ class MovePolicy:
         self.noise: float | None = None
         """Standard deviation of the loss of one candidate; None where it was not measured."""
         self.loss_only_searches = 0
-        """Searches that began anew where losses only said, without images."""
+        """Searches that began anew because losses, not images, said so."""
         self.guided = True
-        """Whether images had a say when the last search was over."""
+        """Whether images said where to go on when the last search was over."""
 
     @property
     def goal(self) -> float:
