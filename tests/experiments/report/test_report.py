@@ -325,7 +325,7 @@ def test_the_same_results_give_the_same_chart(study: Path, written: Path) -> Non
 
 
 def test_what_cannot_be_reported_is_named(study: Path, tmp_path: Path) -> None:
-    with pytest.raises(OptionError, match="threshold is given for 'lpips', which was not"):
+    with pytest.raises(OptionError, match="threshold is given for 'lpips', which is not"):
         report.write(compare.read(study), tmp_path / "a.html", {"lpips": 0.1})
     with pytest.raises(NoResultsError, match="no run in nowhere is finished"):
         report.write(results([]), tmp_path / "a.html")
