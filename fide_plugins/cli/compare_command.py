@@ -77,14 +77,16 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
     from fide_plugins.experiments.compare import Plan
     from fide_plugins.experiments.compare.driver import prepare
-    from fide_plugins.experiments.report.panel import check_thresholds
 
     if args.suite is not None:
         plan: Plan = suite_plan(args)
     else:
         check_no_suite(args)
         plan = _plan(args)
-        check_thresholds(dict(args.threshold), plan.runs())
+        if args.threshold:
+            from fide_plugins.experiments.report.panel import check_thresholds
+
+            check_thresholds(dict(args.threshold), plan.runs())
     return prepare(
         plan, args.out, jobs=args.jobs, dask=args.dask, resume=args.resume, command=command
     )

@@ -171,7 +171,8 @@ def prepare(
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = whole_number("workers", workers, 0)
     options = dict(options or {})
-    check_names(options, "is no option of the optimizer, but an argument of the fit", ("loss",))
+    given = ("self", "dim", "target", "seed")
+    check_names(options, given, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     rounds = rounds_of(
         render, space, optimizer.target, options,

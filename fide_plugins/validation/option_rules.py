@@ -6,7 +6,7 @@ value and the rule.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
@@ -31,17 +31,15 @@ __all__ = [
 Rule: TypeAlias = Callable[[str, Any], Any]
 
 _MOST_STEPS = 1000
-_ARGUMENTS = ("self", "dim", "target", "loss", "seed")
 
 
-def check_names(options: Iterable[str], instead: str, allowed: Iterable[str] = ()) -> None:
+def check_names(options: Collection[str], arguments: Iterable[str], instead: str) -> None:
     """Refuse options of an optimizer that are named as arguments that its caller gives it.
 
-    instead: what such an option is, to end the error.  allowed: arguments that may be options.
+    instead: what such an option is, to end the error.
     """
-    names = set(options)
-    for name in _ARGUMENTS:
-        if name in names and name not in allowed:
+    for name in arguments:
+        if name in options:
             raise OptionError(f"{name} {instead}")
 
 

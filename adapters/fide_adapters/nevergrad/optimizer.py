@@ -40,6 +40,7 @@ from fide_adapters.nevergrad.search import Evaluation, Search
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.options import make_options
 from fide_plugins.types import Float64
+from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import new_seed
 from fide_plugins.views import Views
 from fide_plugins.views.views import views_of
@@ -86,9 +87,8 @@ def _check_options(options: object) -> None:
     """Raise OptionError for what is no mapping, or names an argument of its own."""
     if options is not None and not isinstance(options, Mapping):
         raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
-    for name in ("encoder", "popsize"):
-        if name in (options or {}):
-            raise OptionError(f"{name} is an argument of its own: give {name}=, not in options")
+    instead = "is an argument of its own: give it as one, not in options"
+    check_names(options or {}, ("encoder", "popsize"), instead)
 
 
 def _as_setting(target: object, mask: object, weights: object) -> TargetImage | None:

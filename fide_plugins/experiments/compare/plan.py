@@ -150,7 +150,8 @@ class Plan:
 
 
 def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:
-    check_names(options, "is a setting of the comparison, not of one optimizer")
+    given = ("self", "dim", "target", "loss", "seed")
+    check_names(options, given, "is a setting of the comparison, not of one optimizer")
     known = optimizers.options(configuration.name)
     unknown = sorted(set(options) - set(known)) if known else []
     if unknown and unknown[0] not in configuration.options:

@@ -110,10 +110,7 @@ def prepare(
     """
     budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
     task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
-    if isinstance(optimizer, str):
-        optimizers.options(optimizer)  # raises for one that is no use, before anything is rendered
-    may = () if isinstance(optimizer, str) else ("self", "dim", "target")  # a user's own options
-    check_names(options, "is an argument of the run, not an option of its optimizer", may)
+    _check_optimizer(optimizer, options)
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
     search = _options_of(optimizer, options, task, resume and out is not None and is_saved(out))
@@ -140,6 +137,15 @@ def prepare(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
     )  # fmt: skip
+
+
+def _check_optimizer(optimizer: str | Callable[..., AskTell], options: Mapping[str, Any]) -> None:
+    """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
+    given: tuple[str, ...] = ("loss", "seed")
+    if isinstance(optimizer, str):
+        optimizers.options(optimizer)  # raises
+        given = ("self", "dim", "target", *given)  # a user's callable may name its own options so
+    check_names(options, given, "is an argument of the run, not an option of its optimizer")
 
 
 def _options_of(
