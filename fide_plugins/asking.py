@@ -17,7 +17,7 @@ from fide_plugins.retargeting import Retargeting
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
-from fide_plugins.search.descent import Descent
+from fide_plugins.search.one_search import Search
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points, whole_number
 
@@ -36,7 +36,7 @@ class Asking(Retargeting):
 
     @abstractmethod
     def _propose(
-        self, z: Float64, descent: Descent, rng: np.random.Generator
+        self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
         """Proposals x and their z, (m, d) each, from samples of the search distribution."""
 
@@ -127,7 +127,7 @@ class Asking(Retargeting):
         """
         state, population = self.state, self.state.population
         n = population.size if population.pending else max(1, population.missing)
-        x, _ = state.descent.sample(n, state.rng)
+        x, _ = state.search.sample(n, state.rng)
         population.draw(x, x, extra=True)
 
     def _train_early(self) -> None:
@@ -139,24 +139,24 @@ class Asking(Retargeting):
             samples = state.take_samples()
             state.learned += samples
             with timed(self.times, "train"):
-                proposer.update(*columns(samples), state.descent.std)
+                proposer.update(*columns(samples), state.search.std)
 
     # -- steps between two generations -------------------------------------------------------------
 
     def _make_steps(self, n: int) -> Float64:
         """Steps (m, dim) that come before the next generation, at most n."""
-        state, descent, target = self.state, self.state.descent, self.target_tokens
+        state, search, target = self.state, self.state.search, self.target_tokens
         if not state.has_steps:
             return np.empty((0, self.dim))
         assert state.steps is not None
         with timed(self.times, "train"):
-            left = state.steps.left(descent.popsize, target, descent.std)
+            left = state.steps.left(search.popsize, target, search.std)
             if not left:
                 return np.empty((0, self.dim))
-            _, z = descent.sample(min(n, left), state.rng)
-            v = descent.stretched(z)
-            x = state.steps.propose(v, target, descent.mean, descent.std, state.rng)
-        return state.steps.new_ones(descent.place_proposals(x), state.population.is_pending)
+            _, z = search.sample(min(n, left), state.rng)
+            v = search.stretched(z)
+            x = state.steps.propose(v, target, search.mean, search.std, state.rng)
+        return state.steps.new_ones(search.place_proposals(x), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""
@@ -164,5 +164,5 @@ class Asking(Retargeting):
         if len(x):
             assert state.steps is not None
             state.steps.taken(len(x))
-        for row in zip(x, state.descent.near(x), strict=True):
+        for row in zip(x, state.search.near(x), strict=True):
             state.population.adopt(*row, step=True)

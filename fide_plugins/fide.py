@@ -47,9 +47,9 @@ from fide_plugins.runtime.locks import Lock, one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
 from fide_plugins.search.cma_es import default_popsize
-from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.space import Space
 from fide_plugins.state import State
 from fide_plugins.types import Float64, Posterior
@@ -176,7 +176,7 @@ class FIDE(Asking):
         return State(
             rng=np.random.default_rng(self.seed),
             population=Population(),
-            descent=Descent(moves.start, moves.goal, setting),
+            search=Search(moves.start, moves.goal, setting),
             moves=moves,
             gate=ImageGate(o, subsets, known=known),
             proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
@@ -193,36 +193,36 @@ class FIDE(Asking):
         if state.stage is Stage.SEARCH:
             self._draw_samples(population, rng)
         else:
-            x = state.descent.clipped(state.moves.draw(rng))
+            x = state.search.clipped(state.moves.draw(rng))
             population.draw(x, x)
 
     def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
         """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
         state = self.state
-        k = state.descent.popsize
-        x, z = state.descent.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
+        k = state.search.popsize
+        x, z = state.search.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
         ready = state.proposer is not None and state.proposer.ready
         n = k - state.gate.number(k, rng) if ready else k
-        population.draw(x[:n], z[:n], z[n:], pair=state.search.draws_pair)
+        population.draw(x[:n], z[:n], z[n:], pair=state.search.distribution.draws_pair)
         self._propose_with(population, rng)  # line 5, of z[n:], when these are asked for
 
     def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
         """Say how the population makes proposals."""
         proposer = self.state.proposer
         if proposer is not None:
-            propose = partial(self._propose, descent=self.state.descent, rng=rng)
+            propose = partial(self._propose, search=self.state.search, rng=rng)
             population.propose_by(propose, singly=proposer.singly)
 
     def _propose(
-        self, z: Float64, descent: Descent, rng: np.random.Generator
+        self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
         """Line 5: proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
         proposer, target = self.state.proposer, self.target_tokens
         assert proposer is not None
         with timed(self.times, "train"):
-            made = proposer.propose(descent.stretched(z), target, descent.mean, descent.std, rng)
-        x = descent.place_proposals(made)
-        return x, descent.near(x)
+            made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
+        x = search.place_proposals(made)
+        return x, search.near(x)
 
     @one_at_a_time
     @one_thread
@@ -313,7 +313,7 @@ class FIDE(Asking):
             x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
             if not learned:
                 state.gate.note_images(tokens, self.target_tokens, losses)
-            state.proposer.update(x, tokens, losses, state.descent.std)
+            state.proposer.update(x, tokens, losses, state.search.std)
 
     def _note_images(self, samples: list[TrainingSample]) -> None:
         """Let the gate judge samples.  Their stacked tokens are gone when it has."""
@@ -326,13 +326,13 @@ class FIDE(Asking):
         state = self.state
         state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
         point, state.injected = state.injected, None
-        state.descent.tell(members, losses, point)
-        if state.best is not None and state.best.search == state.searches:
+        state.search.tell(members, losses, point)
+        if state.best is not None and state.best.search_number == state.searches:
             state.best = replace(state.best, mean=state.search.mean)
         if state.steps is not None:
             state.steps.after_generation()
         guided = state.gate.guided if self.search_guided is None else self.search_guided
-        over = state.descent.is_over(guided=guided) and self.options.restarts != "none"
+        over = state.search.is_over(guided=guided) and self.options.restarts != "none"
         if self.search_over is not None:
             over = self.search_over
         if over:
@@ -345,8 +345,8 @@ class FIDE(Asking):
         point that was never asked.
         """
         best = self.state.best
-        mean = self.state.descent.mean if best is None else best.mean
-        recommended: Float64 = self.state.descent.render_mean(mean)
+        mean = self.state.search.mean if best is None else best.mean
+        recommended: Float64 = self.state.search.render_mean(mean)
         return recommended
 
     # -- saving ------------------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fide_plugins.search.descent import Descent
 from fide_plugins.search.moves.policy import Stage
+from fide_plugins.search.one_search import Search
 from fide_plugins.state import State
 from fide_plugins.types import Float64
 
@@ -22,10 +22,10 @@ __all__ = ["make_next", "previewed"]
 _ENOUGH = 1 / 2  # of the results of a generation
 _FEWEST = 4  # results; no generation has fewer
 
-_Propose = Callable[[Float64, Descent, np.random.Generator], tuple[Float64, Float64]]
+_Propose = Callable[[Float64, Search, np.random.Generator], tuple[Float64, Float64]]
 
 
-def previewed(state: State) -> Descent | None:
+def previewed(state: State) -> Search | None:
     """Return the search as it would be updated now; nothing else changes.
 
     None where too few results of the generation are known, or it is not of a search.
@@ -34,7 +34,7 @@ def previewed(state: State) -> Descent | None:
     enough = max(_FEWEST, _ENOUGH * population.size)
     if state.stage is not Stage.SEARCH or population.evaluated < enough:
         return None
-    return state.descent.preview(*population.members())
+    return state.search.preview(*population.members())
 
 
 def make_next(state: State, n: int, propose: _Propose) -> None:
@@ -57,12 +57,12 @@ def _draw_ahead(state: State, n: int, propose: _Propose) -> None:
     m = min(n, population.remaining) - needed
     if m <= 0 or not (proposer is None or proposer.singly):
         return
-    descent = previewed(state)
-    if descent is None:
+    search = previewed(state)
+    if search is None:
         return
     population.make_proposals(needed)
-    x, z = descent.sample(m, state.rng)  # (m, d)
+    x, z = search.sample(m, state.rng)  # (m, d)
     proposed = population.proposed(needed, m)
     if proposed.any():
-        x[proposed], z[proposed] = propose(z[proposed], descent, state.rng)
+        x[proposed], z[proposed] = propose(z[proposed], search, state.rng)
     population.replace(needed, x, z, proposed)

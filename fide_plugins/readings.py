@@ -82,7 +82,7 @@ class Readings(Saved):
             evaluations=state.evaluations,
             best=None if best is None else best.solution.loss,
             improved_at=state.improved_at,
-            horizon=max(_STALLED * state.descent.popsize, since // 4),
+            horizon=max(_STALLED * state.search.popsize, since // 4),
             ended=state.moves.ended,
             noise=state.moves.noise,
             solved=self._is_solved(),

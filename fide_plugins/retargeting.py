@@ -20,8 +20,8 @@ from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
-from fide_plugins.search.descent import Descent
 from fide_plugins.search.moves.base import Start
+from fide_plugins.search.one_search import Search
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64
 from fide_plugins.validation.evaluation import Evaluator
@@ -104,7 +104,7 @@ class Retargeting(Readings):
         """Begin a search, whose first candidates are remembered ones."""
         state, start = self.state, recalled.start
         state.moves.retarget(evaluator.target_tokens, start)
-        state.descent = Descent(start, state.moves.goal, state.descent.setting)
+        state.search = Search(start, state.moves.goal, state.search.setting)
         if state.proposer is not None:
             state.proposer.forget()
             _teach(state.proposer, recalled.samples, start.std, self.popsize)
@@ -113,9 +113,9 @@ class Retargeting(Readings):
             for i, sample in enumerate(recalled.samples):  # the best are the latest
                 state.steps.add(replace(sample, index=i))
         self.draw_generation()
-        x = state.descent.clipped(recalled.hypotheses)[: state.population.remaining]
+        x = state.search.clipped(recalled.hypotheses)[: state.population.remaining]
         none = np.zeros(len(x), bool)
-        state.population.replace(0, x, state.descent.near(x), proposed=none)
+        state.population.replace(0, x, state.search.near(x), proposed=none)
 
     @abstractmethod
     def draw_generation(self) -> None:

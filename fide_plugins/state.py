@@ -35,10 +35,9 @@ from fide_plugins.runtime.schema import (
     row,
     whole,
 )
-from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.descent import Descent
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.evaluation import Images
@@ -57,13 +56,13 @@ class Best:
     solution: the point.
     index: number of its candidate.
     mean: (d,), mean of the search that asked it; the point itself if none did.
-    search: number of the search that asked it; 0 for none.
+    search_number: of the search that asked it; 0 for none.
     """
 
     solution: Solution
     index: int
     mean: Float64
-    search: int
+    search_number: int
 
 
 @dataclass
@@ -72,7 +71,7 @@ class State:
 
     rng: of the search; nothing else draws from it.
     population: the record of candidates.
-    descent: the present search.
+    search: the present search.
     moves: what the present generation is for, and where the next search begins.
     gate: how far images steer the search.
     proposer: None where nothing is proposed.
@@ -92,7 +91,7 @@ class State:
 
     rng: np.random.Generator
     population: Population
-    descent: Descent
+    search: Search
     moves: MovePolicy
     gate: ImageGate
     proposer: Proposer | None
@@ -114,11 +113,6 @@ class State:
     times: dict[str, float] = field(
         default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0}
     )
-
-    @property
-    def search(self) -> CMAES:
-        """The search distribution."""
-        return self.descent.distribution
 
     @property
     def stage(self) -> Stage:
@@ -148,7 +142,7 @@ class State:
         candidate = self.population.record(x, loss)
         number = self.population.new_index() if candidate is None else candidate.index
         if candidate is None:
-            exact = x = self.descent.clipped(x[None])[0]  # what is rendered at x
+            exact = x = self.search.clipped(x[None])[0]  # what is rendered at x
         else:
             exact = candidate.x  # x may have lost digits on its way
         if finite:
@@ -173,8 +167,8 @@ class State:
         if self.best is None or solution.loss < self.improved_to - _GAIN * abs(self.improved_to):
             self.improved_at, self.improved_to = self.evaluations, solution.loss
         x = solution.x
-        mean, search = (self.search.mean, self.searches) if searched else (x.copy(), 0)
-        self.best = Best(solution, number, mean, search)
+        mean, search_number = (self.search.mean, self.searches) if searched else (x.copy(), 0)
+        self.best = Best(solution, number, mean, search_number)
 
     def _keep(self, sample: TrainingSample) -> None:
         """Remember a sample until the generation is complete; too many of them, the latest."""
@@ -218,8 +212,8 @@ class State:
         self.population.forget_pending()
         if stage is Stage.SEARCH:
             self.searches += 1
-            setting = self.descent.setting
-            self.descent = Descent(self.moves.start, self.moves.goal, setting)
+            setting = self.search.setting
+            self.search = Search(self.moves.start, self.moves.goal, setting)
             if self.proposer is not None:
                 self.proposer.forget()
             if self.steps is not None:
@@ -230,7 +224,7 @@ class State:
 
         It is computed when it is read, from what is remembered now.
         """
-        known, cells = self.moves.known, self.descent.setting.cells
+        known, cells = self.moves.known, self.search.setting.cells
         samples = self.memory.samples + self._ends
         if not samples:
             return None
@@ -271,7 +265,7 @@ class State:
         return {
             "rng": self.rng.bit_generator.state,
             "population": self.population.state_dict(),
-            "descent": self.descent.state_dict(),
+            "search": self.search.state_dict(),
             "moves": self.moves.state_dict(),
             "gate": self.gate.state_dict(),
             "proposer": None if self.proposer is None else self.proposer.state_dict(),
@@ -296,7 +290,7 @@ class State:
         self.population = Population.from_state(state["population"], sides["d"])
         self.moves.load_state_dict(state["moves"], device)
         start, goal = self.moves.start, self.moves.goal
-        self.descent = Descent.from_state(state["descent"], start, goal, self.descent.setting)
+        self.search = Search.from_state(state["search"], start, goal, self.search.setting)
         self.gate.load_state_dict(state["gate"])
         if self.proposer is not None:
             self.proposer.load_state_dict(state["proposer"], sides)
@@ -332,14 +326,14 @@ def _pack_best(best: Best) -> dict[str, Any]:
         "image": solution.image,
         "index": best.index,
         "mean": best.mean,
-        "search": best.search,
+        "search_number": best.search_number,
     }
 
 
 def _unpack_best(packed: Mapping[str, Any]) -> Best:
     names = ("x", "loss", "evaluation", "image")
     solution = Solution(**{name: packed[name] for name in names})
-    return Best(solution, packed["index"], packed["mean"], packed["search"])
+    return Best(solution, packed["index"], packed["mean"], packed["search_number"])
 
 
 _UNIT: Rule = array("d", low=0.0, high=1.0)
@@ -358,7 +352,7 @@ _SCHEMA: dict[str, Schema] = {
     "times": {"encode": real(), "train": real(), "search": real()},
     # the parts check their own
     **dict.fromkeys(
-        ("population", "descent", "moves", "gate", "proposer", "steps", "memory"), anything
+        ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
     ),
     "best": maybe(
         {
@@ -368,7 +362,7 @@ _SCHEMA: dict[str, Schema] = {
             "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
             "index": whole(),
             "mean": array("d", low=-1e60, high=1e60),
-            "search": whole(),
+            "search_number": whole(),
         }
     ),
     "samples": each(SAMPLE),

@@ -23,17 +23,17 @@ def preview_candidate(optimizer: FIDE, rng: np.random.Generator) -> Candidate | 
     None where too few results of the generation are known, or it is not of a search.
     Changes nothing.  A network is not trained for this: it proposes as it is.
     """
-    state, descent = optimizer.state, previewed(optimizer.state)
-    if descent is None:
+    state, search = optimizer.state, previewed(optimizer.state)
+    if search is None:
         return None
     proposer = _proposer(optimizer)
-    x, z = descent.sample(1, rng)  # (1, d)
+    x, z = search.sample(1, rng)  # (1, d)
     proposed = False
     if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
-        v, target = descent.stretched(z), optimizer.target_tokens
-        made = proposer.propose(v, target, descent.mean, descent.std, rng)
-        x, proposed = descent.place_proposals(made), True
-        z = descent.near(x)
+        v, target = search.stretched(z), optimizer.target_tokens
+        made = proposer.propose(v, target, search.mean, search.std, rng)
+        x, proposed = search.place_proposals(made), True
+        z = search.near(x)
     return Candidate(state.population.drawn, x[0], z[0], proposed, late=True)
 
 
@@ -41,4 +41,4 @@ def _proposer(optimizer: FIDE) -> Proposer | None:
     state = optimizer.state
     if state.proposer is None or not state.samples:
         return state.proposer
-    return state.proposer.preview(*columns(state.samples), state.descent.std)
+    return state.proposer.preview(*columns(state.samples), state.search.std)

@@ -203,7 +203,7 @@ class Replica:
                 self._population.adopt(known.x, known.z, proposed=known.proposed)
             return Role.MEMBER, known.x
         state = self.optimizer.state
-        z = state.descent.near(x[None])[0]
+        z = state.search.near(x[None])[0]
         extra = state.needs_its_own and (not is_open or slot in self._taken)
         if state.needs_its_own and not extra:  # it counts in the place of that slot's candidate
             self._taken.add(slot)

@@ -3,7 +3,7 @@
 ================  ==============================================================================
 file              idea
 ================  ==============================================================================
-`descent`         one search, from its start until it is over
+`one_search`      one search, from its start until it is over
 `cma_es`          its distribution: CMA-ES that takes candidates it did not draw (Sec. 3.3)
 `step_size`       the step size where parameters are many
 `boundary`        the walls of the unit cube, and parameters that wrap around

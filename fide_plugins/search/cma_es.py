@@ -302,17 +302,17 @@ class CMAES:
 
         Raises ValueError if `state` is none of these sizes, or if B and D are not those of C.
         """
-        check(state, _SCHEMA, {"d": dim, "k": popsize}, "search")
-        search = cls(state["mean"], 1.0, int(state["popsize"]))
-        search.sigma, search.generation = float(state["sigma"]), int(state["generation"])
-        search.C, search._B, search._D = state["C"], state["B"], state["D"]
-        if search.generation % search._decompose_every == 0:  # else they are of an earlier C
-            _check_decomposition(search.C, search._B, search._D)
-        search.p_sigma, search.p_c = state["p_sigma"], state["p_c"]
-        search.largest_std = float(state["largest_std"])
-        if search._two_point is not None:
-            search._two_point.load_state_dict(state["two_point"])
-        return search
+        check(state, _SCHEMA, {"d": dim, "k": popsize}, "distribution")
+        made = cls(state["mean"], 1.0, int(state["popsize"]))
+        made.sigma, made.generation = float(state["sigma"]), int(state["generation"])
+        made.C, made._B, made._D = state["C"], state["B"], state["D"]
+        if made.generation % made._decompose_every == 0:  # else they are of an earlier C
+            _check_decomposition(made.C, made._B, made._D)
+        made.p_sigma, made.p_c = state["p_sigma"], state["p_c"]
+        made.largest_std = float(state["largest_std"])
+        if made._two_point is not None:
+            made._two_point.load_state_dict(state["two_point"])
+        return made
 
 
 def _check_decomposition(C: Float64, B: Float64, D: Float64) -> None:

@@ -106,19 +106,19 @@ class Mixed:
             return v
         return mean + (np.where(self._discrete, x, v) - mean) / self.A
 
-    def correct(self, search: CMAES) -> None:
-        """Move the mean of the search, and change A, so that no value is given up; see `margin`."""
+    def correct(self, distribution: CMAES) -> None:
+        """Move the mean, and change A, so that no value is given up; see `margin`."""
         if self._discrete is None or self.cells is None:
             return
-        alpha = default_alpha(search.dim, search.popsize)
-        lower, upper = self.cells.cells(search.mean)
-        std = np.maximum(search.std, np.finfo(np.float64).tiny)
-        mean, stretched = correct_steps(search.mean, self.A * std, lower, upper, alpha)
+        alpha = default_alpha(distribution.dim, distribution.popsize)
+        lower, upper = self.cells.cells(distribution.mean)
+        std = np.maximum(distribution.std, np.finfo(np.float64).tiny)
+        mean, stretched = correct_steps(distribution.mean, self.A * std, lower, upper, alpha)
         for block in self.cells.choices:
-            cov = search.sigma**2 * search.C[block, block]
+            cov = distribution.sigma**2 * distribution.C[block, block]
             mean[block] = correct_choice(mean[block], cov, alpha)
         self.A = np.where(self._discrete, stretched / std, 1.0)
-        search.mean = mean
+        distribution.mean = mean
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""

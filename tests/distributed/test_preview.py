@@ -44,7 +44,7 @@ def replica_in_the_midst(told: int, **settings: object) -> Replica:
 def test_they_are_drawn_from_what_the_results_so_far_make_of_the_search() -> None:
     replica = replica_in_the_midst(6, proposer="none")
     members, losses = replica.optimizer.state.population.members()
-    now = replica.optimizer.state.search
+    now = replica.optimizer.state.search.distribution
     ahead = now.preview(np.array([c.z for c in members]), losses, np.zeros(6, bool))
     z = np.array([replica.newest(slot, 2).z for slot in range(SIZE, SIZE + 400)])
     error = ahead.std / np.sqrt(len(z))

@@ -113,7 +113,7 @@ def drive(
 
 
 def check(opt: FIDE) -> None:
-    search = opt.state.search
+    search = opt.state.search.distribution
     assert np.isfinite(search.mean).all() and np.isfinite(search.C).all()
     assert np.linalg.eigvalsh(search.C)[0] > 0
     assert np.isfinite(search.std).all() and (search.std > 0).all()

@@ -63,7 +63,7 @@ def with_rounded_proposer(opt: FIDE, told: Told) -> None:
 
 def with_rounded_search(opt: FIDE, told: Told) -> None:
     exactly(opt, told)
-    search = opt.state.search
+    search = opt.state.search.distribution
     search.mean, search.C, search.sigma = (
         single(search.mean), single(search.C), float(np.float32(search.sigma)),
     )  # fmt: skip

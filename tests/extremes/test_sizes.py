@@ -34,7 +34,7 @@ def run(dim: int, size: tuple[int, int], generations: int, **settings: Any) -> F
         assert opt.best is not None and opt.best.loss <= best
         best = opt.best.loss
     np.testing.assert_array_equal(opt.ask(), twin.ask())
-    search = opt.state.search
+    search = opt.state.search.distribution
     np.testing.assert_array_equal(search.C, search.C.T)
     assert np.isfinite(search.C).all() and search._D.min() > 0
     return opt

@@ -39,8 +39,8 @@ def test_a_late_candidate_is_injected(target: Float32) -> None:
     z_late = pending_now(opt)[0].z.copy()
     other = opt.ask(4)
     opt.tell(other, None, np.square(other - late).sum(axis=1))
-    opt.state.search.sigma /= 100  # as after many generations
-    plain = CMAES.from_state(opt.state.search.state_dict(), 2, 4)
+    opt.state.search.distribution.sigma /= 100  # as after many generations
+    plain = CMAES.from_state(opt.state.search.distribution.state_dict(), 2, 4)
     X = opt.ask(3)
     z = np.array([z_late, *(c.z for c in pending_now(opt)[1:])])
     opt.tell(np.concatenate([X, late]), None, [2.0, 3.0, 4.0, 1.0])
@@ -85,13 +85,14 @@ def test_an_injected_candidate_takes_the_place_of_a_worse_one(
     z, ranked = X.copy(), losses.copy()
     z[2], ranked[2] = injected[0], 1.0
     plain.ask()
-    plain.state.search.tell(z, ranked, np.arange(6) == 2)
+    plain.state.search.distribution.tell(z, ranked, np.arange(6) == 2)
     np.testing.assert_array_equal(opt.state.search.mean, plain.state.search.mean)
-    np.testing.assert_array_equal(opt.state.search.C, plain.state.search.C)
+    ours, theirs = opt.state.search.distribution, plain.state.search.distribution
+    np.testing.assert_array_equal(ours.C, theirs.C)
     X = opt.ask()
     z = np.array([c.z for c in pending_now(opt)])
     opt.tell(X, None, losses)  # an injected candidate counts once
-    plain.state.search.tell(z, losses, np.zeros(6, bool))
+    plain.state.search.distribution.tell(z, losses, np.zeros(6, bool))
     np.testing.assert_array_equal(opt.state.search.mean, plain.state.search.mean)
     bad.tell(np.full((1, 4), 0.9), None, [7.0])
     losses[2] = 6.5
@@ -99,7 +100,8 @@ def test_an_injected_candidate_takes_the_place_of_a_worse_one(
     without = FIDE(4, target, **settings)
     without.tell(without.ask(), None, losses)
     np.testing.assert_array_equal(bad.state.search.mean, without.state.search.mean)
-    np.testing.assert_array_equal(bad.state.search.C, without.state.search.C)
+    ours, theirs = bad.state.search.distribution, without.state.search.distribution
+    np.testing.assert_array_equal(ours.C, theirs.C)
 
 
 def test_the_proposer_learns_from_a_warm_start(
@@ -174,7 +176,7 @@ def test_the_pair_that_measures_the_step_size_is_found_in_any_order(
     for _ in range(3):
         X = opt.ask()
         opt.tell(X, None, sphere(X))
-    search = opt.state.search
+    search = opt.state.search.distribution
     X = opt.ask(16)  # two draws from the same distribution, each with its pair
     np.testing.assert_allclose(X[list(pair)].mean(axis=0), search.mean, atol=1e-12)
     losses = sphere(X)
@@ -203,7 +205,7 @@ def test_a_pair_of_an_earlier_generation_does_not_stand_for_that_of_the_present_
         opt.tell(new, None, np.arange(6.0))
         opt.tell(X[late], None, [10.0, 11.0])
         assert opt.state.population.generations == 3
-        sigmas.append(opt.state.search.sigma)
+        sigmas.append(opt.state.search.distribution.sigma)
     assert sigmas[0] == pytest.approx(sigmas[1], rel=1e-12)
 
 

@@ -155,6 +155,7 @@ def test_nothing_proposed_gives_the_numbers_of_a_library(
         opt.tell(X, None, losses)
         reference.tell([(z[i].copy(), float(losses[i])) for i in range(popsize)])
         np.testing.assert_allclose(opt.state.search.mean, reference._mean, rtol=1e-8, atol=1e-10)
-        assert opt.state.search.sigma == pytest.approx(reference._sigma, rel=1e-8)
-        np.testing.assert_allclose(opt.state.search.C, reference._C, rtol=1e-6, atol=1e-9)
+        assert opt.state.search.distribution.sigma == pytest.approx(reference._sigma, rel=1e-8)
+        C = opt.state.search.distribution.C
+        np.testing.assert_allclose(C, reference._C, rtol=1e-6, atol=1e-9)
     assert outside > 0

@@ -249,7 +249,7 @@ def test_impossible_contents(
         FIDE.load(tmp_path / "c")
 
 
-@pytest.mark.parametrize("part", ["descent", "population", "moves", "proposer"])
+@pytest.mark.parametrize("part", ["search", "population", "moves", "proposer"])
 def test_a_part_of_another_dimension(
     part: str, target: Float32, render: Render, tmp_path: Path
 ) -> None:

@@ -81,10 +81,10 @@ def test_candidates_that_will_not_be_told(target: Float32, render: Render) -> No
     opt.withdraw(X[:1])  # is not out any more
     assert opt.state.population.pending == 5
     opt.tell(X[3:], render(X[3:]))
-    assert opt.state.search.generation == 0
+    assert opt.state.search.distribution.generation == 0
     others = opt.ask(3)
     opt.tell(others, render(others))
-    assert opt.state.search.generation == 1
+    assert opt.state.search.distribution.generation == 1
     opt.tell(X[:1], render(X[:1]))
     assert opt.state.injected is not None and opt.evaluations == 9
     with pytest.raises(PointsError):

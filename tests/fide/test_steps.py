@@ -108,7 +108,7 @@ def test_the_best_step_is_injected_and_the_mean_of_its_search_recommended(
     np.testing.assert_array_equal(opt.state.injected[0], X[0])
     assert opt.best is not None and opt.best.loss == loss
     np.testing.assert_array_equal(
-        opt.recommend(), opt.state.descent.render_mean(opt.state.search.mean)
+        opt.recommend(), opt.state.search.render_mean(opt.state.search.mean)
     )
 
 

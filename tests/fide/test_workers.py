@@ -171,7 +171,7 @@ def test_what_the_generation_does_not_need_is_drawn_for_the_next_one() -> None:
     needed, mean = opt.ask(2), opt.state.search.mean.copy()
     ahead = opt.ask(4000)
     assert [c.late for c in pending_now(opt)] == [False] * 4 + [True] * 4000
-    expected = opt.state.descent.preview(*opt.state.population.members())
+    expected = opt.state.search.preview(*opt.state.population.members())
     error = ahead.mean(axis=0) - expected.mean
     assert np.abs(error).max() < 5 * expected.std.max() / 4000**0.5
     assert np.linalg.norm(expected.mean - mean) > 10 * np.linalg.norm(error)

@@ -64,9 +64,9 @@ def test_none_is_a_value_of_an_option_that_may_be_none() -> None:
             FIDE(dim, target, preset=preset, popsize=8, patience=None, seed=0)
             for preset in ("accurate", "balanced")
         )
-        patience = given.state.descent.termination.patience
-        assert patience == default.state.descent.termination.patience == default_patience(dim, 8)
-    assert FIDE(3, target, preset="accurate").state.descent.termination.patience == 25
+        patience = given.state.search.termination.patience
+        assert patience == default.state.search.termination.patience == default_patience(dim, 8)
+    assert FIDE(3, target, preset="accurate").state.search.termination.patience == 25
 
 
 def test_changes_replace_the_preset_s() -> None:

@@ -80,7 +80,7 @@ def test_it_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> None:
     other = FIDE.load(tmp_path / "opt")
     assert other.space == SPACE
     for _ in range(12):
-        np.testing.assert_array_equal(opt.state.descent.mean, other.state.descent.mean)
+        np.testing.assert_array_equal(opt.state.search.mean, other.state.search.mean)
         step(opt)
         step(other)
     assert opt.best is not None and other.best is not None

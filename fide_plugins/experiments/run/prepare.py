@@ -113,7 +113,8 @@ def prepare(
     _check_optimizer(optimizer, options)
     if isinstance(task, str):
         task = make_task(task, size, task_seed, task_options)
-    search = _options_of(optimizer, options, task, resume and out is not None and is_saved(out))
+    resumed = resume and out is not None and is_saved(out)
+    search_options = _options_of(optimizer, options, task, resumed)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     target = target_of(task)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
@@ -122,7 +123,7 @@ def prepare(
         task, target, optimizer, judge.name, budget, seed, task_options, options, keep
     )
     rounds = _rounds(optimizer, task, target, options, budget, seed, out)
-    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search)
+    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
     record, directory = Record(), None
     if out is not None:
         _check_reloads(optimizer, searcher)

@@ -19,7 +19,7 @@ file                idea
 `half_turn`         angles that look alike: half a turn away, mirrored, or both
 `change_value`      another value of an integer or a choice, held while all else adapts
 `refine`            a narrow, patient search around a local optimum
-`anew`              a new descent from a random place
+`anew`              a new search from a random place
 `hypotheses`        where a learned model believes the answer to be
 `resample`          what a learned model leaves open, drawn again around the best so far
 ==================  ================================================================================

@@ -1,4 +1,4 @@
-"""A new descent, from a random place.
+"""A new search, from a random place.
 
 Where images guide the search, the best of some random places is where it begins. By losses only
 it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a

@@ -1,6 +1,6 @@
 """Angles that look alike: half a turn away, mirrored, or both.
 
-Much that is turned looks nearly the same after half a turn, so that a descent settles on the wrong
+Much that is turned looks nearly the same after half a turn, so that a search settles on the wrong
 side. And a rotation has two descriptions by three angles, (a, b, c) and (a + 180°, -b, c + 180°)
 (Diebel 2006, *Representing Attitude*, section 5): a shoulder of three joints that holds the hand
 where it should be holds the elbow on the right side or on the wrong one, and no small step leads

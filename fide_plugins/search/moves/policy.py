@@ -11,7 +11,7 @@
                                                      SEARCH, from `start`, at the best of them
 
 The incumbent is the best local optimum, until moves from it have failed often: then another one,
-or a new descent (`optima`).
+or a new search (`optima`).
 
 With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
 the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
@@ -222,7 +222,7 @@ class MovePolicy:
         return self._go(self._the_move.needs(known) or Stage.RESTART)
 
     def _refines(self) -> bool:
-        """Whether the best so far is in the right place, and not yet at the end of its descent."""
+        """Whether the best so far is in the right place, and not yet at the end of its search."""
         known, below = self.known, self.hypotheses.brisk_above
         if known.incumbent is None or below is None or known.incumbent.loss > below:
             return False

@@ -1,4 +1,4 @@
-"""The incumbent itself, searched closely: it may not have been at the end of its descent.
+"""The incumbent itself, searched closely: it may not have been at the end of its search.
 
 A search is over soon, so that the next move can begin, and what it found is mostly not as good as
 it could be. This move goes on with more patience and a narrow distribution, once an optimum has

@@ -2,7 +2,7 @@
 
 The next incumbent is the optimum with the lowest *score*, its rank by loss plus its failures in
 units of a tolerance: the best one is tried first, and others when it has failed often. A new
-descent is due when its own score is lower still.
+search is due when its own score is lower still.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Distance: TypeAlias = Callable[[Float64, Float64], float]
 
 _MOST = 12  # that are remembered
 APART = 0.05  # of the unit cube, in some parameter, that makes two optima distinct
-_NEW, _NEW_AGAIN = 1.0, 0.5  # score of the first new descent; added by each without a success
+_NEW, _NEW_AGAIN = 1.0, 0.5  # score of the first new search; added by each without a success
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class Optima:
         return next((optimum for optimum in self.all if optimum.sample is sample), None)
 
     def next(self, tolerance: float) -> TrainingSample | None:
-        """Return the optimum that is tried next; None: it is time for a new descent.
+        """Return the optimum that is tried next; None: it is time for a new search.
 
         tolerance: failures that outweigh one rank.
         """

@@ -13,10 +13,10 @@ import torch
 from fide_plugins import FIDE, Choice, Float, Int, Space
 from fide_plugins.options import Options
 from fide_plugins.population.training_sample import TrainingSample
-from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.change_value import ChangeValue
 from fide_plugins.search.moves.policy import MovePolicy
+from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.search.scene.removal import Removal
@@ -119,13 +119,13 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     floor = SPACE.axes["floor"]
     assert start.held is not None and np.flatnonzero(start.held).tolist() == floor
     setting = Setting(12, known.sigma0, Options(), SPACE.layout)
-    descent = Descent(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
+    search = Search(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
     rng = np.random.default_rng(0)
-    X, _ = descent.sample(200, rng)
-    for points in (X, descent.place_proposals(rng.random((200, SPACE.dim)))):
+    X, _ = search.sample(200, rng)
+    for points in (X, search.place_proposals(rng.random((200, SPACE.dim)))):
         np.testing.assert_array_equal(points[:, floor], np.tile(x[floor], (200, 1)))
         assert len({one["n"] for one in SPACE.decode_many(points)}) > 2
-    free = descent.clipped(SPACE.snap(rng.random((50, SPACE.dim))))
+    free = search.clipped(SPACE.snap(rng.random((50, SPACE.dim))))
     assert len({one["floor"] for one in SPACE.decode_many(free)}) == 3, "a user's own point"
 
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from fide_plugins.options import Options
-from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.refine import Refine
+from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.search.scene.removal import Removal
@@ -53,12 +53,12 @@ def test_it_begins_narrowly_and_patiently_at_the_incumbent_once(known: Known) ->
 @pytest.mark.parametrize("to_the_end", [True, False])
 def test_its_search_goes_on_where_others_have_collapsed(known: Known, to_the_end: bool) -> None:
     start = replace(Refine().begin_at(known, known.here.x), to_the_end=to_the_end)
-    descent = Descent(start, np.inf, Setting(8, known.sigma0, Options()))
+    search = Search(start, np.inf, Setting(8, known.sigma0, Options()))
     ended_at = []
     for generation in range(40):  # it halves in each, and so does the loss
-        descent.termination.note(np.array([0.5**generation]))
-        descent.distribution.sigma *= 0.5
-        if descent.is_over(guided=True):
-            ended_at.append(float(descent.std.max()))
+        search.termination.note(np.array([0.5**generation]))
+        search.distribution.sigma *= 0.5
+        if search.is_over(guided=True):
+            ended_at.append(float(search.std.max()))
     assert max(ended_at) < (2e-8 if to_the_end else 1e-3)
     assert max(ended_at) > (4e-9 if to_the_end else 2.5e-4)

@@ -27,7 +27,7 @@ from fide_plugins.search.termination import (
 )
 from fide_plugins.types import Float64
 
-__all__ = ["Descent", "Setting"]
+__all__ = ["Search", "Setting"]
 
 _MOST = 2**26  # candidates of a generation: the largest population, doubled as often as it can be
 _SCHEMA: Schema = {
@@ -54,7 +54,7 @@ class Setting:
     cells: Cells | None = None
 
 
-class Descent:
+class Search:
     """A search distribution, refined until it stalls, collapses, or has no hope.
 
     start: where it begins.  goal: loss that it has to beat; +inf for none.
@@ -142,7 +142,7 @@ class Descent:
         self.distribution.tell(z, losses, injected & self._guard, pair)
         self._correct()
 
-    def preview(self, members: list[Candidate], losses: Float64) -> Descent:
+    def preview(self, members: list[Candidate], losses: Float64) -> Search:
         """Return what `tell` would make of the search now, with a part of a generation."""
         z, injected = search_columns(members)
         other = copy.copy(self)
@@ -172,17 +172,17 @@ class Descent:
     @classmethod
     def from_state(
         cls, state: Mapping[str, Any], start: Start, goal: float, setting: Setting
-    ) -> Descent:
+    ) -> Search:
         """Search that goes on where `state_dict` was called; ValueError if it is none."""
         check(state, _SCHEMA, {}, "search")
-        descent = cls(start, goal, setting)
-        k, cells = descent.popsize, len(descent._mixed.A)
+        search = cls(start, goal, setting)
+        k, cells = search.popsize, len(search._mixed.A)
         if (state["popsize"], len(state["mixed"]["A"])) != (k, cells):
             raise ValueError(f"a search of {state['popsize']} candidates, not {k}, or other cells")
-        descent.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
-        descent._mixed.load_state_dict(state["mixed"])
-        descent.termination.history = state["history"].tolist()
-        return descent
+        search.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
+        search._mixed.load_state_dict(state["mixed"])
+        search.termination.history = state["history"].tolist()
+        return search
 
 
 def _is_first(start: Start, setting: Setting) -> bool:

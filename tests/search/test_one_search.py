@@ -9,29 +9,29 @@ import pytest
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate
-from fide_plugins.search.descent import Descent, Setting
 from fide_plugins.search.moves.base import Start
+from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.types import Float64
 
 D, K = 3, 6
 POINT = np.array([0.45, 0.55, 0.5])
 
 
-def search() -> Descent:
+def new_search() -> Search:
     sigma0 = np.full(D, 1 / 6)
-    return Descent(Start(np.full(D, 0.5), sigma0), np.inf, Setting(K, sigma0, Options()))
+    return Search(Start(np.full(D, 0.5), sigma0), np.inf, Setting(K, sigma0, Options()))
 
 
-def generation(descent: Descent) -> tuple[list[Candidate], Float64]:
+def generation(search: Search) -> tuple[list[Candidate], Float64]:
     """Members of a generation, the fourth of which is the worst, and their losses."""
-    X, Z = descent.sample(K, np.random.default_rng(0))
+    X, Z = search.sample(K, np.random.default_rng(0))
     members = [Candidate(i, x, z) for i, (x, z) in enumerate(zip(X, Z, strict=True))]
     return members, np.array([3.0, 1.0, 2.0, 9.0, 5.0, 4.0])
 
 
 @pytest.mark.parametrize("loss", [8.9, 9.0])
 def test_a_point_takes_the_place_of_the_worst_member_if_it_is_better(loss: float) -> None:
-    told, other = search(), search()
+    told, other = new_search(), new_search()
     members, losses = generation(told)
     told.tell(members, losses, (POINT, loss))
     if loss < 9.0:
@@ -42,11 +42,11 @@ def test_a_point_takes_the_place_of_the_worst_member_if_it_is_better(loss: float
 
 
 def test_what_the_caller_gave_stays_as_it_was() -> None:
-    descent = search()
-    members, losses = generation(descent)
+    search = new_search()
+    members, losses = generation(search)
     point = POINT.copy()
-    descent.tell(members, losses, (point, 0.5))
-    again, same = generation(search())
+    search.tell(members, losses, (point, 0.5))
+    again, same = generation(new_search())
     np.testing.assert_array_equal(losses, same)
     np.testing.assert_array_equal(point, POINT)
     np.testing.assert_array_equal([one.z for one in members], [one.z for one in again])
