@@ -30,7 +30,7 @@ All that changes while an optimizer runs is its `state` (`fide_plugins.state`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -149,12 +149,8 @@ class FIDE(Asking):
             device=device,
             for_network=o.proposer == "diffusion",
         )
-        self.target, self.target_tokens = self.views.targets, self.evaluator.target_tokens
-        self.encoder, self._lock = self.evaluator.encoder, Lock()
-        self.search_over: bool | None = None
-        """Whether the present search is over, where others decide that; see `distributed`."""
-        self.search_guided: bool | None = None
-        """Whether images say where the next one begins, where others decide that."""
+        self._lock = Lock()
+        self._decision: tuple[bool | None, bool | None] = None, None
         self.begin_with(learned)
 
     # -- Algorithm 1 -------------------------------------------------------------------------------
@@ -325,18 +321,30 @@ class FIDE(Asking):
         """Line 10."""
         state = self.state
         state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
-        point, state.injected = state.injected, None
-        state.search.tell(members, losses, point)
-        if state.best is not None and state.best.search_number == state.searches:
-            state.best = replace(state.best, mean=state.search.mean)
+        state.search.tell(members, losses, state.take_injected())
+        state.note_mean()
         if state.steps is not None:
             state.steps.after_generation()
-        guided = state.gate.guided if self.search_guided is None else self.search_guided
-        over = state.search.is_over(guided=guided) and self.options.restarts != "none"
-        if self.search_over is not None:
-            over = self.search_over
+        over, guided = self._decision
+        if guided is None:
+            guided = state.gate.guided
+        if over is None:
+            over = self.options.restarts != "none" and state.search.is_over(guided=guided)
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
+
+    @contextmanager
+    def decided(self, *, over: bool | None, guided: bool | None) -> Iterator[None]:
+        """Within it, others have decided what follows a generation (`distributed`).
+
+        over: whether the present search is over.  guided: whether images say where the next one
+        begins.  None: the optimizer decides.
+        """
+        self._decision = over, guided
+        try:
+            yield
+        finally:
+            self._decision = None, None
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).

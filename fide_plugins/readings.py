@@ -8,7 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
@@ -37,13 +39,27 @@ class Readings(Saved):
     dim: int
     popsize: int
     seed: int
-    target: Any
     x0: Float64
     sigma0: float | Float64
     options: Options
     space: Space | None
     evaluator: Evaluator
     state: State
+
+    @property
+    def target(self) -> Any:
+        """Target (H, W, 3), or a list of them, one for each view."""
+        return self.views.targets
+
+    @property
+    def encoder(self) -> PatchEncoder:
+        """What makes tokens of images."""
+        return self.evaluator.encoder
+
+    @property
+    def target_tokens(self) -> Tensor:
+        """Tokens (T, C) of the target."""
+        return self.evaluator.target_tokens
 
     @property
     def views(self) -> Views:

@@ -21,7 +21,6 @@ from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
 from fide_plugins.search.moves.base import Start
-from fide_plugins.search.one_search import Search
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64
 from fide_plugins.validation.evaluation import Evaluator
@@ -69,8 +68,9 @@ class Retargeting(Readings):
         evaluator = self.evaluator.retargeted(picture, loss)
         with timed(self.times, "search"):
             recalled = self._recalled(evaluator)
-            self._forget(evaluator)
-            self._begin(evaluator, recalled)
+            self.evaluator = evaluator
+            self.state.retarget(evaluator.target_tokens, recalled.start)
+            self._begin(recalled)
 
     def _recalled(self, evaluator: Evaluator) -> Recalled:
         """What the memory says of the target of an evaluator."""
@@ -86,30 +86,12 @@ class Retargeting(Readings):
         state.memory.set_losses(recalled.losses[: len(state.memory.samples)].tolist())
         return recalled
 
-    def _forget(self, evaluator: Evaluator) -> None:
-        """Take over the evaluator, and forget what was of the old target only."""
+    def _begin(self, recalled: Recalled) -> None:
+        """Teach what is remembered, and ask for remembered candidates first."""
         state = self.state
-        self.evaluator = evaluator
-        self.target, self.target_tokens = evaluator.views.targets, evaluator.target_tokens
-        self.encoder = evaluator.encoder
-        state.population.close_generation()
-        state.population.forget_pending()
-        state.best = state.injected = state.search_best = None
-        state.samples, state.learned = [], []
-        state.improved_at = state.retargeted_at = state.over_at = state.evaluations
-        state.improved_to = np.inf
-        state.searches += 1
-
-    def _begin(self, evaluator: Evaluator, recalled: Recalled) -> None:
-        """Begin a search, whose first candidates are remembered ones."""
-        state, start = self.state, recalled.start
-        state.moves.retarget(evaluator.target_tokens, start)
-        state.search = Search(start, state.moves.goal, state.search.setting)
         if state.proposer is not None:
-            state.proposer.forget()
-            _teach(state.proposer, recalled.samples, start.std, self.popsize)
+            _teach(state.proposer, recalled.samples, recalled.start.std, self.popsize)
         if state.steps is not None:
-            state.steps.forget()
             for i, sample in enumerate(recalled.samples):  # the best are the latest
                 state.steps.add(replace(sample, index=i))
         self.draw_generation()

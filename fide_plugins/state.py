@@ -9,13 +9,14 @@ no part.  Whoever copies, previews or replicates an optimizer reads these fields
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 
 from fide_plugins.population import Candidate, Population
+from fide_plugins.population.best import SCHEMA as BEST, Best
 from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.image_gate import ImageGate
@@ -36,33 +37,17 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.search.memory import Memory
-from fide_plugins.search.moves.policy import MovePolicy, Stage
+from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.evaluation import Images
 from fide_plugins.validation.images import warn_clipped
 
-__all__ = ["Best", "State"]
+__all__ = ["State"]
 
 _GAIN = 0.1  # of the loss, below which an improvement does not count
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
-
-
-@dataclass(frozen=True, slots=True)
-class Best:
-    """The best point told so far.
-
-    solution: the point.
-    index: number of its candidate.
-    mean: (d,), mean of the search that asked it; the point itself if none did.
-    search_number: of the search that asked it; 0 for none.
-    """
-
-    solution: Solution
-    index: int
-    mean: Float64
-    search_number: int
 
 
 @dataclass
@@ -184,6 +169,16 @@ class State:
         if best is None or (sample.loss, sample.index) < (best.loss, best.index):
             self.search_best = sample
 
+    def take_injected(self) -> tuple[Float64, float] | None:
+        """Best point (d,) that is no member of this generation, with its loss; once."""
+        point, self.injected = self.injected, None
+        return point
+
+    def note_mean(self) -> None:
+        """Follow the mean of the search that found the best point, as long as it goes on."""
+        if self.best is not None and self.best.search_number == self.searches:
+            self.best = replace(self.best, mean=self.search.mean)
+
     def take_samples(self) -> list[TrainingSample]:
         """Samples since the last call, in the order in which they were asked."""
         samples, self.samples = in_order(self.samples), []
@@ -211,13 +206,30 @@ class State:
         """Forget the generation; begin another search, if that comes next."""
         self.population.forget_pending()
         if stage is Stage.SEARCH:
-            self.searches += 1
-            setting = self.search.setting
-            self.search = Search(self.moves.start, self.moves.goal, setting)
-            if self.proposer is not None:
-                self.proposer.forget()
-            if self.steps is not None:
-                self.steps.forget()
+            self._begin_search()
+
+    def retarget(self, target: torch.Tensor, start: Start) -> None:
+        """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
+
+        The memory stays, and what was found of the scene.
+        """
+        self.population.close_generation()
+        self.population.forget_pending()
+        self.best = self.injected = self.search_best = None
+        self.samples, self.learned = [], []
+        self.improved_at = self.retargeted_at = self.over_at = self.evaluations
+        self.improved_to = np.inf
+        self.moves.retarget(target, start)
+        self._begin_search()
+
+    def _begin_search(self) -> None:
+        """Begin where the moves say; what proposers and steps learned was of the last search."""
+        self.searches += 1
+        self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
+        if self.proposer is not None:
+            self.proposer.forget()
+        if self.steps is not None:
+            self.steps.forget()
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known; None if no sample says that.
@@ -270,7 +282,7 @@ class State:
             "gate": self.gate.state_dict(),
             "proposer": None if self.proposer is None else self.proposer.state_dict(),
             "steps": None if self.steps is None else self.steps.state_dict(),
-            "best": None if best is None else _pack_best(best),
+            "best": None if best is None else best.state_dict(),
             "samples": [sample.state_dict() for sample in self.samples],
             "learned": [sample.state_dict() for sample in self.learned],
             "injected": None if self.injected is None else list(self.injected),
@@ -298,7 +310,7 @@ class State:
             self.steps = None  # it was saved where there are none, as in a replica
         elif self.steps is not None:
             self.steps.load_state_dict(state["steps"], sides, device)
-        self.best = None if state["best"] is None else _unpack_best(state["best"])
+        self.best = None if state["best"] is None else Best.from_state(state["best"])
         self.samples = [TrainingSample.from_state(sample, device) for sample in state["samples"]]
         self.learned = [TrainingSample.from_state(sample, device) for sample in state["learned"]]
         self.injected = None if state["injected"] is None else tuple(state["injected"])
@@ -315,25 +327,6 @@ def _copied(image: Images | None) -> Float32 | None:
     if isinstance(image, torch.Tensor):
         image = image.cpu().numpy()
     return None if image is None else image.copy()
-
-
-def _pack_best(best: Best) -> dict[str, Any]:
-    solution = best.solution
-    return {
-        "x": solution.x,
-        "loss": solution.loss,
-        "evaluation": solution.evaluation,
-        "image": solution.image,
-        "index": best.index,
-        "mean": best.mean,
-        "search_number": best.search_number,
-    }
-
-
-def _unpack_best(packed: Mapping[str, Any]) -> Best:
-    names = ("x", "loss", "evaluation", "image")
-    solution = Solution(**{name: packed[name] for name in names})
-    return Best(solution, packed["index"], packed["mean"], packed["search_number"])
 
 
 _UNIT: Rule = array("d", low=0.0, high=1.0)
@@ -354,17 +347,7 @@ _SCHEMA: dict[str, Schema] = {
     **dict.fromkeys(
         ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
     ),
-    "best": maybe(
-        {
-            "x": _UNIT,
-            "loss": real(),
-            "evaluation": whole(),
-            "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
-            "index": whole(),
-            "mean": array("d", low=-1e60, high=1e60),
-            "search_number": whole(),
-        }
-    ),
+    "best": maybe(BEST),
     "samples": each(SAMPLE),
     "learned": each(SAMPLE),
     "injected": maybe(row(_UNIT, real())),

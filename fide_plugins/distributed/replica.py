@@ -160,12 +160,10 @@ class Replica:
         role, x = self._register(x, generation, slot, proposed)
         stage, completed = self._stage_of_search(), self._population.generations
         features = None if tokens is None else tokens[None]
-        optimizer.search_over = over
-        optimizer.search_guided = guided
         try:
-            optimizer.tell(x[None], losses=np.array([loss]), features=features)
+            with optimizer.decided(over=over, guided=guided):
+                optimizer.tell(x[None], losses=np.array([loss]), features=features)
         finally:  # what training raises comes after the generation was completed
-            optimizer.search_over = optimizer.search_guided = None
             if self._population.generations != completed:
                 self.generation += 1
                 self._batches, self._taken = {}, set()

@@ -4,6 +4,7 @@
 `population`       which were drawn, which are pending, which were evaluated
 `candidate`        one of them
 `training_sample`  one whose image is known
+`best`             the best point told so far
 =================  =======================================================
 """
 

@@ -231,7 +231,7 @@ def test_what_is_refused_changes_nothing(bench: Bench) -> None:
     assert replica.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
     assert other.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
     assert replica.optimizer.state.population.pending == other.optimizer.state.population.pending
-    assert replica.optimizer.search_over is None
+    assert replica.optimizer._decision == (None, None)
 
 
 class Blind(ImageGate):

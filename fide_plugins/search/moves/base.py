@@ -155,3 +155,6 @@ class Move(ABC):
     @abstractmethod
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Return where the search begins, given the best restart candidate x (d,)."""
+
+    def note_begun(self, known: Known, x: Float64) -> None:  # noqa: B027 - most moves need no note
+        """Note in `known` that a search begins at x (d,); for moves that do not go there twice."""

@@ -38,9 +38,12 @@ class ChangeValue(Move):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Hold the value that was changed; be narrow in all others, and wider in numbers."""
-        known.values.note(x)
         width = np.where(known.values.discrete, NARROW, _WIDTH)
         held = np.zeros(known.dim, bool)
         held[known.axes.together(np.flatnonzero(x != known.here.x))] = True
         held &= known.values.discrete  # x may be another point of the user's, with other numbers
         return Start(x, width * known.sigma0, held=held)
+
+    def note_begun(self, known: Known, x: Float64) -> None:
+        """Count a search with the values of x (d,)."""
+        known.values.note(x)

@@ -168,9 +168,9 @@ class MovePolicy:
             if found is not None:
                 self._settle(found, evaluations)
             if guided and self._refines():
-                start = self._refine.begin_at(self.known, self.known.here.x)
-                self.start = replace(start, to_the_end=False)  # other hypotheses wait
                 self.move = self._refine.name
+                self._begin_at(self.known.here.x)
+                self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
                 return self._go(Stage.SEARCH)
             if guided and self._resamples(before):
                 self.move = self._resample.name
@@ -236,6 +236,11 @@ class MovePolicy:
             return False
         return self.move == self.hypotheses.name or known.incumbent is not before
 
+    def _begin_at(self, x: Float64) -> None:
+        """Let the next search begin where the move says, given its restart candidate x (d,)."""
+        self.start = self._the_move.begin_at(self.known, x)
+        self._the_move.note_begun(self.known, x)
+
     def _begin_at_hypothesis(self) -> Stage:
         self.move, self.start = self.hypotheses.name, self.hypotheses.next(self.known)
         return self._go(Stage.SEARCH)
@@ -289,8 +294,7 @@ class MovePolicy:
             self.hypotheses.learn(found, best, known.exchangeability.distance)
             return self._begin_at_hypothesis()
         if self.stage is Stage.RESTART:
-            chosen = self._most_promising(samples, best)
-            self.start = self._the_move.begin_at(known, chosen)
+            self._begin_at(self._most_promising(samples, best))
             return self._go(Stage.SEARCH)
         if self.stage is Stage.EXCHANGE:
             known.exchangeability.learn(known.here, samples, known.place)

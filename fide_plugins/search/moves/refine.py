@@ -39,8 +39,11 @@ class Refine(Move):
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at the incumbent."""
+        width = _WIDTH * known.sigma0
+        return Start(known.here.x, width, patience=_PATIENCE, to_the_end=True)
+
+    def note_begun(self, known: Known, x: Float64) -> None:
+        """Do not refine this optimum again."""
         optimum = known.optima.of(known.here)
         if optimum is not None:
             optimum.refined = True
-        width = _WIDTH * known.sigma0
-        return Start(known.here.x, width, patience=_PATIENCE, to_the_end=True)

@@ -96,7 +96,7 @@ def test_each_value_is_searched_before_one_is_searched_again(known: Known) -> No
         assert 1 <= len(X) <= 20
         x = X[rng.integers(len(X))]
         seen += changes(x[None])
-        move.begin_at(known, x)
+        move.note_begun(known, x)
     assert len(set(seen)) == total
     assert len(move.draw(known, 1000, rng)) == total, "all again"
 

@@ -244,10 +244,12 @@ def test_refine_goes_on_once_where_others_failed(rng: np.random.Generator) -> No
     assert abs(float((x - STALLED)[:, 1].std()) - 1 / 180) < 5e-4 and inside.any()
     start = Refine().begin_at(known, x[0])
     np.testing.assert_array_equal(start.mean, STALLED)
-    assert start.patience > 1 and start.to_the_end and not Refine().possible(known)
+    assert start.patience > 1 and start.to_the_end and Refine().possible(known)
+    Refine().note_begun(known, x[0])
+    assert not Refine().possible(known)
 
 
-def test_new_descents_begin_in_different_places(rng: np.random.Generator) -> None:
+def test_new_searches_begin_in_different_places(rng: np.random.Generator) -> None:
     known = scene(STALLED, STAR)
     x = BeginAnew().draw(known, 20_000, rng)
     assert np.abs(x.mean(axis=0) - 0.5).max() < 0.02

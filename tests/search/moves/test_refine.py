@@ -46,7 +46,8 @@ def test_it_begins_narrowly_and_patiently_at_the_incumbent_once(known: Known) ->
     start = Refine().begin_at(known, np.zeros(D))
     np.testing.assert_array_equal(start.mean, known.here.x)
     assert start.std.max() < 0.05 * known.sigma0.max() and start.patience == 3
-    assert start.to_the_end
+    assert start.to_the_end and Refine().possible(known)
+    Refine().note_begun(known, start.mean)
     assert not Refine().possible(known)
 
 
