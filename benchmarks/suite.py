@@ -44,8 +44,8 @@ from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (
-    "fide", "dfols", "eki", "cma", "cma:popsize=50", "bipop-cma-es", "dual-annealing:step=0.001",
-    "zerograds",
+    "fide", "cma", "cma:popsize=50", "bipop-cma-es", "eki", "dual-annealing:step=0.001",
+    "zerograds", "dfols",
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
@@ -160,7 +160,8 @@ def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int
     there = dict.fromkeys(problem for problem, _ in found)
     problems = [p for p in there if all((p, label) in found for label in optimizers)]
     if not problems:
-        sys.exit("no problem is finished by all of these optimizers")
+        known = ", ".join(dict.fromkeys(label for _, label in found)) or "none of them"
+        sys.exit(f"no problem is finished by all of these optimizers; by some: {known}")
     table = [[found[p, label] for label in optimizers] for p in problems]
     t = np.array([[row["solved_at"] or np.inf for row in line] for line in table])
     losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in budgets]

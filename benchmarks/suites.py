@@ -1,0 +1,85 @@
+"""All suites together, scene by scene: FIDE against one rival.
+
+    python benchmarks/suites.py dfols              # 500 renders
+    python benchmarks/suites.py eki --budget 2000
+
+Each line is a scene, with the problems of all suites that both have finished up to the budget: how
+many each has solved, how many only one of the two, and on how many of those that at most one has
+solved FIDE's loss is the lower one.  p of the exact McNemar and sign tests, not adjusted.
+The runs are those that suite.py has measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+
+import numpy as np
+from rows import rows_of
+from suite import budget_of, file_of, longest
+
+from fide_plugins.experiments.report.tables import Entry, Table, markdown
+from fide_plugins.experiments.suite import names, read
+from fide_plugins.experiments.suite.tables import sign_test
+
+US = "fide"
+Pair = tuple[str, float, float, float, float]
+"""Scene; renders until FIDE and the rival have solved the problem, +inf if not; their losses."""
+
+
+def pairs(rival: str, budget: int) -> Iterator[Pair]:
+    """Of all problems that both have finished."""
+    for name in names():
+        suite = read(name)
+        found = longest(rows_of(file_of(suite)), (US, rival), budget_of(suite, budget))
+        for problem in dict.fromkeys(problem for problem, _ in found):
+            ours, theirs = (found.get((problem, label)) for label in (US, rival))
+            if ours and theirs:
+                yield (
+                    suite.parts(problem)[0],
+                    _within(ours["solved_at"], budget),
+                    _within(theirs["solved_at"], budget),
+                    ours["losses"][str(budget)],
+                    theirs["losses"][str(budget)],
+                )
+
+
+def _within(solved_at: int | None, budget: int) -> float:
+    return np.inf if solved_at is None or solved_at > budget else float(solved_at)
+
+
+def line(name: str, found: list[Pair]) -> tuple[Entry, ...]:
+    """A line of the table."""
+    ours, theirs = (np.isfinite([pair[i] for pair in found]) for i in (1, 2))
+    a, b = np.array([pair[3:] for pair in found if np.isinf(max(pair[1:3]))]).reshape(-1, 2).T
+    only = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    mcnemar = sign_test(ours.astype(float), theirs.astype(float))
+    texts = (
+        name, str(len(found)), str(ours.sum()), str(theirs.sum()), f"{only[0]}, {only[1]}",
+        f"{mcnemar:.2g}", f"{(a < b).sum()} of {len(a)}", f"{sign_test(a, b):.2g}",
+    )  # fmt: skip
+    return tuple(Entry(text, text) for text in texts)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("rival", help="as in the rows, such as dfols or eki:popsize=200")
+    parser.add_argument("--budget", type=int, default=500, metavar="N", help="of the suites")
+    arguments = parser.parse_args()
+    found = list(pairs(arguments.rival, arguments.budget))
+    if not found:
+        parser.error(f"no problem is finished by {US} and {arguments.rival}")
+    scenes = dict.fromkeys(pair[0] for pair in found)
+    titles = (
+        "scene", "problems", US, arguments.rival, f"only {US}, only {arguments.rival}", "p",
+        f"{US} lower", "p of losses",
+    )  # fmt: skip
+    lines = [line(scene, [pair for pair in found if pair[0] == scene]) for scene in scenes]
+    print(markdown(Table("", tuple((title, "") for title in titles), (*lines, line("all", found)))))
+
+
+if __name__ == "__main__":
+    main()
