@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from fide_plugins.cli.messages import duration, note, number
 from fide_plugins.experiments.run import Progress
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.experiments.run.record import PARTS, Report
 
 __all__ = ["lines", "reporting", "shares"]
 
 _EVERY = 5.0  # seconds between lines
-
-Report = Callable[[Progress], None]
 
 
 @contextmanager
@@ -76,6 +74,7 @@ class _Lines:
         self._last = now
         of = f"/{progress.budget}" if progress.budget else ""
         rest = progress.doing or shares(progress)
+        rest += f"  {progress.remark}" if progress.remark else ""
         note(f"{self._what}  {progress.evaluations}{of}  {_facts(progress, speed)}  {rest}")
 
 

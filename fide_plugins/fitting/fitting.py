@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.experiments.run.record import Progress, Record
+from fide_plugins.experiments.run.record import Progress, Record, Report
 from fide_plugins.experiments.run.signals import Interrupted, Interrupts
 from fide_plugins.fitting.callbacks import Callbacks, Run
 from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.progress import Report, reporting
+from fide_plugins.fitting.progress import reporting
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.stopping import Stopping
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FitInterrupted", "Fitting"]
 
-_SHOW_INTERVAL = 0.1  # seconds between two reports of the progress
+_SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
 
 
 class FitInterrupted(Interrupted):
@@ -106,7 +107,7 @@ class Fitting:
             self._rounds.remove_renders()  # also where an earlier call was killed before that
         while stopped is None:
             stopped = loop.step()
-            self._show(report)
+            self._show(report, last=stopped is not None)
             self._save_if_due()
             interrupts.check()
         return stopped
@@ -115,7 +116,9 @@ class Fitting:
         """Learn before the search, which then begins with the model."""
 
         def show(renders: int, doing: str) -> None:
-            self._report(report, renders, doing)
+            self._loop.tick()
+            if report is not None:
+                report(replace(self._at(), evaluations=renders, doing=doing))
 
         workers = self._workers.number if isinstance(self._workers, Processes) else 1
         with interrupts.stoppable():
@@ -190,18 +193,20 @@ class Fitting:
         budget, done = self._stopping.budget, self.record.evaluations
         return Run(self.optimizer, self._workers.number, budget, done, out)
 
-    def _show(self, report: Report | None) -> None:
-        loop = self._loop
-        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
-        self._report(report, self.record.evaluations, f"{loop.busy} rendering{failed}")
+    def _at(self) -> Progress:
+        r = self.record
+        return Progress(
+            r.evaluations, self._stopping.budget or 0, r.best_loss, r.wall_s, dict(r.times)
+        )
 
-    def _report(self, report: Report | None, renders: int, doing: str) -> None:
+    def _show(self, report: Report | None, last: bool) -> None:
+        """Report the search; only every so often, unless it is the last time."""
         now = time.perf_counter()
-        if report is None or now - self._shown_at < _SHOW_INTERVAL:
+        if report is None or (now - self._shown_at < _SHOW_INTERVAL and not last):
             return
-        self._shown_at, r = now, self.record
-        budget = self._stopping.budget or 0
-        report(Progress(renders, budget, r.best_loss, r.wall_s, dict(r.times)), doing)
+        self._shown_at, loop = now, self._loop
+        failed = f", {loop.failures.count} failed" if loop.failures.count else ""
+        report(replace(self._at(), remark=f"{loop.busy} rendering{failed}"))
 
     def _save_if_due(self) -> None:
         if self.saved is not None and self._checkpoints.due(self.optimizer):

@@ -79,9 +79,15 @@ class Loop:
         """Rule that says that there is nothing to be done; None: none of them."""
         return self._stopping.reached(*self._state(), True, self.optimizer)
 
+    def tick(self) -> None:
+        """Enter the seconds since the last call in the record."""
+        now = time.perf_counter()
+        self.record.wall_s += now - self._clock
+        self._clock = now
+
     def note_learned(self, renders: int) -> None:
         """Enter renders that were learned from before the search, which begins now."""
-        self._tick()
+        self.tick()
         self.record.add_unjudged(renders)
         self.search_began = self._clock
 
@@ -98,7 +104,7 @@ class Loop:
             )
         task = self._next()
         if task is None:
-            self._tick()
+            self.tick()
             return self._stopping.reached(*self._state(), False, self.optimizer)
         outcome = self._outcome(task)
         if self._ahead:
@@ -120,7 +126,7 @@ class Loop:
         del r.generations[:]
         if asked := r.evaluations + len(r.pending):
             r.generations.append(asked)  # one generation that never waits
-        self._tick()
+        self.tick()
 
     # -- asking ------------------------------------------------------------------------------------
 
@@ -167,7 +173,7 @@ class Loop:
         """Seconds to wait at most."""
         limits = [] if self._timeout is None else [_LOOK]
         if self._stopping.seconds is not None:
-            self._tick()
+            self.tick()
             limits.append(max(0.0, self._stopping.seconds - self.record.wall_s))
         return min(limits, default=None)
 
@@ -219,7 +225,7 @@ class Loop:
 
     def _note(self, x: Float64, image: Any, loss: float) -> bool:
         """Enter an evaluated candidate in the record; returns whether it is the best so far."""
-        self._tick()
+        self.tick()
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
             r.first_image = canonical(self.optimizer, image)
@@ -259,8 +265,3 @@ class Loop:
 
     def _state(self) -> tuple[int, float, float]:
         return self.record.evaluations, self.record.wall_s, self.record.best_loss
-
-    def _tick(self) -> None:
-        now = time.perf_counter()
-        self.record.wall_s += now - self._clock
-        self._clock = now

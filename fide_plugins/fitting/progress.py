@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeAlias
 
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.record import Progress
+from fide_plugins.experiments.run.record import Progress, Report
 
-__all__ = ["Report", "reporting"]
-
-Report: TypeAlias = Callable[[Progress, str], object]
-"""Function of the progress and of a remark."""
+__all__ = ["reporting"]
 
 
 @contextmanager
@@ -33,8 +29,7 @@ def reporting(progress: object) -> Iterator[Report | None]:
         with _bar() as report:
             yield report
     elif callable(progress):
-        function: Callable[[Progress], object] = progress
-        yield lambda state, remark: function(state)
+        yield progress
     else:
         raise OptionError(f"progress must be True, False, None or a function, not {progress!r}")
 
@@ -54,8 +49,8 @@ def _bar() -> Iterator[Report]:
     with Bar(*columns, console=console, refresh_per_second=5, transient=True) as bar:
         line = bar.add_task("", total=None)
 
-        def report(progress: Progress, remark: str) -> None:
-            words = f"best {progress.best_loss:.3g}  {remark}"
+        def report(progress: Progress) -> None:
+            words = progress.doing or f"best {progress.best_loss:.3g}  {progress.remark}"
             total = progress.budget or None
             bar.update(line, total=total, completed=progress.evaluations, description=words)
 

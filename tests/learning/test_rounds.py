@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Float, Group, Space, fit
+from fide_plugins.cli import progress
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.learning import Model, rounds
@@ -198,6 +199,31 @@ def test_busy_counts_the_search_alone(monkeypatch: pytest.MonkeyPatch, learned: 
     result = fitted(slow)
     assert result.evaluations == BUDGET
     assert rendered / (rendered + rounds_took) < result.busy <= 1
+
+
+@pytest.mark.usefixtures("few")
+def test_a_fit_says_what_it_does_before_the_search_and_how_fast(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], learned: Path
+) -> None:
+    """As `fide fit` prints it where standard error is no terminal."""
+
+    def learn(self: Any, workers: int, show: Any) -> rounds.Learned:
+        for renders in (100, 200):
+            time.sleep(0.1)
+            show(renders, "rendering for the first model")
+        show(200, "first model, pass 1/2")
+        return rounds.Learned(Model.load(learned), BUDGET - 10)
+
+    monkeypatch.setattr(rounds.Rounds, "learn", learn)
+    monkeypatch.setattr(progress, "_EVERY", 0.0)
+    fitted(progress=progress.lines("fide fit"))
+    first, second, third, *_, last = capsys.readouterr().err.splitlines()
+    for line, done in ((first, 100), (second, 200)):
+        assert f"{done}/{BUDGET}" in line and line.endswith("rendering for the first model")
+    *_, speed, unit = second.partition("  rendering")[0].split()
+    assert 0 < float(speed) <= 1000 and unit == "renders/s"  # 100 in 0.1 seconds or more
+    assert third.endswith("first model, pass 1/2")
+    assert f"{BUDGET}/{BUDGET}  best" in last and "inf" not in first + second + third + last
 
 
 @pytest.mark.usefixtures("few")

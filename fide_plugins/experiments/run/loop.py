@@ -31,7 +31,7 @@ from fide_plugins.experiments.run.directory import RunDirectory
 from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.judge import Verdict, judge
 from fide_plugins.experiments.run.outcome import result_of
-from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
+from fide_plugins.experiments.run.record import Keep, Progress, Record, Report, RunResult
 from fide_plugins.experiments.run.signals import Interrupted, Interrupts
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.learning.rounds import Rounds
@@ -97,7 +97,7 @@ class Run:
         r = self.record
         return Progress(r.evaluations, self._budget, r.best_loss, r.wall_s, dict(r.times))
 
-    def execute(self, on_progress: Callable[[Progress], None] | None = None) -> RunResult:
+    def execute(self, on_progress: Report | None = None) -> RunResult:
         """Run until the budget is spent.
 
         on_progress: called with what is known, at the start and after each generation; None: never.
@@ -137,12 +137,7 @@ class Run:
             # a signal no longer matters: everything is about to be written
             return self._finish(verdict)
 
-    def _learn(
-        self,
-        rounds: Rounds,
-        interrupts: Interrupts,
-        on_progress: Callable[[Progress], None] | None,
-    ) -> None:
+    def _learn(self, rounds: Rounds, interrupts: Interrupts, on_progress: Report | None) -> None:
         """Learn before the search, which then begins with the model."""
 
         def show(renders: int, doing: str) -> None:

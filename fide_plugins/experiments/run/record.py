@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from fide_plugins.experiments.run.parallel import rounds
 from fide_plugins.types import Float32, Float64, Optimizer
 
-__all__ = ["PARTS", "Keep", "Progress", "Record", "RunResult"]
+__all__ = ["PARTS", "Keep", "Progress", "Record", "Report", "RunResult"]
 
 PARTS = ("render", "encode", "train", "search")
 """Parts of the time of a run; encode includes the loss."""
@@ -51,6 +51,7 @@ class Progress:
     wall_s: seconds so far, without interruptions.
     times: seconds by `PARTS`; the loop itself takes the rest.
     doing: what is done before the search, such as "first model, pass 2/10"; then "".
+    remark: what else is known, such as "3 rendering, 1 failed".
     """
 
     evaluations: int
@@ -59,6 +60,11 @@ class Progress:
     wall_s: float
     times: dict[str, float]
     doing: str = ""
+    remark: str = ""
+
+
+Report: TypeAlias = Callable[[Progress], object]
+"""Function that shows the progress of a run; what it returns does not matter."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,50 @@
+"""What a fit says while it goes on: a function gets all of it, the last state too."""
+
+from __future__ import annotations
+
+import math
+import sys
+
+import pytest
+
+from fide_plugins import fit
+from fide_plugins.experiments.run import Progress
+from fide_plugins.fitting import progress as bars
+
+from .scene import SPACE, disk, target
+
+
+def test_a_function_gets_the_last_state_of_a_fit_that_is_over_at_once() -> None:
+    """Reports are far apart; the last one is not left out for that."""
+    seen: list[Progress] = []
+    result = fit(disk(), target(), SPACE, 40, workers=0, seed=0, progress=seen.append)
+    assert seen[-1].evaluations == seen[-1].budget == 40
+    assert result.best is not None and seen[-1].best_loss == result.best.loss
+    assert 0 < seen[-1].wall_s <= result.seconds
+    assert seen[-1].remark == "0 rendering" and not seen[-1].doing
+
+
+def test_a_function_hears_of_failures() -> None:
+    seen: list[Progress] = []
+    with pytest.warns(RuntimeWarning, match="too far to the right"):
+        result = fit(disk("raises"), target(), SPACE, 60, workers=0, seed=0, progress=seen.append)
+    assert result.failures > 0
+    assert seen[-1].remark == f"0 rendering, {result.failures} failed"
+
+
+def test_the_bar_names_the_stage_where_there_is_no_loss_yet(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("TERM", "xterm")
+    with bars.reporting(True) as report:
+        assert report is not None
+        report(Progress(100, 1000, math.inf, 1.0, {}, doing="rendering for the first model"))
+    text = capsys.readouterr().err
+    assert "rendering for the first model" in text and "inf" not in text
+    with bars.reporting(True) as report:
+        assert report is not None
+        report(Progress(300, 1000, 0.0125, 2.0, {}, remark="3 rendering, 1 failed"))
+    text = capsys.readouterr().err
+    assert "300/1000" in text and "best 0.0125  3 rendering, 1 failed" in text
