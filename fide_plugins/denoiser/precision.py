@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from contextlib import AbstractContextManager
 
 import torch
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import has_bfloat16
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["PRECISIONS", "autocast", "check_precision"]
 
@@ -23,11 +23,9 @@ def check_precision(precision: str, device: torch.device) -> str:
     if precision not in PRECISIONS:
         raise OptionError(f"precision must be one of {', '.join(PRECISIONS)}, not {precision!r}")
     if precision == "bfloat16" and not has_bfloat16(device):
-        warnings.warn(
+        warn_user(
             f"this {device.type} does not support precision='bfloat16' in hardware; float32 is "
-            "used instead",
-            RuntimeWarning,
-            stacklevel=2,
+            "used instead"
         )
         return "float32"
     return precision

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import FideError, RenderError
 from fide_plugins.fitting.rendering import Failed
+from fide_plugins.runtime.warn import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.result import Result
@@ -92,7 +92,7 @@ class Failures:
         if self.first is None:
             self.first = Failure(params, failed.reason, failed.details, failed.names_params)
             message = f"a render failed, its candidate is withdrawn: {self.first}"
-            warnings.warn(message, RenderFailedWarning, stacklevel=2)
+            warn_user(message, RenderFailedWarning)
 
     def check(self) -> None:
         """Raise GivenUpError if most renders fail."""

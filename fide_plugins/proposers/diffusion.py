@@ -7,7 +7,6 @@ target.  Nothing here knows the search, the renderer or the loss.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -47,6 +46,7 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.runtime.threads import user_threads
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
 
 __all__ = ["DiffusionProposer"]
@@ -173,11 +173,9 @@ class DiffusionProposer(ProposerDefaults):
     def _warn_diverged(self) -> None:
         if not self._warned:
             self._warned = True
-            warnings.warn(
+            warn_user(
                 f"training of the denoiser diverged with learning_rate={self.learning_rate:g}; its "
-                "weights stay as they were: choose a lower one, such as 0.001",
-                RuntimeWarning,
-                stacklevel=3,
+                "weights stay as they were: choose a lower one, such as 0.001"
             )
 
     @user_threads

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
+
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["BatchSize", "is_out_of_gpu_memory", "is_out_of_memory", "stack"]
 
@@ -84,9 +85,7 @@ class BatchSize:
             torch.cuda.empty_cache()
         if not self._warned:
             self._warned = True
-            warnings.warn(
+            warn_user(
                 f"the device's memory is too small for so many {self.what} at once; "
-                f"from now on {size}",
-                RuntimeWarning,
-                stacklevel=3,
+                f"from now on {size}"
             )

@@ -1,7 +1,8 @@
 """Warnings that name the line of the user, however deep in the library they are noticed.
 
 A fixed `stacklevel` names another line as soon as a function is called in two ways, or through a
-decorator: one that is a context manager has a frame of its own, in contextlib.py.
+decorator: one that is a context manager has a frame of its own, in contextlib.py or in PyTorch.
+Optuna and Nevergrad call this library for the user, whose line is the one that called them.
 """
 
 from __future__ import annotations
@@ -11,16 +12,20 @@ import warnings
 
 __all__ = ["warn_user"]
 
-_OURS = frozenset({"fide_plugins", "fide_adapters", "fide_tasks", "contextlib"})
+_BETWEEN = (
+    *("fide_plugins", "fide_adapters", "fide_tasks", "optuna", "nevergrad"),
+    *("contextlib", "torch.utils._contextlib"),
+)
+"""Modules whose lines, and those of what is in them, are not the user's."""
 
 
 def warn_user(message: str, category: type[Warning] = RuntimeWarning) -> None:
-    """Warn at the innermost line that is not of this library."""
+    """Warn at the innermost line that is neither of this library nor of what calls it."""
     level, frame = 1, sys._getframe()
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__")):
+    while frame.f_back is not None and _is_between(frame.f_globals.get("__name__")):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
 
 
-def _is_ours(module: object) -> bool:
-    return isinstance(module, str) and module.partition(".")[0] in _OURS
+def _is_between(module: object) -> bool:
+    return isinstance(module, str) and any(f"{module}.".startswith(f"{m}.") for m in _BETWEEN)

@@ -26,12 +26,12 @@ PyTorch and Pillow are imported only if an image needs them.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_sources import (
     MAX_PIXELS,
@@ -120,7 +120,7 @@ def is_image(value: object) -> bool:
 
 def warn_clipped(message: str) -> None:
     """Issue `message` as a RuntimeWarning; the default of `as_batch(on_clip=...)`."""
-    warnings.warn(message, RuntimeWarning, stacklevel=3)
+    warn_user(message)
 
 
 def as_batch(

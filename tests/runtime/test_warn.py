@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
+from typing import Any
 
+import numpy as np
+import optuna
 import pytest
+import torch
 
+from fide_plugins import FIDE, FIDESampler, Float, Space, fit
+from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.runtime.batch_size import BatchSize
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.runtime.warn import warn_user
 
@@ -31,3 +40,70 @@ def test_the_line_is_that_of_the_call_into_the_library(decorated: bool) -> None:
     assert Path(caught[0].filename) == Path(__file__)
     lines = Path(__file__).read_text("utf-8").splitlines()
     assert lines[caught[0].lineno - 1].strip() == "call()"
+
+
+SPACE = Space(x=Float(0, 1), y=Float(0, 1))
+
+
+def clip() -> None:
+    opt = FIDE(SPACE, np.zeros((16, 16, 3)))
+    opt.tell(opt.ask(1), np.full((1, 16, 16, 3), 1.3))
+
+
+def fail() -> None:
+    count = iter(range(100))
+
+    def render(params: dict[str, float]) -> Any:
+        return np.full((16, 16), params["x"]) if next(count) else None
+
+    fit(render, np.zeros((16, 16, 3)), SPACE, 4, workers=0, seed=0)
+
+
+def cannot_pickle() -> None:
+    lock = threading.Lock()
+
+    def render(params: dict[str, float]) -> Any:
+        with lock:
+            return np.zeros((16, 16))
+
+    fit(render, np.zeros((16, 16, 3)), SPACE, 1, workers=1, seed=0)
+
+
+def diverge() -> None:
+    proposer = DiffusionProposer(2, epochs=2, learning_rate=1e30, width=8, blocks=1)
+    rng = np.random.default_rng(0)
+    x, tokens = rng.random((20, 2)), torch.zeros(20, 4, 3)
+    proposer.update(x, tokens, None, np.full(2, 0.3))
+
+
+def lack_memory() -> None:
+    def work(piece: slice) -> None:
+        if piece.stop - piece.start > 1:
+            raise MemoryError
+
+    BatchSize(2, "examples").each(work, 2)
+
+
+def lack_a_parameter() -> None:
+    distribution = optuna.distributions.FloatDistribution(0, 1)
+    sampler = FIDESampler(search_space={"x": distribution, "y": distribution}, seed=0)
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(lambda trial: trial.suggest_float("x", 0, 1), 1)
+
+
+@pytest.mark.parametrize(
+    ("act", "what"),
+    [
+        (clip, "are clipped"),
+        (fail, "a render failed"),
+        (cannot_pickle, "cannot be sent to other processes"),
+        (diverge, "training of the denoiser diverged"),
+        (lack_memory, "the device's memory is too small"),
+        (lack_a_parameter, "has no y, which search_space names"),
+    ],
+)
+def test_each_warning_names_the_user(act: Callable[[], None], what: str) -> None:
+    with pytest.warns(Warning, match=what) as caught:
+        act()
+    (named,) = (Path(each.filename) for each in caught if re.search(what, str(each.message)))
+    assert named == Path(__file__)

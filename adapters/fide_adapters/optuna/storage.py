@@ -21,7 +21,6 @@ samplers use the same names.
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +29,8 @@ import numpy as np
 from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial
+
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = [
     "ASK",
@@ -225,7 +226,7 @@ class WarnOnce:
         """Issue a RuntimeWarning: something is wrong."""
         if subject not in self.subjects:
             self.subjects.add(subject)
-            warnings.warn(message, RuntimeWarning, stacklevel=4)
+            warn_user(message)
 
     def log(self, subject: str, message: str) -> None:
         """Log a warning: nothing is wrong, but it may not be what the user meant."""

@@ -8,7 +8,6 @@ or several files of weights with an index, ``model.safetensors.index.json``, and
 from __future__ import annotations
 
 import json
-import warnings
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["DEFAULT", "colors", "find", "library", "missing", "read_json", "unreadable"]
 
@@ -95,13 +95,11 @@ def colors(folder: Path, name: str) -> tuple[list[float], list[float]]:
     if not {"image_mean", "image_std"} <= stored.keys() and not any(
         word in name.lower() for word in _PHOTOGRAPHS
     ):
-        warnings.warn(
+        warn_user(
             f"{path} does not say which image_mean and image_std the network {name!r} expects; "
             f"those of ImageNet are used, {list(IMAGENET_MEAN)} and {list(IMAGENET_STD)}, which "
             "are wrong for networks of satellite images, among others; get that file from the "
-            "source of the weights",
-            RuntimeWarning,
-            stacklevel=2,
+            "source of the weights"
         )
     return mean, std
 

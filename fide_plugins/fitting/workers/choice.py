@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, TypeAlias
@@ -14,6 +13,7 @@ from fide_plugins.fitting.workers.executors import OfExecutor
 from fide_plugins.fitting.workers.here import Here
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["workers_for"]
 
@@ -52,12 +52,10 @@ def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
     try:
         return Processes(renderer, number)
     except Exception as error:  # whatever the user's objects raise when they are pickled
-        warnings.warn(
+        warn_user(
             f"render cannot be sent to other processes ({type(error).__name__}: {error}), so it "
             "runs in threads of this one; to silence this, give executor='threads', or make what "
-            "it needs inside of it",
-            RuntimeWarning,
-            stacklevel=2,
+            "it needs inside of it"
         )
         return _threads(renderer, number)
 
