@@ -60,25 +60,38 @@ class PosteriorSampler:
         self._rng = np.random.default_rng(for_samples)
         self._scale: tuple[Tensor, Tensor] | None = None
 
-    def update(self, x: Float64, tokens: Tensor) -> Tensor:
+    def update(
+        self,
+        x: Float64,
+        tokens: Tensor,
+        *,
+        epochs: int | None = None,
+        learning_rate: float | None = None,
+    ) -> Tensor:
         """Train on uniform `x` (n, d) and the tokens (n, T, C) of their images.
+
+        epochs, learning_rate: of this training; None: the proposer's.
 
         Returns the mean loss of each epoch; 1 means that nothing was learned.
         """
         if self._scale is None:  # channels of the first images get mean 0 and variance 1
             spread = tokens.std((0, 1), correction=0).clamp_min(SMALLEST_STD)
             self._scale = tokens.mean((0, 1)), spread
-        return self.proposer.update(x, self._normalize(tokens), None, self._std)
+        return self.proposer.update(
+            x,
+            self._normalize(tokens),
+            None,
+            self._std,
+            epochs=epochs,
+            learning_rate=learning_rate,
+        )
 
     def fit(self, x: Float64, tokens: Tensor, epochs: int) -> None:
         """Train on uniform `x` (n, d) and tokens (n, T, C), the last quarter with small steps."""
-        p = self.proposer
-        usual = p.epochs, p.learning_rate
-        for p.epochs, slower in ((epochs - epochs // 4, 1), (epochs // 4, 5)):
-            p.learning_rate = usual[1] / slower
-            if p.epochs:
-                self.update(x, tokens)
-        p.epochs, p.learning_rate = usual
+        last, rate = epochs // 4, self.proposer.learning_rate
+        self.update(x, tokens, epochs=epochs - last)
+        if last:
+            self.update(x, tokens, epochs=last, learning_rate=rate / 5)
 
     def sample(self, n: int, target_tokens: Tensor) -> Float64:
         """Draw n parameter vectors for an image's tokens (T, C); (n, d), within the unit cube."""
@@ -108,9 +121,9 @@ class PosteriorSampler:
 
     def _solve(self, n: int, target_tokens: Tensor, schedule: tuple[float, ...]) -> Float64:
         noise = self._rng.standard_normal((n, self.proposer.dim))
-        self.proposer.schedule = schedule
         z = self._mean + schedule[0] * self._std * noise
-        x = self.proposer.propose(z, self._normalize(target_tokens), self._mean, self._std)
+        tokens = self._normalize(target_tokens)
+        x = self.proposer.propose(z, tokens, self._mean, self._std, schedule=schedule)
         return np.clip(x, 0, 1)
 
     def _normalize(self, tokens: Tensor) -> Tensor:

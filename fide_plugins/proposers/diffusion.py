@@ -131,17 +131,29 @@ class DiffusionProposer(ProposerDefaults):
     @user_threads
     @torch.inference_mode(False)
     @torch.enable_grad()
-    def update(self, x: Float64, tokens: Tensor, losses: Float64 | None, std: Float64) -> Tensor:
+    def update(
+        self,
+        x: Float64,
+        tokens: Tensor,
+        losses: Float64 | None,
+        std: Float64,
+        *,
+        epochs: int | None = None,
+        learning_rate: float | None = None,
+    ) -> Tensor:
         """Train on parameters `x` (n, d) and the tokens (n, T, C) of their images.
 
         `losses` of the images play no part.
-        `std` (d,) is sqrt(diag Sigma) of the search distribution.  Returns the mean training loss
-        of each epoch, on the device.  Training that diverges is undone, with a RuntimeWarning the
-        first time; training that raises is undone, too.
+        `std` (d,) is sqrt(diag Sigma) of the search distribution.
+        `epochs`, `learning_rate`: of this training; None: the proposer's own.
+
+        Returns the mean training loss of each epoch, on the device.  Training that diverges is
+        undone, with a RuntimeWarning the first time; training that raises is undone, too.
         """
+        rate = self.learning_rate if learning_rate is None else learning_rate
         network, optimizer = self._parts(*tokens.shape[1:])
         for group in optimizer.param_groups:
-            group["lr"] = self.learning_rate  # may have been changed between generations
+            group["lr"] = rate
         network.train()
         before, noise_before = Backup(network, optimizer), self._generator.get_state()
         try:
@@ -154,7 +166,7 @@ class DiffusionProposer(ProposerDefaults):
                     self._tensor(x),
                     tokens,
                     self._tensor(std),
-                    epochs=self.epochs,
+                    epochs=self.epochs if epochs is None else epochs,
                     batch_size=self._batch,
                     generator=self._generator,
                     computing=partial(autocast, self.precision, self.device),
@@ -166,15 +178,15 @@ class DiffusionProposer(ProposerDefaults):
             raise
         if diverged:
             before.restore()
-            self._warn_diverged()
+            self._warn_diverged(rate)
         self.updates += 1
         return history
 
-    def _warn_diverged(self) -> None:
+    def _warn_diverged(self, rate: float) -> None:
         if not self._warned:
             self._warned = True
             warn_user(
-                f"training of the denoiser diverged with learning_rate={self.learning_rate:g}; its "
+                f"training of the denoiser diverged with learning_rate={rate:g}; its "
                 "weights stay as they were: choose a lower one, such as 0.001"
             )
 
@@ -187,14 +199,18 @@ class DiffusionProposer(ProposerDefaults):
         mean: Float64,
         std: Float64,
         rng: np.random.Generator | None = None,
+        *,
+        schedule: tuple[float, ...] | None = None,
     ) -> Float64:
         """Denoise samples `z` (m, d) of the search distribution towards the target's tokens (T, C).
 
-        The sampler needs neither `mean` nor `rng`.
+        The sampler needs neither `mean` nor `rng`.  `schedule`: times of its steps, which fall;
+        None: the proposer's own.
 
         Returns (m, d), finite: where the network overflows, the sample itself.  Values may leave
         the unit cube, the caller repairs as for its own samples.
         """
+        times = self.schedule if schedule is None else schedule
         network, _ = self._parts(*target.shape)
         network.eval()
         noisy, spread = self._tensor(z), self._tensor(std)
@@ -204,7 +220,7 @@ class DiffusionProposer(ProposerDefaults):
             denoise = self.precondition(partial(network, context=context))
 
             def sample(piece: slice) -> None:
-                proposed[piece] = euler(denoise, noisy[piece], spread, self.schedule)
+                proposed[piece] = euler(denoise, noisy[piece], spread, times)
 
             self._proposals.each(sample, len(noisy))
         x = proposed.cpu().numpy().astype(np.float64)

@@ -23,8 +23,7 @@ def trained(n: int = 2400, epochs: int = 9, seed: int = 0) -> PosteriorSampler:
     x = np.random.default_rng(seed).random((n, 2))
     predictor = PosteriorSampler(2, seed=seed, epochs=epochs, batch_size=100, width=24, blocks=2)
     predictor.update(x, unordered(x))
-    predictor.proposer.learning_rate, predictor.proposer.epochs = 2e-4, max(1, epochs // 2)
-    predictor.update(x, unordered(x))
+    predictor.update(x, unordered(x), epochs=max(1, epochs // 2), learning_rate=2e-4)
     return predictor
 
 
@@ -62,6 +61,18 @@ def test_channels_that_never_vary_do_no_harm() -> None:
     predictor = PosteriorSampler(2, epochs=1, width=8, blocks=1)
     assert bool(predictor.update(x, tokens).isfinite().all())
     assert np.isfinite(predictor.sample(5, tokens[0])).all()
+
+
+def test_the_proposer_is_as_it_was_after_a_training_that_raises_and_after_samples() -> None:
+    x = np.random.default_rng(0).random((50, 2))
+    predictor = PosteriorSampler(2, epochs=3, width=8, blocks=1)
+    proposer = predictor.proposer
+    before = proposer.epochs, proposer.learning_rate, proposer.schedule
+    predictor.fit(x, unordered(x), epochs=1)
+    with pytest.raises(OptionError, match="image tokens keep the shape"):
+        predictor.fit(x, torch.zeros(50, 3, 2), epochs=8)
+    predictor.sample(5, unordered(x)[0])
+    assert (proposer.epochs, proposer.learning_rate, proposer.schedule) == before
 
 
 def test_at_least_one_step() -> None:
