@@ -28,9 +28,9 @@ from fide_plugins.cli.arguments import (
     thresholds,
     whole,
 )
-from fide_plugins.cli.messages import duration, note, number, plain
+from fide_plugins.cli.messages import note, number, plain
 from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
-from fide_plugins.cli.running import execute_comparisons
+from fide_plugins.cli.running import execute_comparisons, execute_each
 from fide_plugins.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
 from fide_plugins.errors import OptionError
 
@@ -121,7 +121,6 @@ def _tasks(args: argparse.Namespace) -> tuple[str, ...]:
 
 def _execute(comparison: Any) -> int:
     """Execute the comparison with one line for each run; returns 1 if a run failed, else 0."""
-    total, done = len(comparison.states), 0
     for key, state in comparison.states.items():
         if state.kind == "damaged":
             note(f"{key} is damaged and will be repeated: {plain(state.why)}")
@@ -129,19 +128,8 @@ def _execute(comparison: Any) -> int:
             note(f"{key} will be continued")
     kept = sum(state.kind == "finished" for state in comparison.states.values())
     if kept:
-        note(f"{kept} of {total} runs are finished")
-
-    def on_outcome(outcome: Any) -> None:
-        nonlocal done
-        done += 1
-        if outcome.kind != "kept":
-            note(f"[{done}/{total}] {_line(outcome)}")
-
-    outcomes = comparison.execute(on_outcome, _Heartbeat())
-    failed = sum(outcome.kind == "failed" for outcome in outcomes)
-    if failed:
-        note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
-    return int(failed > 0)
+        note(f"{kept} of {len(comparison.states)} runs are finished")
+    return execute_each([comparison], _Heartbeat())
 
 
 class _Heartbeat:
@@ -155,17 +143,6 @@ class _Heartbeat:
             self._last = time.monotonic()
             done = f"{progress.evaluations}/{progress.budget}"
             note(f"{key}: {done}, best {number(progress.best_loss)}")
-
-
-def _line(outcome: Any) -> str:
-    remark = f" ({plain(outcome.note)})" if outcome.note else ""
-    if outcome.totals is None:
-        return f"{outcome.key}: {outcome.kind}{remark}"
-    totals = outcome.totals
-    return (
-        f"{outcome.key}: {number(totals['best_loss'])} after {totals['evaluations']} renders, "
-        f"{duration(totals['wall_s'])}{remark}"
-    )
 
 
 def _report(args: argparse.Namespace) -> int:

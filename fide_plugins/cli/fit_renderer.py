@@ -30,12 +30,6 @@ OWN = (
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET, _WORKERS = 2000, 8
-_TIMEOUT = 60.0  # seconds of a program, where none are given
-_SUMMARY = (
-    *("task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations"),
-    *("best_loss", "mse", "wall_s", "render_s", "overhead_s", "x_best"),
-)
-"""Keys of the JSON of a run."""
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -120,6 +114,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
     from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.renderers.command import TIMEOUT
 
     space = space_of(args.space)
     if args.renderer is not None:
@@ -130,7 +125,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
             "for each target, in the same order"
         )
     templates = args.templates[0] if len(args.templates) == 1 else args.templates
-    limit = _TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
+    limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
     # the program is stopped before its worker, so that its output is known
     return *program_of(templates, space, limit), None if args.timeout is None else limit + 5
 
@@ -193,11 +188,12 @@ def _progress() -> Any:
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
     from fide_plugins.experiments.run.directory import read_run
+    from fide_plugins.experiments.run.record import SUMMARY
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]
     return {
-        **{key: totals[key] for key in _SUMMARY},
+        **{key: totals[key] for key in SUMMARY},
         "params": _as_data(result.params),
         "status": result.status.code,
         "stopped": result.stopped,

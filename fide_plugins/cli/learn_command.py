@@ -14,7 +14,6 @@ and --renders may be larger.
 from __future__ import annotations
 
 import argparse
-import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,7 +29,6 @@ __all__ = ["add_arguments", "execute"]
 
 _EVERY = 5.0  # seconds between lines
 _KEPT = "what was rendered and learned is kept in"
-_TIMEOUT = 60.0  # seconds of a program, where none are given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -118,8 +116,9 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
 
 
 def _continue_with(command: list[str], when: str = "") -> None:
-    words = command if "--resume" in command else [*command, "--resume"]
-    note(f"{when}continue with: {plain(shlex.join(words))}")
+    from fide_plugins.cli.running import continuation
+
+    note(f"{when}continue with: {continuation(command)}")
 
 
 def _check_free(args: argparse.Namespace) -> None:
@@ -169,6 +168,7 @@ def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
     from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.renderers.command import TIMEOUT
     from fide_plugins.runtime.reference import is_reference
 
     if (args.source is None) == (args.template is None):
@@ -177,7 +177,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
         raise OptionError("--render-size is of built-in tasks; leave it out")
     space = space_of(args.space)
     if args.template is not None:
-        return program_of(args.template, space, seconds_of("timeout", args.timeout or _TIMEOUT))
+        return program_of(args.template, space, seconds_of("timeout", args.timeout or TIMEOUT))
     if args.timeout is not None:
         raise OptionError("--timeout is of --command; leave it out")
     if is_reference(args.source):

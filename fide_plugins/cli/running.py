@@ -8,7 +8,7 @@ import math
 import os
 import shlex
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from fide_plugins.cli.messages import (
@@ -23,7 +23,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.errors import FideError, RenderError
 
-__all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_run"]
+__all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_each", "execute_run"]
 
 USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
 """Errors of the arguments or the installation, raised before anything is rendered."""
@@ -88,10 +88,41 @@ def execute_comparisons(
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
     def stopped(prepared: Any) -> tuple[str, str]:
-        words = command if "--resume" in command else [*command, "--resume"]
-        return f", everything is saved in {plain(args.out)}", plain(shlex.join(words))
+        return f", everything is saved in {plain(args.out)}", continuation(command)
 
     return _execute(command, prepare, execute, stopped, "it stopped")
+
+
+def execute_each(comparisons: Sequence[Any], on_progress: Callable[..., None] | None = None) -> int:
+    """Execute comparisons with a line for each run that ends; returns 1 if a run failed, else 0.
+
+    on_progress: see `Comparison.execute`.
+    """
+    total, done, failed = sum(len(each.states) for each in comparisons), 0, 0
+
+    def on_outcome(outcome: Any) -> None:
+        nonlocal done, failed
+        done += 1
+        failed += outcome.kind == "failed"
+        if outcome.kind != "kept":
+            note(f"[{done}/{total}] {_outcome(outcome)}")
+
+    for each in comparisons:
+        each.execute(on_outcome, on_progress)
+    if failed:
+        note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
+    return int(failed > 0)
+
+
+def _outcome(outcome: Any) -> str:
+    remark = f" ({plain(outcome.note)})" if outcome.note else ""
+    if outcome.totals is None:
+        return f"{outcome.key}: {outcome.kind}{remark}"
+    totals = outcome.totals
+    return (
+        f"{outcome.key}: {number(totals['best_loss'])} after {totals['evaluations']} renders, "
+        f"{duration(totals['wall_s'])}{remark}"
+    )
 
 
 def _execute(
@@ -154,9 +185,9 @@ def _report(result: Any, out: str) -> None:
         print(plain(result.status))
 
 
-def continuation(command: list[str], out: str) -> str:
-    """The same command line, made to resume in `out`."""
+def continuation(command: list[str], out: str | None = None) -> str:
+    """The same command line, made to resume; in `out`, if it names no --out itself."""
     words = [word for word in command if word != "--resume"]
-    if not any(word == "--out" or word.startswith("--out=") for word in words):
+    if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
         words += ["--out", out]
     return plain(shlex.join([*words, "--resume"]))

@@ -19,15 +19,10 @@ import json
 from typing import Any
 
 from fide_plugins.cli.arguments import add_grid_arguments, names, whole
-from fide_plugins.cli.messages import duration, note, number, plain
-from fide_plugins.cli.running import execute_comparisons
+from fide_plugins.cli.messages import note, plain
+from fide_plugins.cli.running import execute_comparisons, execute_each
 
 __all__ = ["add_arguments", "execute"]
-
-_OPTIONS = (
-    *("preset", "popsize", "encoder", "epochs", "steps", "parameter_tokens", "precision"),
-    *("size", "spp"),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,15 +60,16 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         args,
         command,
         lambda: _prepare(args, command),
-        lambda comparisons: max(_execute(comparisons), _write(args)),
+        lambda comparisons: max(execute_each(comparisons), _write(args)),
     )
 
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> list[Any]:
     from fide_plugins.experiments.compare.driver import prepare
     from fide_plugins.experiments.sweep import Grid
+    from fide_plugins.experiments.sweep.grid import OPTIONS
 
-    options = {name: getattr(args, name) for name in _OPTIONS}
+    options = {name: getattr(args, name) for name in OPTIONS}
     grid = Grid(
         tuple(args.tasks),
         {name: values for name, values in options.items() if values is not None},
@@ -88,30 +84,6 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> list[Any]:
         prepare(plan, args.out / name, jobs=args.jobs, resume=args.resume, command=command)
         for name, plan in grid.plans()
     ]
-
-
-def _execute(comparisons: list[Any]) -> int:
-    """Execute all comparisons with one line for each run; returns 1 if a run failed, else 0."""
-    total, done, failed = sum(len(c.states) for c in comparisons), 0, 0
-
-    def on_outcome(outcome: Any) -> None:
-        nonlocal done, failed
-        done += 1
-        failed += outcome.kind == "failed"
-        if outcome.kind == "kept":
-            return
-        remark = f" ({plain(outcome.note)})" if outcome.note else ""
-        result = outcome.kind
-        if outcome.totals is not None:
-            t = outcome.totals
-            result = f"{number(t['best_loss'])} in {duration(t['wall_s'])}"
-        note(f"[{done}/{total}] {outcome.key}: {result}{remark}")
-
-    for comparison in comparisons:
-        comparison.execute(on_outcome)
-    if failed:
-        note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
-    return int(failed > 0)
 
 
 def _write(args: argparse.Namespace) -> int:

@@ -21,7 +21,10 @@ from fide_plugins.space import Space
 from fide_plugins.types import Float32
 from fide_plugins.validation import images
 
-__all__ = ["CommandRenderer"]
+__all__ = ["TIMEOUT", "CommandRenderer"]
+
+TIMEOUT = 60.0
+"""Seconds that a render may take, where none are given."""
 
 
 class CommandRenderer:
@@ -43,7 +46,7 @@ class CommandRenderer:
     """
 
     def __init__(
-        self, templates: str | Sequence[str], space: Space, timeout: float | None = 60.0
+        self, templates: str | Sequence[str], space: Space, timeout: float | None = TIMEOUT
     ) -> None:
         if timeout is not None and not timeout > 0:
             raise OptionError(f"timeout must be a number of seconds > 0, not {timeout!r}")

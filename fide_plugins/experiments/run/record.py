@@ -20,10 +20,16 @@ import numpy.typing as npt
 from fide_plugins.experiments.run.parallel import rounds
 from fide_plugins.types import Float32, Float64, Optimizer
 
-__all__ = ["PARTS", "Keep", "Progress", "Record", "Report", "RunResult"]
+__all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult"]
 
 PARTS = ("render", "encode", "train", "search")
 """Parts of the time of a run; encode includes the loss."""
+
+SUMMARY = (
+    *("task", "optimizer", "loss", "seed", "task_seed", "dim", "budget", "evaluations"),
+    *("best_loss", "mse", "wall_s", "render_s", "overhead_s", "x_best"),
+)
+"""Keys of `RunResult.summary`, which are names of its attributes."""
 
 
 @dataclass(frozen=True)
@@ -140,20 +146,9 @@ class RunResult:
 
     def summary(self) -> dict[str, Any]:
         """Totals for JSON; numbers that are not finite become None."""
-        return {
-            "task": self.task,
-            "optimizer": self.optimizer,
-            "loss": self.loss,
-            "seed": self.seed,
-            "task_seed": self.task_seed,
-            "dim": self.dim,
-            "budget": self.budget,
-            "evaluations": self.evaluations,
+        return {key: getattr(self, key) for key in SUMMARY} | {
             "best_loss": _finite(self.best_loss),
             "mse": _finite(self.mse),
-            "wall_s": self.wall_s,
-            "render_s": self.render_s,
-            "overhead_s": self.overhead_s,
             "x_best": None if self.x_best is None else self.x_best.tolist(),
         }
 

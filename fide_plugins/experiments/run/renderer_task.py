@@ -13,6 +13,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
+from fide_plugins.renderers.command import TIMEOUT
 from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
@@ -23,7 +24,6 @@ __all__ = ["RendererTask", "is_own", "make"]
 
 _OF_BOTH = ("space", "target")
 _OF_COMMAND = (*_OF_BOTH, "command", "timeout")
-_TIMEOUT = 60.0  # seconds of a program, where none are given
 
 
 class RendererTask:
@@ -132,5 +132,5 @@ def make(name: str, seed: int, options: Mapping[str, Any]) -> RendererTask:
         return RendererTask(name, function, space, seed, options.get("target"))
     if given is None:
         raise OptionError("a command needs a space (--space FILE.toml), its parameters and ranges")
-    program = CommandRenderer(options["command"], given, options.get("timeout", _TIMEOUT))
+    program = CommandRenderer(options["command"], given, options.get("timeout", TIMEOUT))
     return RendererTask(name, program, given, seed, options.get("target"))

@@ -24,6 +24,8 @@ __all__ = ["DEFAULTS", "NETWORK", "OPTIMIZER", "TASK", "Grid"]
 OPTIMIZER = ("preset", "popsize", "encoder")
 NETWORK = ("epochs", "steps", "parameter_tokens", "precision")
 TASK = ("size", "spp")
+OPTIONS = (*OPTIMIZER, *NETWORK, *TASK)
+"""Options that can be swept."""
 DEFAULTS: Mapping[str, tuple[Any, ...]] = {
     "preset": ("fast", "balanced", "accurate", "paper"),
     "epochs": (4,),
