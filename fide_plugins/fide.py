@@ -147,7 +147,7 @@ class FIDE(Asking):
             mask=mask,
             weights=weights,
             device=device,
-            for_network=o.proposer == "diffusion",
+            for_network=o.has_network,
         )
         self._lock = Lock()
         self._decision: tuple[bool | None, bool | None] = None, None

@@ -137,6 +137,11 @@ class Options:
     proposal: ProposalOptions = ProposalOptions()
     network: NetworkOptions = NetworkOptions()
 
+    @property
+    def has_network(self) -> bool:
+        """Whether the proposer is a network, the published denoiser."""
+        return self.proposer == "diffusion"
+
 
 PRESETS: Mapping[str, Options] = {
     "fast": Options(
@@ -263,7 +268,7 @@ def _changed(options: Any, changes: Mapping[str, Any]) -> Any:
 
 def _check_together(options: Options, preset: Options) -> None:
     """Raise OptionError for options that contradict each other."""
-    if options.proposer != "diffusion":
+    if not options.has_network:
         own, usual = asdict(options.network), asdict(preset.network)
         for name in (name for name in own if own[name] != usual[name]):
             raise OptionError(

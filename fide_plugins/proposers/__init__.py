@@ -58,7 +58,7 @@ def make_proposer(
         return _linear(options, dim, popsize, encoder, learned=learned)
     if options.proposer == "forward":
         return _forward(options, dim, popsize, encoder)
-    if options.proposer == "diffusion":
+    if options.has_network:
         return _diffusion(options, dim, seed, encoder)
     return None
 

@@ -22,6 +22,8 @@ import fide_tasks
 from fide_plugins.cli import main
 from fide_plugins.cli.arguments import setting
 from fide_plugins.cli.messages import duration, plain
+from fide_plugins.fide import FIDE
+from fide_plugins.options import GLOBAL, PRESETS
 
 from .conftest import KEYS, fide, one_line
 
@@ -73,6 +75,16 @@ def test_options_reach_the_optimizer_and_the_task(capsys: pytest.CaptureFixture[
     settings = json.loads(Path("r/run.json").read_text())["settings"]
     assert settings["options"] == {"popsize": 7, "sigma0": 0.25, "restarts": "ipop"}
     assert settings["task_options"] == {"cells": 2} and settings["dim"] == 10
+
+
+def test_the_help_names_every_preset(capsys: pytest.CaptureFixture[str]) -> None:
+    """It is no list made of `PRESETS`, since the parser is there before NumPy is imported."""
+    for command, names in (("run", [*PRESETS, GLOBAL]), ("fit", [*PRESETS, GLOBAL])):
+        assert fide(command, "--help") == 0
+        assert ", ".join(names) in " ".join(capsys.readouterr().out.split())
+    assert fide("tradeoff", "--help") == 0
+    assert ",".join(PRESETS) in capsys.readouterr().out
+    assert all(f'"{name}"' in str(FIDE.__doc__) for name in PRESETS)
 
 
 @pytest.mark.parametrize(

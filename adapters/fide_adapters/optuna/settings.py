@@ -76,9 +76,8 @@ class OptimizerSettings:
     def make_evaluator(self) -> Evaluator:
         """Encoder and loss for the target, which must be given."""
         made = make_options(self.preset, self.options)
-        for_network = made.proposer == "diffusion"
         return Evaluator(
-            self.target, self.loss, made.encoder, device=self.device, for_network=for_network
+            self.target, self.loss, made.encoder, device=self.device, for_network=made.has_network
         )
 
     def make(self, dim: int, seed: int, images: ImageEvaluator | None = None) -> FIDE:

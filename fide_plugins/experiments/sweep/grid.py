@@ -19,7 +19,7 @@ from fide_plugins.experiments.compare.directory import read_record
 from fide_plugins.experiments.run.directory import check_settings
 from fide_plugins.options import PRESETS
 
-__all__ = ["DEFAULTS", "NETWORK", "OPTIMIZER", "TASK", "Grid"]
+__all__ = ["DEFAULTS", "OPTIONS", "Grid"]
 
 OPTIMIZER = ("preset", "popsize", "encoder")
 NETWORK = ("epochs", "steps", "parameter_tokens", "precision")
@@ -27,7 +27,7 @@ TASK = ("size", "spp")
 OPTIONS = (*OPTIMIZER, *NETWORK, *TASK)
 """Options that can be swept."""
 DEFAULTS: Mapping[str, tuple[Any, ...]] = {
-    "preset": ("fast", "balanced", "accurate", "paper"),
+    "preset": tuple(PRESETS),
     "epochs": (4,),
     "size": (112,),
 }
@@ -38,7 +38,7 @@ DEFAULTS: Mapping[str, tuple[Any, ...]] = {
 class Grid:
     """A sweep.
 
-    options: values to sweep by name, of the names in `OPTIMIZER`, `NETWORK` and `TASK`.
+    options: values to sweep by name, of the names in `OPTIONS`.
 
     Raises OptionError (a ValueError) for an unknown name, no values, a repeated value, or network
     options if no preset has a network.
@@ -53,17 +53,16 @@ class Grid:
     task_options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = (*OPTIMIZER, *NETWORK, *TASK)
         for name, values in self.options.items():
-            if name not in known:
-                raise UnknownNameError.of("option to sweep", name, known)
+            if name not in OPTIONS:
+                raise UnknownNameError.of("option to sweep", name, OPTIONS)
             if not values or len(set(values)) < len(values):
                 raise OptionError(f"{name} needs values, each once, not {list(values)!r}")
         for preset in self.values("preset"):
             if preset not in PRESETS:
                 raise UnknownNameError.of("preset", preset, PRESETS)
         of_network = [name for name in NETWORK if name in self.options]
-        if of_network and not any(map(_trains, self.values("preset"))):
+        if of_network and not any(PRESETS[preset].has_network for preset in self.values("preset")):
             raise OptionError(
                 f"{of_network[0]} is an option of the network, and no preset has one "
                 f"({', '.join(self.values('preset'))}): leave it out, or add paper"
@@ -77,7 +76,8 @@ class Grid:
         """Every combination of optimizer options."""
         configurations: dict[str, Configuration] = {}
         for preset in self.values("preset"):
-            names = [n for n in (*OPTIMIZER[1:], *NETWORK * _trains(preset)) if self.values(n)]
+            possible = (*OPTIMIZER[1:], *NETWORK * PRESETS[preset].has_network)
+            names = [name for name in possible if self.values(name)]
             for chosen in product(*(self.values(name) for name in names)):
                 pairs = zip(("preset", *names), (preset, *chosen), strict=True)
                 text = ":".join(("fide", *(f"{key}={value}" for key, value in pairs)))
@@ -119,8 +119,3 @@ class Grid:
                 self.tasks, tuple(self.configurations()), (self.loss,), self.seeds, self.budget,
                 size, self.task_seed, options, metrics=(self.loss,),
             )  # fmt: skip
-
-
-def _trains(preset: str) -> bool:
-    """Whether a preset has a network."""
-    return PRESETS[preset].proposer == "diffusion"
