@@ -164,7 +164,7 @@ def test_noise_and_training_follow_the_points_of_both_kinds() -> None:
         trained.append(x)
         return update(x, tokens, losses, std)
 
-    opt._proposer.update = observed  # type: ignore[method-assign]
+    opt._proposer.update = observed  # type: ignore[assignment, method-assign]
     visited: deque[Float64] = deque()
     while len(trained) < 3:
         X, images, losses = _one(opt)
