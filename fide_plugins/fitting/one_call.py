@@ -21,7 +21,7 @@ from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.option_rules import check_names, switch
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["fit", "prepare"]
@@ -165,7 +165,7 @@ def prepare(
         raise OptionError(f"render must be a function of the parameters, not {render!r}")
     if out == "":
         raise OptionError("out is empty: name a folder, or leave it out to write nothing")
-    if resume and out is None:
+    if switch("resume", resume) and out is None:
         raise OptionError("resume=True needs the run directory: give out=DIR")
     watchers = Callbacks(callbacks)
     limit = None if timeout is None else seconds_of("timeout", timeout)

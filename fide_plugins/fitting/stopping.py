@@ -20,6 +20,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.validation.option_rules import switch
 from fide_plugins.validation.points import whole_number
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ class Stopping:
         """Rules as a user gives them; raises OptionError (a ValueError)."""
         number = None if budget is None else whole_number("budget", budget, 1)
         seconds = None if time is None else seconds_of("time", time)
-        if number is None and seconds is None and not until_stalled:
+        if not switch("until_stalled", until_stalled) and number is None and seconds is None:
             raise OptionError(
                 "budget=None needs another rule by which the fit ends: give time or until_stalled"
             )
-        return cls(number, seconds, _loss(stop_at), bool(until_stalled))
+        return cls(number, seconds, _loss(stop_at), until_stalled)
 
     def reached(
         self, evaluations: int, seconds: float, best: float, improved: bool, optimizer: FIDE
