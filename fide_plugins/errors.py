@@ -34,6 +34,12 @@ __all__ = [
 ]
 
 
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """End of a message about a name that is not known: the closest one, if any is close."""
+    close = get_close_matches(str(name), list(known), n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
 class FideError(Exception):
     """Base of every error raised on purpose by this library."""
 
@@ -73,8 +79,7 @@ class UnknownNameError(OptionError):
     def of(cls, kind: str, name: object, known: Iterable[str]) -> UnknownNameError:
         """Error for `name`, which is no `kind`; lists the `known` names and the closest one."""
         names = sorted(known)
-        close = get_close_matches(str(name), names, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = did_you_mean(name, names)
         return cls(f"unknown {kind} {name!r}: known are {', '.join(names) or 'none'}{hint}")
 
 

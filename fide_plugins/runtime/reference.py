@@ -7,14 +7,13 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
-from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from fide_plugins.errors import OptionError, UnknownNameError
+from fide_plugins.errors import OptionError, UnknownNameError, did_you_mean
 
 __all__ = ["Kind", "attribute", "is_reference", "load", "shown_traceback", "split"]
 
@@ -121,8 +120,7 @@ def shown_traceback(error: BaseException, caller: str = __file__) -> str:
 def attribute(module: ModuleType, place: str, name: str, kind: Kind) -> Callable[..., Any]:
     """Callable `name` of a module at `place`; OptionError (a ValueError) without."""
     if not hasattr(module, name):
-        close = get_close_matches(name, _functions(module), n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
+        hint = did_you_mean(name, _functions(module))
         raise OptionError(f"{place} has no {name!r}; {_names(module, kind)}{hint}")
     found = getattr(module, name)
     if not callable(found):
@@ -152,5 +150,4 @@ def _names(module: ModuleType, kind: Kind) -> str:
 def _similar_files(path: str) -> str:
     folder = os.path.dirname(path)
     files = [p.name for p in Path(folder).glob("*.py")] if os.path.isdir(folder) else []
-    close = get_close_matches(os.path.basename(path), files, n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return did_you_mean(os.path.basename(path), files)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import SpaceError
-from fide_plugins.space.group import Group, Member, Repeated, did_you_mean
+from fide_plugins.errors import SpaceError, did_you_mean
+from fide_plugins.space.group import Group, Member, Repeated
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
 
 __all__ = ["from_dict", "to_dict"]

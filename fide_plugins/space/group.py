@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from typing import Any, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
@@ -189,9 +188,3 @@ def _remedy(member: object) -> str:
 
 def _ordered(group: Group) -> tuple[Any, ...]:
     return tuple(group.members.items())
-
-
-def did_you_mean(name: object, known: Mapping[str, Any]) -> str:
-    """Return a suggestion for a name that is not known, or nothing."""
-    close = get_close_matches(str(name), list(known), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from fide_plugins.errors import SpaceError
+from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.space import dictionary, toml_file
 from fide_plugins.space.group import (
     Group,
@@ -16,7 +16,6 @@ from fide_plugins.space.group import (
     Member,
     Repeated,
     check_members,
-    did_you_mean,
     leaves,
 )
 from fide_plugins.space.kinds import Kind

@@ -48,7 +48,8 @@ def read(
 
     Raises OptionError for a directory without a run, or with one of another optimizer than FIDE,
     which alone knows several, and where the encoder must be given; CheckpointError if its
-    checkpoint is damaged or not kept, or if the encoder is another (all ValueErrors); OSError.
+    checkpoint is damaged, or if the encoder is another (all ValueErrors); RunDirectoryError (a
+    FileExistsError) if no checkpoint was kept; other OSErrors.
     """
     path = Path(directory)
     run = read_run(path)

@@ -102,9 +102,7 @@ class Combination:
 
 def front(combinations: Iterable[Combination], axis: str) -> list[Point]:
     """Pareto front: points that no other beats in both cost and loss, by increasing cost."""
-    points = sorted(
-        (p for s in combinations for p in s.points(axis)), key=lambda p: (p.cost, p.loss)
-    )
+    points = [point for each in combinations for point in each.points(axis)]
     kept: list[Point] = []
     for point in sorted(points, key=lambda p: (p.cost, p.loss)):
         if not kept or point.loss < kept[-1].loss:
