@@ -131,5 +131,4 @@ def test_a_step_in_single_precision(name: str, proposer: str) -> None:
                 float((np.abs(X - other) / opt.state.search.std).max()) if alike else np.inf
             )
     for rounded, (median, most) in BOUNDS.items():
-        print(name, rounded.__name__, np.median(found[rounded]), max(found[rounded]))
         assert np.median(found[rounded]) <= median and max(found[rounded]) <= most, rounded.__name__

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 import fide_plugins
 from fide_plugins import Choice, Float, Group, Space
@@ -90,9 +91,13 @@ def test_it_writes_no_more_often_than_it_says(tmp_path: Path) -> None:
     assert end["best_loss"] == float(rows[-1].split(",")[2])
 
 
-def test_without_a_run_directory_nothing_is_written(tmp_path: Path) -> None:
+def test_without_a_run_directory_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     target = render({"angle": 0.0, "level": 0.5})
     fide_plugins.fit(render, target, SPACE, budget=9, workers=0, callbacks=[LiveFile()])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:

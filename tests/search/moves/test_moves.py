@@ -288,8 +288,16 @@ def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
     known.optima.note(
         TrainingSample(1, np.full(dim, 0.7), tokens, 2.0), known.exchangeability.distance
     )
-    for move in (RelocateSegment(), Crossover(), HalfTurn(), BeginAnew(), Refine()):
-        if move.possible(known):
+    possible = {
+        RelocateSegment(): dim > 1,  # a segment is not all there is
+        Crossover(): True,
+        HalfTurn(): True,
+        BeginAnew(): True,
+        Refine(): False,  # nothing was left in vain
+    }
+    for move, expected in possible.items():
+        assert move.possible(known) == expected
+        if expected:
             x = move.draw(known, 9, rng)
             assert x.shape == (9, dim) and x.min() >= 0 and x.max() <= 1
             assert move.begin_at(known, x[0]).mean.shape == (dim,)
