@@ -38,6 +38,7 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.asking import Asking
+from fide_plugins.evaluation import Evaluator, Result
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
 from fide_plugins.population.training_sample import TrainingSample, columns, in_order
@@ -53,7 +54,6 @@ from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.space import Space
 from fide_plugins.state import State
 from fide_plugins.types import Float64, Posterior
-from fide_plugins.validation.evaluation import Evaluator, Result
 from fide_plugins.validation.points import (
     as_points,
     new_seed,

@@ -11,6 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.evaluation import Evaluator
 from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.saving import Saved
@@ -21,7 +22,6 @@ from fide_plugins.space import Space
 from fide_plugins.state import State
 from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
-from fide_plugins.validation.evaluation import Evaluator
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of

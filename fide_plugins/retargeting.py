@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fide_plugins.evaluation import Evaluator
 from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer
@@ -23,7 +24,6 @@ from fide_plugins.runtime.timing import timed
 from fide_plugins.search.moves.base import Start
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64
-from fide_plugins.validation.evaluation import Evaluator
 
 __all__ = ["Retargeting"]
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, Population
 from fide_plugins.population.best import SCHEMA as BEST, Best
 from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
@@ -41,7 +42,6 @@ from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.validation.evaluation import Images
 from fide_plugins.validation.images import warn_clipped
 
 __all__ = ["State"]

@@ -7,7 +7,6 @@
 `rules`          rules of axes and values for both
 `points`         candidates, seeds, standard deviations
 `features`       tokens that were encoded elsewhere
-`evaluation`     what a user tells becomes losses and features
 `option_rules`   rules for the values of options
 `key_value`      ``key=value`` on the command line
 ===============  ==============================================

@@ -12,13 +12,15 @@ caller passes the version, it is compared; otherwise the caller is responsible f
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import FeaturesError
+
+if TYPE_CHECKING:
+    from fide_plugins.encoders.base import PatchEncoder
 
 __all__ = ["as_features"]
 

@@ -1,6 +1,6 @@
 """Targets and weights of the views of a scene.
 
-Everything behind `validation.evaluation` handles one array for each candidate.  Several views are
+Everything behind `evaluation` handles one array for each candidate.  Several views are
 *packed*: all pixels of all views, in order, as one picture (P, 1, 3) with P = sum H W.  Loss and
 encoder of views take it apart again.
 """

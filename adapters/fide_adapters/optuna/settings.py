@@ -16,9 +16,9 @@ from fide_adapters.optuna.artifacts import ImageArtifacts
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
+from fide_plugins.evaluation import Evaluator
 from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
-from fide_plugins.validation.evaluation import Evaluator
 from fide_plugins.validation.points import standard_deviation
 from fide_plugins.views import Views
 
