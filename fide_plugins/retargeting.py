@@ -16,7 +16,7 @@ from fide_plugins.evaluation import Evaluator
 from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer
-from fide_plugins.proposers.remembered import for_jacobian
+from fide_plugins.proposers.remembered import MOST, for_jacobian
 from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
@@ -81,7 +81,7 @@ class Retargeting(Readings):
             x = known.x0 if state.best is None else state.best.solution.x
             nothing = np.empty((0, self.dim))
             return Recalled(Start(x.copy(), known.sigma0), nothing, [], np.empty(0))
-        learned = max(4 * self.popsize, for_jacobian(self.dim))
+        learned = min(max(4 * self.popsize, for_jacobian(self.dim)), MOST)
         recalled = recall(samples, known, new, self.popsize, learned)
         state.memory.set_losses(recalled.losses[: len(state.memory.samples)].tolist())
         return recalled

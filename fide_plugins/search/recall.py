@@ -28,7 +28,6 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population.training_sample import TrainingSample
-from fide_plugins.proposers.remembered import MOST
 from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.search.scene.optima import APART
 from fide_plugins.types import Float64
@@ -76,7 +75,7 @@ def recall(
     """Where to begin, by samples (at least one) with their losses to the old picture.
 
     known: of the scene, with the old target.  new: (T, C), tokens of the new one.
-    learned: how many samples proposers learn from; no more than they remember, `MOST`.
+    learned: how many samples proposers learn from, at least one.
     """
     distances = _distances(samples, known.target, new, known.channels)
     losses = _estimated_losses(samples, distances)
@@ -85,7 +84,7 @@ def recall(
     from_b = np.linalg.norm(distances.features - distances.features[b], axis=1)
     by_scale = _by_scale(from_b, _removable(distances, b))
     std = _spread(x, b, by_scale[: max(_FEWEST, popsize)], known)
-    chosen = [b, *by_scale[: min(learned, MOST) - 1]]
+    chosen = [b, *by_scale[: learned - 1]]
     chosen.sort(key=lambda i: -distances.new[i])
     taught = [replace(samples[i], x=x[i], loss=float(losses[i])) for i in chosen]
     start = Start(x[b], std, patience=_PATIENCE)
