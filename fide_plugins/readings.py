@@ -14,9 +14,9 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
-from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.runtime.threads import one_thread
+from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
 from fide_plugins.space import Space
 from fide_plugins.state import State
@@ -167,7 +167,7 @@ class Readings(Saved):
         """Whether the network learns in the background; saving and proposals would wait for it."""
         return self.state.proposer is not None and self.state.proposer.busy
 
-    # -- saving: see `runtime.saving` --------------------------------------------------------------
+    # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""

@@ -30,10 +30,10 @@ from fide_plugins.errors import LossError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Candidate, Population
 from fide_plugins.runtime.locks import Lock, one_at_a_time
-from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe, real, whole
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
+from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.validation.images import as_batch, as_target
@@ -236,7 +236,7 @@ class Baseline(Saved):
             raise LossError("a loss of images needs images; got none")
         return self._loss.compute(batch)
 
-    # -- saving: see `runtime.saving` --------------------------------------------------------------
+    # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`."""

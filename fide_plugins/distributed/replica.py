@@ -47,7 +47,7 @@ from torch import Tensor
 from fide_plugins.distributed.preview import preview_candidate
 from fide_plugins.fide import FIDE
 from fide_plugins.population import Candidate, Population
-from fide_plugins.runtime.saving import as_arrays
+from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points

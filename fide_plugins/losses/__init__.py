@@ -20,7 +20,7 @@ Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps
 `perceptual_tensors`  the same for tensors on a GPU
 `loi`          loss `loi`: distance of locally orderless images
 `lpips`        loss `lpips`: LPIPS 0.1
-`own`          tries a user's own loss
+`own`          tries a user's own loss; stands for it where it was not stored
 `scales`       Gaussian averages on coarser grids
 =============  ==============================================================
 """

@@ -1,4 +1,4 @@
-"""Tries a user's own loss, any callable of a batch, on the target.
+"""A user's own loss, any callable of a batch: it is tried on the target; no checkpoint holds it.
 
     def loss(images):              # float32 (n, H, W, 3) in [0, 1], a copy
         return values              # (n,) real numbers; array, tensor or list; the lower the better
@@ -18,7 +18,7 @@ from fide_plugins.losses.base import ImageLoss
 from fide_plugins.runtime.callables import differs, tried_on
 from fide_plugins.types import Float32
 
-__all__ = ["check_loss"]
+__all__ = ["check_loss", "loss_not_stored"]
 
 
 def check_loss(loss: ImageLoss, target: Float32) -> None:
@@ -37,3 +37,11 @@ def check_loss(loss: ImageLoss, target: Float32) -> None:
             f"negative have {together} together and {alone} alone; average over axes (1, 2, 3) "
             "only; where values are random, tell them: opt.tell(X, images, losses)"
         )
+
+
+def loss_not_stored(images: object) -> object:
+    """Loss of a loaded optimizer whose original loss was a callable; raises LossError."""
+    raise LossError(
+        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
+        "give it again, load(path, loss=...), or tell losses"
+    )

@@ -12,7 +12,6 @@
 `files`                 atomic writes and file locks
 `checkpoint`            file format of a state, without pickle
 `schema`                checks of a state that was read from a file
-`saving`                `save` and `load` of optimizers
 `registry`              factories by name
 `reference`             an attribute of a user's file or module: ``FILE.py:NAME``, ``module:NAME``
 `warn`                  warnings that name the line of the user

@@ -10,9 +10,8 @@ import torch
 from fide_plugins import losses
 from fide_plugins.errors import LossError
 from fide_plugins.losses.base import CallableLoss, ImageLoss, LossOfTarget, as_losses
-from fide_plugins.losses.own import check_loss
+from fide_plugins.losses.own import check_loss, loss_not_stored
 from fide_plugins.runtime.callables import name_of
-from fide_plugins.runtime.saving import loss_not_stored
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import warn_clipped

@@ -180,7 +180,7 @@ class Search:
     def __getstate__(self) -> dict[str, Any]:
         state = {**self.__dict__, "_fide": None}
         if self._fide is not None:
-            from fide_plugins.runtime.saving import as_arrays
+            from fide_plugins.saving import as_arrays
 
             snapshot = self._fide.snapshot()
             del snapshot["settings"]["target"], snapshot["settings"]["weights"]  # which this has

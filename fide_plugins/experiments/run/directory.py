@@ -42,8 +42,8 @@ from fide_plugins.experiments.run.record import Record, RunResult
 from fide_plugins.experiments.run.record_schema import check_record
 from fide_plugins.experiments.run.user_optimizer import complete
 from fide_plugins.runtime import checkpoint, files
-from fide_plugins.runtime.saving import Saved
 from fide_plugins.runtime.schema import IMPOSSIBLE
+from fide_plugins.saving import Saved
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer

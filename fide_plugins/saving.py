@@ -11,13 +11,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from fide_plugins import losses
-from fide_plugins.errors import CheckpointError, LossError, UnknownNameError
+from fide_plugins.errors import CheckpointError, UnknownNameError
+from fide_plugins.losses.own import loss_not_stored
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.locks import Locked, one_at_a_time
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
 from fide_plugins.runtime.threads import one_thread
 
-__all__ = ["Saved", "as_arrays", "loss_not_stored"]
+__all__ = ["Saved", "as_arrays"]
 
 _MOST = 2**20  # parameters, and candidates of a generation
 
@@ -175,14 +176,6 @@ def _possible(path: str | os.PathLike[str]) -> Iterator[None]:
                 "names first (encoders.register, losses.register)"
             )
         raise CheckpointError(f"{why}; {remedy}") from error
-
-
-def loss_not_stored(images: object) -> object:
-    """Loss of a loaded optimizer whose original loss was a callable; raises LossError."""
-    raise LossError(
-        "this optimizer was saved with a callable as its loss, which a checkpoint cannot hold; "
-        "give it again, load(path, loss=...), or tell losses"
-    )
 
 
 def as_arrays(tree: Any) -> Any:
