@@ -20,11 +20,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from fide_plugins.encoders.pretrained.weights import digest
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.store import SHARD, RenderStore
+from fide_plugins.runtime.digest import digest
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
 

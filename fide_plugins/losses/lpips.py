@@ -29,6 +29,7 @@ from fide_plugins.encoders.pretrained.weights import Published
 from fide_plugins.errors import ImageError, OptionError, WeightsMismatchError
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.runtime.devices import on_device, resolve_device
+from fide_plugins.runtime.digest import digest
 from fide_plugins.runtime.fixed_batches import batch_size, in_batches
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
@@ -120,7 +121,7 @@ class LPIPSLoss(LossOfTarget):
         how = _how(variant, chosen)
         network = backbones.load(chosen.architecture, weights, download=download, how=how)
         read = _read_heads(variant, chosen, heads, download, how)
-        self.version = f"lpips-2-{variant}-{weights_module.digest(network, read)}"
+        self.version = f"lpips-2-{variant}-{digest(network, read)}"
         self._network = network.to(self._device)
         self._heads = [head.to(self._device) for head in read.state_dict().values()]
         self._shift = torch.tensor(SHIFT, dtype=torch.float32, device=self._device)

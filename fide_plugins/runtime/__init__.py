@@ -4,6 +4,7 @@
 `devices`               which device computes; copies to it
 `batch_size`            batch sizes that shrink if a device runs out of memory
 `fixed_batches`         networks in batches of a fixed size
+`digest`                which weights a network has, in a few digits
 `background`            work in a background thread
 `locks`                 locks for objects that are copied, pickled and forked
 `threads`               threads of PyTorch in forked processes

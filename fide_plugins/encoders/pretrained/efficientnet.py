@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from fide_plugins.encoders.pretrained import weights as weights_module
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.runtime.digest import digest
 
 __all__ = ["EfficientNetEncoder"]
 
@@ -65,7 +66,7 @@ class EfficientNetEncoder(NetworkEncoder):
         whole = _load(_file() if weights is None else Path(weights))
         network = _until(stage, whole)
         self.patch, self.channels = _patch_and_channels(stage, whole)
-        self.version = f"efficientnet-lite0-1-{variant}-{weights_module.digest(network)}"
+        self.version = f"efficientnet-lite0-1-{variant}-{digest(network)}"
         self._network = network.to(self.device)
 
     def _features(self, images: Tensor) -> Tensor:

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from fide_plugins.encoders.pretrained import backbones
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
-from fide_plugins.encoders.pretrained.weights import digest
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.digest import digest
 
 __all__ = ["VGG19Encoder"]
 

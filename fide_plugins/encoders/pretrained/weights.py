@@ -7,7 +7,6 @@ anything but tensors and runs no code.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import zipfile
@@ -21,7 +20,7 @@ from torch import Tensor, nn
 
 from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
 
-__all__ = ["Published", "check_finite", "digest", "fill", "read"]
+__all__ = ["Published", "check_finite", "fill", "read"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,17 +189,3 @@ def check_finite(state: Mapping[str, Tensor], path: Path, keys: Iterable[str]) -
                 f"{path}: {key!r}, of shape {tuple(state[key].shape)}, has values that are not "
                 "finite"
             )
-
-
-def digest(*networks: nn.Module, extra: object = "") -> str:
-    """Eight hexadecimal digits that identify the weights.
-
-    extra: other settings that change the results, hashed as `str`.
-    """
-    sha = hashlib.sha256(str(extra).encode())
-    for network in networks:
-        for key, value in sorted(network.state_dict().items()):
-            sha.update(key.encode())
-            flat = value.detach().cpu().contiguous().reshape(-1)
-            sha.update(flat.view(torch.uint8).numpy().tobytes())
-    return sha.hexdigest()[:8]

@@ -209,23 +209,3 @@ def test_what_does_not_fit(change: dict[str, Any], message: str) -> None:
     state = {key: value for key, value in (STATE | change).items() if value is not None}
     with pytest.raises(WeightsMismatchError, match=message):
         weights.fill(small_network(), state, Path("f.pth"), ignored=("head.",))
-
-
-def test_the_digest_is_of_names_and_values() -> None:
-    def digest(state: dict[str, torch.Tensor]) -> str:
-        network = small_network()
-        weights.fill(network, state, Path("f"))
-        return weights.digest(network)
-
-    first = digest(STATE)
-    assert len(first) == 8 and digest(STATE) == first
-    assert digest(STATE | {"0.bias": torch.tensor([1.0, 1.0000001])}) != first
-
-
-def test_the_digest_may_be_of_more() -> None:
-    one, other = small_network(), small_network()
-    weights.fill(one, STATE, Path("f"))
-    weights.fill(other, STATE | {"0.bias": torch.zeros(2)}, Path("f"))
-    made = [weights.digest(one), weights.digest(one, other), weights.digest(other, one)]
-    made += [weights.digest(one, extra=[1.0]), weights.digest(one, extra=[2.0])]
-    assert len(set(made)) == 5
