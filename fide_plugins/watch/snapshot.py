@@ -153,12 +153,12 @@ class RunFiles:
 
     def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
         """Parameters of the best point in the checkpoint; none where it is damaged."""
-        from fide_plugins.runtime import checkpoint
+        from fide_plugins.experiments.run.directory import read_checkpoint
         from fide_plugins.runtime.schema import IMPOSSIBLE
         from fide_plugins.space import Space
 
         try:
-            x = checkpoint.read(self.path / "run.ckpt", "run")["record"]["x_best"]
+            x = read_checkpoint(self.path).record["x_best"]
             space = settings.get("space")
             named = None if space is None else Space.from_dict(space)
             return [] if x is None else _rows(listed(named, x))

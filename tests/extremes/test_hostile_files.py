@@ -21,7 +21,7 @@ from PIL import Image
 
 from fide_plugins.errors import CheckpointError, FideError, ImageError
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
+from fide_plugins.experiments.run.directory import RunDirectoryError, read_checkpoint, read_run
 from fide_plugins.fide import FIDE
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
@@ -284,6 +284,8 @@ def test_no_path_leads_out_of_a_run_directory(name: str, run_folder: Path, tmp_p
     checkpoint.write(tmp_path / "run.ckpt", "run", {**state, "optimizer": name})
     with pytest.raises((CheckpointError, OSError)):
         a_run(tmp_path)
+    with pytest.raises(CheckpointError, match="names no optimizer's file"):
+        read_checkpoint(tmp_path)
 
 
 PICTURES = {}

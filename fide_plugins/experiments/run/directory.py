@@ -26,11 +26,11 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -50,17 +50,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TABLES",
+    "RunCheckpoint",
     "RunDirectory",
     "RunDirectoryError",
     "check_settings",
     "checksum",
     "is_saved",
+    "read_checkpoint",
     "read_run",
 ]
 
 FORMAT = 2
 TABLES = ("curve.csv", "improvements.csv")
 _KIND = "run"
+_CHECKPOINT = "run.ckpt"
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+\.ckpt")
 
 
@@ -132,16 +135,10 @@ class RunDirectory:
         """
         if not is_saved(self.path):
             return None
-        path = self.path / "run.ckpt"
-        state = checkpoint.read(path, _KIND)
-        try:
-            name = state["optimizer"]
-            if not _OPTIMIZER_FILE.fullmatch(name):
-                raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
-            check_record(state["record"], self.settings["dim"], self.settings["size"])
-            record = Record.from_state(state["record"])
-        except IMPOSSIBLE as error:
-            raise CheckpointError(f"{path}: impossible contents ({error})") from error
+        state, name = read_checkpoint(self.path)
+        with _possible(self.path):
+            check_record(state, self.settings["dim"], self.settings["size"])
+            record = Record.from_state(state)
         loaded: Any = fresh
         if fresh is not None:
             fresh.continue_from(self.path / name)
@@ -170,7 +167,7 @@ class RunDirectory:
         name = f"optimizer-{record.evaluations}-{pending}.ckpt"  # one name for each state
         optimizer.save(self.path / name)
         state = {"record": record.state(), "optimizer": name}
-        checkpoint.write(self.path / "run.ckpt", _KIND, state)
+        checkpoint.write(self.path / _CHECKPOINT, _KIND, state)
         for old in self.path.glob("optimizer-*.ckpt"):
             if old.name != name:
                 with suppress(OSError):
@@ -249,7 +246,7 @@ class RunDirectory:
 
     def remove_checkpoint(self) -> None:
         """Remove the state from which the run could continue."""
-        for path in [self.path / "run.ckpt", *self.path.glob("optimizer-*.ckpt")]:
+        for path in [self.path / _CHECKPOINT, *self.path.glob("optimizer-*.ckpt")]:
             with suppress(OSError):
                 path.unlink()
 
@@ -259,7 +256,39 @@ def is_saved(path: str | os.PathLike[str]) -> bool:
 
     False where it may not be read: whoever writes there says that.
     """
-    return os.path.exists(Path(path) / "run.ckpt")
+    return os.path.exists(Path(path) / _CHECKPOINT)
+
+
+class RunCheckpoint(NamedTuple):
+    """Contents of `run.ckpt`."""
+
+    record: Any
+    """State of the `Record`, not checked."""
+    optimizer: str
+    """Name of the optimizer's file in the same folder."""
+
+
+def read_checkpoint(path: Path) -> RunCheckpoint:
+    """State of the run in the folder `path`, see `is_saved`.
+
+    Raises OSError, or CheckpointError (a ValueError) if the file is damaged or names a file that is
+    no optimizer's of the folder.
+    """
+    state = checkpoint.read(path / _CHECKPOINT, _KIND)
+    with _possible(path):
+        name = state["optimizer"]
+        if not _OPTIMIZER_FILE.fullmatch(name):
+            raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
+        return RunCheckpoint(state["record"], name)
+
+
+@contextmanager
+def _possible(path: Path) -> Iterator[None]:
+    """Turn errors of this block, which `run.ckpt` in the folder `path` causes, into one."""
+    try:
+        yield
+    except IMPOSSIBLE as error:
+        raise CheckpointError(f"{path / _CHECKPOINT}: impossible contents ({error})") from error
 
 
 def read_run(path: Path) -> dict[str, Any] | None:

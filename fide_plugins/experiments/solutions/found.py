@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins import encoders
-from fide_plugins.errors import CheckpointError, OptionError
-from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
+from fide_plugins.errors import OptionError
+from fide_plugins.experiments.run.directory import (
+    RunDirectoryError,
+    is_saved,
+    read_checkpoint,
+    read_run,
+)
 from fide_plugins.experiments.solutions import pictures
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.runtime import checkpoint
@@ -78,18 +83,18 @@ def read(
 def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
     from fide_plugins.fide import FIDE
 
-    if not (path / "run.ckpt").exists():
+    if not is_saved(path):
         raise RunDirectoryError(
             f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
         )
-    name = _file_of(path)
+    name = read_checkpoint(path).optimizer
     while True:
         try:
             if encoder is None:
                 _check_encoder(path / name)
             loaded = FIDE.load(path / name, loss=_no_loss, encoder=encoder)
         except FileNotFoundError:
-            newer = _file_of(path)
+            newer = read_checkpoint(path).optimizer
             if newer == name:
                 raise
             name = newer  # the fit goes on, and has replaced its checkpoint
@@ -106,14 +111,6 @@ def _check_encoder(path: Path) -> None:
             f"{path.parent} is a run with an encoder of your own, {name!r}; give it again: "
             f"--encoder FILE.py:{name}"
         )
-
-
-def _file_of(path: Path) -> str:
-    """Name of the optimizer's file; raises CheckpointError."""
-    name: Any = checkpoint.read(path / "run.ckpt", "run").get("optimizer")
-    if not isinstance(name, str) or os.path.basename(name) != name:
-        raise CheckpointError(f"{path / 'run.ckpt'} names no optimizer's file, but {name!r}")
-    return name
 
 
 def _no_loss(images: Any) -> Any:
