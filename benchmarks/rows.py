@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import fide_plugins
-from fide_plugins.experiments.run.machine import machine, versions
+from fide_plugins.runtime.machine import machine, versions
 
 Row: TypeAlias = dict[str, Any]
 

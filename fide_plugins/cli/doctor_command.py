@@ -48,7 +48,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _summary() -> str:
     """What is installed, without importing any of it."""
-    from fide_plugins.experiments.run import machine
+    from fide_plugins.runtime import machine
 
     versions, computer = machine.versions(), machine.machine()
     first = ("fide-plugins", "python", "torch", "numpy")
@@ -70,7 +70,7 @@ def _summary() -> str:
 
 def _versions_of_extras() -> dict[str, str | None]:
     """Of the first package of each."""
-    from fide_plugins.experiments.run import machine
+    from fide_plugins.runtime import machine
 
     return {extra: machine.version_of(packages.split()[0]) for extra, packages in _EXTRAS.items()}
 
@@ -87,7 +87,7 @@ def examine() -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
 
-    from fide_plugins.experiments.run import machine
+    from fide_plugins.runtime import machine
 
     return {
         "versions": machine.versions(),

@@ -74,9 +74,9 @@ Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
 def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
     """Everything checked, with one render; the run directory; and what renders further points."""
     from fide_plugins.cli.extra_renders import check_first, outcomes
-    from fide_plugins.experiments.run.directory import read_run
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
+    from fide_plugins.recording.directory import read_run
 
     render, space, timeout = _renderer(args)
     targets = pictures(args.targets, args.size)
@@ -187,8 +187,8 @@ def _progress() -> Any:
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.experiments.run.directory import read_run
-    from fide_plugins.experiments.run.record import SUMMARY
+    from fide_plugins.recording.directory import read_run
+    from fide_plugins.recording.record import SUMMARY
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]

@@ -86,8 +86,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, Any]) -> int:
     """Learn, with messages and exit codes."""
-    from fide_plugins.experiments.run.signals import Interrupted, Interrupts
     from fide_plugins.learning import learn
+    from fide_plugins.recording.signals import Interrupted, Interrupts
 
     who = "fide learn"
     try:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from fide_plugins.cli.messages import duration, note, number
 from fide_plugins.experiments.run import Progress
-from fide_plugins.experiments.run.record import PARTS, Report
+from fide_plugins.recording.record import PARTS, Report
 
 __all__ = ["lines", "reporting", "shares"]
 

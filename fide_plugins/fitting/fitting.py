@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.experiments.run.record import Progress, Record, Report
-from fide_plugins.experiments.run.signals import Interrupted, Interrupts
 from fide_plugins.fitting.callbacks import Callbacks, Run
 from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
@@ -21,6 +18,9 @@ from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
+from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
+from fide_plugins.recording.record import Progress, Record, Report
+from fide_plugins.recording.signals import Interrupted, Interrupts
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.experiments.run.record import Record
-from fide_plugins.experiments.run.signals import Interrupts
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
 from fide_plugins.fitting.failures import Failures, GivenUpError
@@ -28,6 +26,8 @@ from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Task, Workers
+from fide_plugins.recording.record import Record
+from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64
 
 __all__ = ["Loop"]

@@ -8,7 +8,6 @@ from textwrap import shorten
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.directory import is_saved
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks
 from fide_plugins.fitting.durations import seconds_of
@@ -19,6 +18,7 @@ from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, se
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
+from fide_plugins.recording.directory import is_saved
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.option_rules import check_names, switch

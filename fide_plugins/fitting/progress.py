@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.record import Progress, Report
+from fide_plugins.recording.record import Progress, Report
 
 __all__ = ["reporting"]
 

@@ -1,4 +1,4 @@
-"""The run directory of a fit: that of any other run, see `experiments.run.directory`.
+"""The run directory of a fit: that of any other run, see `recording.directory`.
 
 What defines the run is recorded as its settings, and must be the same to resume it; the rules by
 which it stops are its limits.
@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.run.directory import RunDirectory, RunDirectoryError, read_run
-from fide_plugins.experiments.run.judge import Verdict
-from fide_plugins.experiments.run.outcome import result_of
-from fide_plugins.experiments.run.record import Record
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
+from fide_plugins.recording.directory import RunDirectory, RunDirectoryError, read_run
+from fide_plugins.recording.outcome import Verdict, result_of
+from fide_plugins.recording.record import Record
 from fide_plugins.runtime.callables import own_name
 
 __all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]

@@ -8,6 +8,7 @@
 `background`            work in a background thread
 `locks`                 locks for objects that are copied, pickled and forked
 `threads`               threads of PyTorch in forked processes
+`machine`               versions and hardware
 `timing`                seconds by part
 `cluster`               a Dask cluster by the address of its scheduler
 `files`                 atomic writes and file locks

@@ -83,8 +83,8 @@ class LiveFile:
         with suppress(OSError):
             best = event.optimizer.state.best if self._new_best else None
             if best is not None and best.solution.image is not None:
-                from fide_plugins.experiments.run.figures import as_png
                 from fide_plugins.fitting.pictures import picture
+                from fide_plugins.recording.figures import as_png
 
                 image = as_png(picture(event.optimizer, best.solution.image))
                 files.write_bytes(self._out / "best.png", image)

@@ -116,7 +116,7 @@ class RunFiles:
         import numpy as np
         from PIL import Image
 
-        from fide_plugins.experiments.run.figures import as_png
+        from fide_plugins.recording.figures import as_png
 
         arrays = []
         for data in (self.picture(name) for name in PICTURES[:2]):
@@ -153,7 +153,7 @@ class RunFiles:
 
     def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
         """Parameters of the best point in the checkpoint; none where it is damaged."""
-        from fide_plugins.experiments.run.directory import read_checkpoint
+        from fide_plugins.recording.directory import read_checkpoint
         from fide_plugins.runtime.schema import IMPOSSIBLE
         from fide_plugins.space import Space
 

@@ -15,7 +15,7 @@ import pytest
 
 from fide_plugins.cli import main, report_command
 from fide_plugins.experiments import compare
-from fide_plugins.experiments.run import machine
+from fide_plugins.runtime import machine
 
 from .conftest import fide
 

@@ -17,7 +17,7 @@ import pytest
 
 from fide_plugins.errors import RenderError
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.record import Progress
+from fide_plugins.recording.record import Progress
 from fide_plugins.types import Float32, Float64
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")

@@ -12,8 +12,8 @@ import torch
 
 from fide_plugins.denoiser import precision
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run import checkpointing
 from fide_plugins.fide import FIDE
+from fide_plugins.recording import checkpointing
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render, StateOf

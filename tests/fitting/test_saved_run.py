@@ -19,9 +19,9 @@ from PIL import Image
 
 from fide_plugins import fit
 from fide_plugins.errors import CheckpointError, FideError
-from fide_plugins.experiments.run.directory import RunDirectoryError
 from fide_plugins.fitting.fitting import FitInterrupted
 from fide_plugins.fitting.result import Result
+from fide_plugins.recording.directory import RunDirectoryError
 from fide_plugins.types import Float32, Float64
 
 from .scene import SPACE, disk, target

@@ -20,16 +20,15 @@ from typing import Any
 from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.one_run import State, examine
 from fide_plugins.experiments.compare.plan import Checked, Plan, RunKey
-from fide_plugins.experiments.run import machine
-from fide_plugins.experiments.run.directory import (
+from fide_plugins.recording.directory import (
     FORMAT,
     RunDirectoryError,
     check_settings,
     now,
     read_json,
 )
-from fide_plugins.experiments.run.figures import as_png
-from fide_plugins.runtime import files
+from fide_plugins.recording.figures import as_png
+from fide_plugins.runtime import files, machine
 
 __all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of", "target_file"]
 

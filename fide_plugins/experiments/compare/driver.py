@@ -15,9 +15,9 @@ from fide_plugins.experiments.compare.cluster import on_dask
 from fide_plugins.experiments.compare.directory import ComparisonDirectory
 from fide_plugins.experiments.compare.one_run import ERROR, Outcome, State, run_one
 from fide_plugins.experiments.compare.plan import Plan, RunKey
-from fide_plugins.experiments.run import Interrupted, Progress, machine
-from fide_plugins.experiments.run.signals import Interrupts
-from fide_plugins.runtime import files
+from fide_plugins.experiments.run import Interrupted, Progress
+from fide_plugins.recording.signals import Interrupts
+from fide_plugins.runtime import files, machine
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Comparison", "prepare", "run"]

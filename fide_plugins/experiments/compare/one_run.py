@@ -17,14 +17,14 @@ from typing import Any, Literal
 from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.compare.plan import Plan, RunKey
 from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
-from fide_plugins.experiments.run.directory import (
+from fide_plugins.recording.directory import (
     TABLES,
     RunDirectoryError,
     check_settings,
     checksum,
     read_run,
 )
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.recording.record import PARTS
 from fide_plugins.runtime import files
 
 __all__ = ["ERROR", "Outcome", "State", "examine", "run_one"]

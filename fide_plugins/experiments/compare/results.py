@@ -15,14 +15,14 @@ from fide_plugins.errors import FideError
 from fide_plugins.experiments.compare.directory import digest, read_record, runs_of
 from fide_plugins.experiments.compare.one_run import ERROR, examine
 from fide_plugins.experiments.compare.plan import RunKey
-from fide_plugins.experiments.run.directory import RunDirectoryError, read_run
-from fide_plugins.experiments.run.parallel import WORKERS
+from fide_plugins.recording.directory import RunDirectoryError, read_run
+from fide_plugins.recording.parallel import WORKERS
 from fide_plugins.types import Float64
 
 __all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
 
 AXES = ("renders", "seconds", "rounds")
-"""Horizontal axes of a convergence curve; rounds: see `experiments.run.parallel`."""
+"""Horizontal axes of a convergence curve; rounds: see `recording.parallel`."""
 
 
 class NoResultsError(FideError, FileNotFoundError):

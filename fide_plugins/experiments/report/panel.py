@@ -14,7 +14,7 @@ from fide_plugins.experiments.compare.results import Results, StoredRun
 from fide_plugins.experiments.report import statistics
 from fide_plugins.experiments.report.labels import short_names
 from fide_plugins.experiments.report.statistics import Paired, Success
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.recording.record import PARTS
 
 __all__ = ["SIGNIFICANT", "Panel", "Row", "check_thresholds", "panels"]
 

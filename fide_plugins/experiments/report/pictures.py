@@ -16,7 +16,7 @@ from fide_plugins.experiments.compare.results import StoredRun
 from fide_plugins.experiments.report.labels import fitted
 from fide_plugins.experiments.report.panel import Panel, Row
 from fide_plugins.experiments.report.plots import INK, MUTED
-from fide_plugins.experiments.run.figures import THUMBNAIL, plain, thumbnail
+from fide_plugins.recording.figures import THUMBNAIL, plain, thumbnail
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import load
 

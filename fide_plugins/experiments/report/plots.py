@@ -15,8 +15,8 @@ import numpy as np
 from fide_plugins.experiments.report import statistics
 from fide_plugins.experiments.report.labels import fitted
 from fide_plugins.experiments.report.panel import Panel, Row
-from fide_plugins.experiments.run.figures import plain
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.recording.figures import plain
+from fide_plugins.recording.record import PARTS
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
-from fide_plugins.experiments.run.parallel import WORKERS
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.recording.parallel import WORKERS
+from fide_plugins.recording.record import PARTS
 
 __all__ = ["Entry", "Table", "escaped", "losses", "markdown", "number", "ranking", "times"]
 

@@ -9,6 +9,7 @@
 
 `run` does everything.  `prepare` checks the arguments, opens the run directory and resumes; it
 returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `execute` failed runs.
+What a run records, and its directory, are in `recording`.
 
 ================  ==================================================================
 `prepare`         makes a `Run` from names and options, all checked
@@ -16,19 +17,10 @@ returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `ex
 `renderer_task`   a user's renderer as a task
 `user_optimizer`  any object with `ask` and `tell` as an optimizer
 `loop`            the run loop
-`checkpointing`   when to write the next checkpoint
-`record`          history, progress and results of a run
-`outcome`         the result, from record and evaluation
-`record_schema`   schema of the history in a checkpoint
-`directory`       files of the run directory
 `judge`           noise-free evaluation of the result
 `pixel_samples`   rule for the number of samples per pixel
 `fidelity`        applies that rule in a run
-`parallel`        rounds that parallel renderers would need
-`signals`         Ctrl-C and SIGTERM
-`machine`         versions and hardware
 `film`            the film of a run: which images it keeps
-`figures`         PNG files: images, film frames, summary.png
 ================  ==================================================================
 """
 
@@ -36,7 +28,7 @@ from __future__ import annotations
 
 from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.prepare import prepare, run
-from fide_plugins.experiments.run.record import Keep, Progress, RunResult
-from fide_plugins.experiments.run.signals import Interrupted
+from fide_plugins.recording.record import Keep, Progress, RunResult
+from fide_plugins.recording.signals import Interrupted
 
 __all__ = ["Interrupted", "Keep", "Progress", "Run", "RunResult", "prepare", "run"]

@@ -15,25 +15,12 @@ import numpy as np
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.run.pixel_samples import PixelSamples
 from fide_plugins.experiments.run.task import TaskInfo
-from fide_plugins.runtime.schema import Schema, array, whole
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:
-    from fide_plugins.experiments.run.record import Record
+    from fide_plugins.recording.record import Record
 
-__all__ = ["SCHEMA", "Fidelity"]
-
-SCHEMA: Schema = {
-    "rule": {
-        "number": whole(1),
-        "since": whole(),
-        "halves": array("pairs", low=0.0),
-        "spreads": array("spreads", low=0.0),
-    },
-    "level": whole(),
-    "total": whole(),
-}
-"""Schema of the state."""
+__all__ = ["Fidelity"]
 
 
 class Fidelity:

@@ -8,39 +8,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fide_plugins import losses as losses_module
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.recording.outcome import Verdict
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
 
-__all__ = ["Verdict", "judge"]
-
-
-@dataclass(frozen=True, eq=False)
-class Verdict:
-    """Noise-free losses of the best candidate and of the recommended candidate.
-
-    image: (H, W, 3) of the best candidate: the task's reference or, if the task has none, the
-        render of the run; None if there is no best candidate.
-    loss, mse: loss of the run and mean squared error of that image; NaN without an image.
-    x_recommended: (dim,), recommended by the optimizer; None if the task has no `reference`.
-    recommended_loss: loss of its reference; NaN if the task has no `reference`.
-    metrics: other losses of the image by name.
-    seconds: duration of the evaluation.
-    """
-
-    image: Float32 | None = None
-    loss: float = np.nan
-    mse: float = np.nan
-    x_recommended: Float64 | None = None
-    recommended_loss: float = np.nan
-    metrics: dict[str, float] = field(default_factory=dict)
-    seconds: float = 0.0
+__all__ = ["judge"]
 
 
 def judge(

@@ -26,16 +26,16 @@ import numpy as np
 
 from fide_plugins.errors import FideError, PointsError, RenderError
 from fide_plugins.experiments.run import film
-from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.experiments.run.directory import RunDirectory
 from fide_plugins.experiments.run.fidelity import Fidelity
-from fide_plugins.experiments.run.judge import Verdict, judge
-from fide_plugins.experiments.run.outcome import result_of
-from fide_plugins.experiments.run.record import Keep, Progress, Record, Report, RunResult
-from fide_plugins.experiments.run.signals import Interrupted, Interrupts
+from fide_plugins.experiments.run.judge import judge
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.learning.rounds import Rounds
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
+from fide_plugins.recording.directory import RunDirectory
+from fide_plugins.recording.outcome import Verdict, result_of
+from fide_plugins.recording.record import Keep, Progress, Record, Report, RunResult
+from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.types import Float32, Float64, Optimizer
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.points import as_points

@@ -8,16 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from fide_plugins import losses as losses_module, optimizers
-from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
 from fide_plugins.experiments.run import renderer_task
-from fide_plugins.experiments.run.directory import RunDirectory, is_saved
 from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.loop import Run
-from fide_plugins.experiments.run.record import Keep, Progress, Record, RunResult
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.recording.directory import RunDirectory, is_saved
+from fide_plugins.recording.record import Keep, Progress, Record, RunResult
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
@@ -189,7 +189,12 @@ def _restored(
     directory: RunDirectory, record: Record, searcher: Optimizer, fidelity: Fidelity | None
 ) -> tuple[Record, Optimizer]:
     """Record and optimizer that the directory holds; those given, where it holds none."""
-    record, searcher = directory.restore() or (record, searcher)
+    saved = directory.restore()
+    if saved is not None:
+        dim = searcher.dim
+        record, searcher = saved[0], complete(saved[1], dim)
+        if searcher.dim != dim:
+            raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
     if fidelity is not None and record.fidelity is not None:
         fidelity.load_state_dict(record.fidelity)
     return record, searcher

@@ -16,8 +16,8 @@ from typing import Any
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.experiments.compare import Configuration, Plan
 from fide_plugins.experiments.compare.directory import read_record
-from fide_plugins.experiments.run.directory import check_settings
 from fide_plugins.options import PRESETS
+from fide_plugins.recording.directory import check_settings
 
 __all__ = ["DEFAULTS", "OPTIONS", "Grid"]
 

@@ -15,7 +15,7 @@ from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.fidelity import Fidelity
-from fide_plugins.experiments.run.record import Record
+from fide_plugins.recording.record import Record
 from fide_plugins.types import Float64
 
 TARGET = np.full((4, 4, 3), 0.3, np.float32)

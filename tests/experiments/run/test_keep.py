@@ -19,7 +19,7 @@ from fide_plugins.baselines.random import Random
 from fide_plugins.errors import PointsError
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run import Keep, film
-from fide_plugins.experiments.run.parallel import rounds
+from fide_plugins.recording.parallel import rounds
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)

@@ -18,8 +18,8 @@ from fide_plugins.errors import (
     RenderError,
 )
 from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.directory import RunDirectoryError
 from fide_plugins.fide import FIDE
+from fide_plugins.recording.directory import RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from fide_plugins.experiments.run import checkpointing
-from fide_plugins.experiments.run.checkpointing import CheckpointTimer, note_unsaved
+from fide_plugins.recording import checkpointing
+from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 
 IDLE: Any = SimpleNamespace(training=False)
 TRAINS: Any = SimpleNamespace(training=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.run.record import PARTS, RunResult
+from fide_plugins.recording.record import PARTS, RunResult
 from fide_plugins.types import Float32
 
 __all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]

@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_plugins.experiments.run.judge import Verdict
-from fide_plugins.experiments.run.record import Record, RunResult
+from fide_plugins.recording.record import Record, RunResult
+from fide_plugins.types import Float32, Float64
 
-__all__ = ["result_of"]
+__all__ = ["Verdict", "result_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Noise-free losses of the best candidate and of the recommended candidate.
+
+    image: (H, W, 3) of the best candidate: the task's reference or, if the task has none, the
+        render of the run; None if there is no best candidate.
+    loss, mse: loss of the run and mean squared error of that image; NaN without an image.
+    x_recommended: (dim,), recommended by the optimizer; None if the task has no `reference`.
+    recommended_loss: loss of its reference; NaN if the task has no `reference`.
+    metrics: other losses of the image by name.
+    seconds: duration of the evaluation.
+    """
+
+    image: Float32 | None = None
+    loss: float = np.nan
+    mse: float = np.nan
+    x_recommended: Float64 | None = None
+    recommended_loss: float = np.nan
+    metrics: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
 
 
 def result_of(

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.experiments.run.parallel import rounds
+from fide_plugins.recording.parallel import rounds
 from fide_plugins.types import Float32, Float64, Optimizer
 
 __all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult"]

@@ -1,5 +1,7 @@
 """Schema of the state of a `Record`, see `runtime.schema`.
 
+The state of `Fidelity`, which renders with few samples per pixel at first, is part of it.
+
 Sides: e evaluations, m improvements, g generations, p pending candidates, d parameters, H x W
 pixels.
 """
@@ -10,13 +12,22 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from fide_plugins.experiments.run.fidelity import SCHEMA
-from fide_plugins.experiments.run.record import PARTS
+from fide_plugins.recording.record import PARTS
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real, table, whole
 
 __all__ = ["check_record"]
 
 _IMAGE = maybe(array("H", "W", 3, low=0.0, high=1.0))
+_FIDELITY: Schema = {
+    "rule": {
+        "number": whole(1),
+        "since": whole(),
+        "halves": array("pairs", low=0.0),
+        "spreads": array("spreads", low=0.0),
+    },
+    "level": whole(),
+    "total": whole(),
+}
 _RECORD: Schema = {
     "losses": array("e", low=None),
     "seconds": array("e", low=0.0),
@@ -32,7 +43,7 @@ _RECORD: Schema = {
     "image": _IMAGE,
     "first_image": _IMAGE,
     "pending": maybe(array("p", "d", low=0.0, high=1.0)),
-    "fidelity": maybe(SCHEMA),
+    "fidelity": maybe(_FIDELITY),
     "failures": whole(),
 }
 

@@ -36,12 +36,10 @@ import numpy as np
 
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
-from fide_plugins.experiments.run import machine
-from fide_plugins.experiments.run.parallel import WORKERS, rounds
-from fide_plugins.experiments.run.record import Record, RunResult
-from fide_plugins.experiments.run.record_schema import check_record
-from fide_plugins.experiments.run.user_optimizer import complete
-from fide_plugins.runtime import checkpoint, files
+from fide_plugins.recording.parallel import WORKERS, rounds
+from fide_plugins.recording.record import Record, RunResult
+from fide_plugins.recording.record_schema import check_record
+from fide_plugins.runtime import checkpoint, files, machine
 from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.saving import Saved
 
@@ -125,8 +123,8 @@ class RunDirectory:
 
     # -- reading -----------------------------------------------------------------------------------
 
-    def restore(self, fresh: Saved | None = None) -> tuple[Record, Optimizer] | None:
-        """State of the saved run; None if it never saved one.
+    def restore(self, fresh: Saved | None = None) -> tuple[Record, Any] | None:
+        """Record and optimizer of the saved run, the latter as its class loads it; None without.
 
         fresh: an optimizer of the same arguments, which goes on; None: all that it needs is in its
             file, by name.
@@ -139,16 +137,11 @@ class RunDirectory:
         with _possible(self.path):
             check_record(state, self.settings["dim"], self.settings["size"])
             record = Record.from_state(state)
-        loaded: Any = fresh
         if fresh is not None:
             fresh.continue_from(self.path / name)
-        else:
-            device = self.settings["options"].get("device")
-            loaded = optimizers.load(self.settings["optimizer"], self.path / name, device=device)
-        optimizer = complete(loaded, self.settings["dim"])
-        if optimizer.dim != self.settings["dim"]:
-            raise CheckpointError(f"{self.path / name}: an optimizer of {optimizer.dim} parameters")
-        return record, optimizer
+            return record, fresh
+        device = self.settings["options"].get("device")
+        return record, optimizers.load(self.settings["optimizer"], self.path / name, device=device)
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
         changed = {key: self.settings[key] for key in may_change}
@@ -197,7 +190,7 @@ class RunDirectory:
 
     def write_frame(self, mark: int, image: Float32) -> None:
         """Write `frame-N.png`, the best image after `mark` renders."""
-        from fide_plugins.experiments.run.figures import as_png, thumbnail
+        from fide_plugins.recording.figures import as_png, thumbnail
 
         files.write_bytes(self.path / f"frame-{mark}.png", as_png(thumbnail(image)))
 
@@ -205,27 +198,27 @@ class RunDirectory:
         """Write `target.png`, once."""
         if (self.path / "target.png").exists():
             return
-        from fide_plugins.experiments.run.figures import as_png
+        from fide_plugins.recording.figures import as_png
 
         files.write_bytes(self.path / "target.png", as_png(image))
 
     def write_best(self, image: Float32 | None) -> None:
         """Write `best.png`."""
         if image is not None:
-            from fide_plugins.experiments.run.figures import as_png
+            from fide_plugins.recording.figures import as_png
 
             files.write_bytes(self.path / "best.png", as_png(image))
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""
-        from fide_plugins.experiments.run.figures import as_png, noisy
+        from fide_plugins.recording.figures import as_png, noisy
 
         if result.reference is not None and noisy(result):
             files.write_bytes(self.path / "reference.png", as_png(result.reference))
 
     def write_summary(self, result: RunResult, target: Float32) -> None:
         """Write `summary.png`."""
-        from fide_plugins.experiments.run.figures import summary
+        from fide_plugins.recording.figures import summary
 
         files.write_bytes(self.path / "summary.png", summary(result, target))
 

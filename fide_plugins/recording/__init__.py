@@ -1,0 +1,13 @@
+"""What a run records, and its directory: of the run loop, and of `fit`.
+
+===============  ==================================================================
+`record`         history, progress and results of a run
+`record_schema`  schema of the history in a checkpoint
+`outcome`        the result, from record and noise-free evaluation
+`directory`      files of the run directory
+`checkpointing`  when to write the next checkpoint
+`signals`        Ctrl-C and SIGTERM
+`parallel`       rounds that parallel renderers would need
+`figures`        PNG files: images, film frames, summary.png
+===============  ==================================================================
+"""
