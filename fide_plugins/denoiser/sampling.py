@@ -17,25 +17,10 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser import Denoise
-from fide_plugins.errors import OptionError
 from fide_plugins.options import PAPER_SCHEDULE
+from fide_plugins.validation.option_rules import check_schedule
 
-__all__ = ["check_schedule", "euler", "evenly"]
-
-
-def check_schedule(schedule: Sequence[float]) -> tuple[float, ...]:
-    """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
-    try:
-        times = tuple(float(t) for t in schedule)
-    except (TypeError, ValueError):
-        times = ()
-    positive = bool(times) and all(0 < t < float("inf") for t in times)
-    if not positive or any(later >= t for t, later in pairwise(times)):
-        raise OptionError(
-            f"a schedule is a decreasing sequence of positive times, such as {PAPER_SCHEDULE}; "
-            f"got {schedule!r}"
-        )
-    return times
+__all__ = ["euler", "evenly"]
 
 
 def evenly(steps: int) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from fide_plugins.denoiser.network import ParameterTransformer
 from fide_plugins.denoiser.precision import autocast, check_precision
 from fide_plugins.denoiser.preconditioning import x_prediction
-from fide_plugins.denoiser.sampling import check_schedule, euler
+from fide_plugins.denoiser.sampling import euler
 from fide_plugins.denoiser.training import (
     Backup,
     Objective,
@@ -48,6 +48,7 @@ from fide_plugins.runtime.schema import (
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
+from fide_plugins.validation.option_rules import check_schedule
 
 __all__ = ["DiffusionProposer"]
 

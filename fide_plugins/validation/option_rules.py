@@ -7,6 +7,7 @@ value and the rule.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
@@ -15,6 +16,7 @@ from fide_plugins.validation.points import whole_number
 __all__ = [
     "Rule",
     "check_names",
+    "check_schedule",
     "fraction",
     "groups",
     "not_negative",
@@ -134,11 +136,24 @@ def fraction(name: str, value: Any) -> float:
 
 def schedule(name: str, value: Any) -> tuple[float, ...]:
     """Noise levels, see `denoiser.sampling`; at most 1,000."""
-    from fide_plugins.denoiser.sampling import check_schedule  # imports torch
-
-    levels: tuple[float, ...] = check_schedule(value)
+    levels = check_schedule(value)
     whole(1, _MOST_STEPS, "3 are published")("steps", len(levels))
     return levels
+
+
+def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
+    """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
+    try:
+        times = tuple(float(t) for t in schedule)
+    except (TypeError, ValueError):
+        times = ()
+    positive = bool(times) and all(0 < t < float("inf") for t in times)
+    if not positive or any(later >= t for t, later in pairwise(times)):
+        raise OptionError(
+            "a schedule is a decreasing sequence of positive times, such as (0.3, 0.2, 0.1); "
+            f"got {schedule!r}"
+        )
+    return times
 
 
 def _number(name: str, value: Any) -> float:
