@@ -159,14 +159,14 @@ class FIDE(Asking):
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
         o, k = self.options, self.popsize
         subsets = channel_subsets(o.proposal, self.encoder)
-        cells = None if self.space is None else self.space.layout
-        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, cells)
+        layout = None if self.space is None else self.space.layout
+        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
         moves = MovePolicy(
             self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
-            seed=self.seed, groups=groups, cells=cells, posterior=posterior,
+            seed=self.seed, groups=groups, layout=layout, posterior=posterior,
         )  # fmt: skip
         known = posterior is not None
         return State(

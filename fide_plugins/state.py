@@ -236,7 +236,7 @@ class State:
 
         It is computed when it is read, from what is remembered now.
         """
-        known, cells = self.moves.known, self.search.setting.cells
+        known, layout = self.moves.known, self.search.setting.layout
         samples = self.memory.samples + self._ends
         if not samples:
             return None
@@ -246,7 +246,7 @@ class State:
             target=known.target,
             channels=known.channels,
             axes=known.axes,
-            discrete=None if cells is None else cells.discrete,
+            discrete=None if layout is None else layout.discrete,
             blocks=known.exchangeability.blocks,
         )
 

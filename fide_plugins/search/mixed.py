@@ -23,12 +23,12 @@ from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.margin import correct_choice, correct_steps, default_alpha
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["Cells", "Mixed"]
+__all__ = ["AxisLayout", "Mixed", "periodic_axes"]
 
 _WIDE = 0.3  # standard deviation on an axis with cells where nothing is known; that of U(0, 1)
 
 
-class Cells(Protocol):
+class AxisLayout(Protocol):
     """What is discrete and periodic in the cube; `fide_plugins.space.layout.Layout` is one."""
 
     @property
@@ -54,17 +54,22 @@ class Cells(Protocol):
         """Where the cell of each coordinate of x (d,) begins and ends; -inf, inf for none."""
 
 
+def periodic_axes(layout: AxisLayout | None) -> Mask | None:
+    """(d,), axes that wrap around; None where none does."""
+    return None if layout is None or not layout.periodic.any() else layout.periodic
+
+
 class Mixed:
     """The maps between z and x, and the margin.
 
-    cells: None where every parameter is a number with walls.
+    layout: None where every parameter is a number with walls.
     """
 
-    def __init__(self, cells: Cells | None) -> None:
-        self.cells = cells
-        self._periodic = None if cells is None or not cells.periodic.any() else cells.periodic
-        self._discrete = None if cells is None or not cells.discrete.any() else cells.discrete
-        self.A: Float64 = np.ones(0 if cells is None else cells.dim)
+    def __init__(self, layout: AxisLayout | None) -> None:
+        self.layout = layout
+        self._periodic = periodic_axes(layout)
+        self._discrete = None if layout is None or not layout.discrete.any() else layout.discrete
+        self.A: Float64 = np.ones(0 if layout is None else layout.dim)
 
     def widened(self, std: Float64) -> Float64:
         """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
@@ -90,14 +95,14 @@ class Mixed:
 
     def reflected(self, v: Float64) -> Float64:
         """Points x (n, d) of the cube for v (n, d), reflected at its walls, or wrapped."""
-        if self._discrete is not None and self.cells is not None:
-            v = self.cells.snap(v)
+        if self._discrete is not None and self.layout is not None:
+            v = self.layout.snap(v)
         return boundary.into(v, self._periodic)
 
     def clipped(self, proposed: Float64) -> Float64:
         """Points x (n, d) of the cube for proposals (n, d), which are clipped or wrapped."""
         x = boundary.inside(proposed, self._periodic)
-        return x if self._discrete is None or self.cells is None else self.cells.snap(x)
+        return x if self._discrete is None or self.layout is None else self.layout.snap(x)
 
     def near(self, x: Float64, mean: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean (d,)."""
@@ -108,13 +113,13 @@ class Mixed:
 
     def correct(self, distribution: CMAES) -> None:
         """Move the mean, and change A, so that no value is given up; see `margin`."""
-        if self._discrete is None or self.cells is None:
+        if self._discrete is None or self.layout is None:
             return
         alpha = default_alpha(distribution.dim, distribution.popsize)
-        lower, upper = self.cells.cells(distribution.mean)
+        lower, upper = self.layout.cells(distribution.mean)
         std = np.maximum(distribution.std, np.finfo(np.float64).tiny)
         mean, stretched = correct_steps(distribution.mean, self.A * std, lower, upper, alpha)
-        for block in self.cells.choices:
+        for block in self.layout.choices:
             cov = distribution.sigma**2 * distribution.C[block, block]
             mean[block] = correct_choice(mean[block], cov, alpha)
         self.A = np.where(self._discrete, stretched / std, 1.0)

@@ -18,7 +18,7 @@ from fide_plugins.options import Options
 from fide_plugins.population import Candidate, mirrored_pair, search_columns
 from fide_plugins.runtime.schema import Schema, anything, array, check, whole
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Cells, Mixed
+from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves.base import Start
 from fide_plugins.search.termination import (
     Termination,
@@ -33,7 +33,7 @@ _MOST = 2**26  # candidates of a generation: the largest population, doubled as 
 _SCHEMA: Schema = {
     "popsize": whole(2, _MOST),
     "distribution": anything,  # which checks its own
-    "mixed": {"A": array("cells", low=1e-30, high=1e30)},
+    "mixed": {"A": array("axes", low=1e-30, high=1e30)},
     "history": array("h", high=np.inf),
 }
 
@@ -45,13 +45,13 @@ class Setting:
     popsize: k; a start may multiply it.
     sigma0: (d,), standard deviation of the first search.
     options: `guard_search`, `patience`, `improvement`.
-    cells: what is discrete or periodic in the cube; None: nothing.
+    layout: what is discrete or periodic in the cube; None: nothing.
     """
 
     popsize: int
     sigma0: Float64
     options: Options
-    cells: Cells | None = None
+    layout: AxisLayout | None = None
 
 
 class Search:
@@ -64,7 +64,7 @@ class Search:
         self.setting = setting
         self.popsize = start.population * setting.popsize
         self._guard = setting.options.guard_search
-        self._mixed = Mixed(setting.cells)
+        self._mixed = Mixed(setting.layout)
         self._start = start
         std = self._mixed.widened(start.std) if _is_first(start, setting) else start.std
         widest = start.widest if self._guard else np.inf
@@ -176,9 +176,9 @@ class Search:
         """Search that goes on where `state_dict` was called; ValueError if it is none."""
         check(state, _SCHEMA, {}, "search")
         search = cls(start, goal, setting)
-        k, cells = search.popsize, len(search._mixed.A)
-        if (state["popsize"], len(state["mixed"]["A"])) != (k, cells):
-            raise ValueError(f"a search of {state['popsize']} candidates, not {k}, or other cells")
+        k, axes = search.popsize, len(search._mixed.A)
+        if (state["popsize"], len(state["mixed"]["A"])) != (k, axes):
+            raise ValueError(f"a search of {state['popsize']} candidates, not {k}, or other axes")
         search.distribution = CMAES.from_state(state["distribution"], len(start.mean), k)
         search._mixed.load_state_dict(state["mixed"])
         search.termination.history = state["history"].tolist()

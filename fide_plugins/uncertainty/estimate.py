@@ -135,7 +135,7 @@ class LocalEstimate:
     ) -> list[tuple[Indices, Indices]]:
         """Axes of a parameter, and samples that have just another value of it, for each value."""
         found = []
-        for unit in (unit for unit in self.axes.units if others[:, unit].any()):
+        for unit in (unit for unit in self.axes.axes_of if others[:, unit].any()):
             rest = np.ones(len(self.x), bool)
             rest[unit] = False
             which = np.flatnonzero(

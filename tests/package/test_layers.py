@@ -102,7 +102,7 @@ from .views import View
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 def f():
-    from fide_plugins.search.descent import Descent
+    from fide_plugins.search.one_search import Search
 """
     found = list(imports(source, "views.__init__"))
     assert found == ["space", "losses", "__version__", "runtime", "views", "search"]

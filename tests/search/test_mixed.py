@@ -21,12 +21,12 @@ SPACE = Space(
 NUMBERS = Space(a=Float(-1, 1), b=Float(0, 1))
 
 
-@pytest.mark.parametrize("cells", [None, NUMBERS.layout])
-def test_without_cells_it_is_the_boundary_to_the_bit(cells: object) -> None:
+@pytest.mark.parametrize("layout", [None, NUMBERS.layout])
+def test_without_cells_it_is_the_boundary_to_the_bit(layout: object) -> None:
     rng = np.random.default_rng(0)
     z, mean = rng.normal(0.5, 1, (20, 2)), rng.random(2)
     x = boundary.into(z)
-    mixed = Mixed(None if cells is None else NUMBERS.layout)
+    mixed = Mixed(None if layout is None else NUMBERS.layout)
     np.testing.assert_array_equal(mixed.into(z, mean), x)
     np.testing.assert_array_equal(mixed.reflected(z), x)
     np.testing.assert_array_equal(mixed.near(x, mean), boundary.near(x, mean))

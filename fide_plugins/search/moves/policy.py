@@ -28,7 +28,7 @@ import numpy as np
 from torch import Tensor, device
 
 from fide_plugins.population.training_sample import TrainingSample
-from fide_plugins.search.mixed import Cells, Mixed
+from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.search.moves.change_value import ChangeValue
@@ -68,7 +68,7 @@ class MovePolicy:
     channels: leading channels in which images are compared; None: all.
     seed: of the draws of moves.
     groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
-    cells: what is discrete or periodic in the cube; None: nothing.
+    layout: what is discrete or periodic in the cube; None: nothing.
     posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
 
     Raises OptionError for groups that are declared wrongly.
@@ -83,11 +83,11 @@ class MovePolicy:
         channels: int | None,
         seed: int,
         groups: Sequence[Sequence[int]] | None = None,
-        cells: Cells | None = None,
+        layout: AxisLayout | None = None,
         posterior: Posterior | None = None,
     ) -> None:
         dim = len(x0)
-        axes = Axes(dim, cells)
+        axes = Axes(dim, layout)
         self.known = Known(
             x0=x0,
             sigma0=sigma0,
@@ -97,8 +97,8 @@ class MovePolicy:
             removal=Removal(),
             sensitivity=Sensitivity(dim, channels, axes),
             axes=axes,
-            place=Mixed(cells).clipped,
-            values=Values(axes, cells),
+            place=Mixed(layout).clipped,
+            values=Values(axes, layout),
         )
         self._candidates = max(_CANDIDATES, popsize)
         self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)

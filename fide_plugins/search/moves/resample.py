@@ -49,32 +49,32 @@ class Resample(Move):
             return x
         singles = rng.permutation(np.arange((n + 1) // 2))
         for i, row in enumerate(x[::2]):
-            unit, values = opened[singles[i] % len(opened)]
+            axes, values = opened[singles[i] % len(opened)]
             strata = -(-len(singles) // len(opened))  # draws of this parameter, one from each
             quantile = (singles[i] // len(opened) + rng.random()) / strata
-            row[unit] = values[min(int(quantile * len(values)), len(values) - 1)]
+            row[axes] = values[min(int(quantile * len(values)), len(values) - 1)]
         for row in x[1::2]:
             other = others[rng.integers(len(others))]
             some = rng.random(len(opened)) < 0.5
             some[rng.choice(len(opened), min(2, len(opened)), replace=False)] = True
-            for unit, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
-                row[unit] = other[unit]
+            for axes, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
+                row[axes] = other[axes]
         return x
 
     def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
         """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
         here, x = known.here.x, self._hypotheses.x
         apart = known.axes.difference(x, here)
-        units = known.axes.units
-        agree = np.column_stack([apart[:, unit].max(axis=1) <= _AGREE for unit in units])
+        parameters = known.axes.axes_of
+        agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
         opened = []
-        for i, unit in enumerate(units):
+        for i, axes in enumerate(parameters):
             elsewhere = agree.sum(axis=1) - agree[:, i]
             nearest = np.argsort(-elsewhere, kind="stable")[: max(1, int(_NEAREST * len(x)))]
             differ = nearest[~agree[nearest, i]]
             if len(differ) >= _OPEN * len(nearest):
-                values = x[differ][:, unit]
-                opened.append((unit, values[np.lexsort(values.T[::-1])]))
+                values = x[differ][:, axes]
+                opened.append((axes, values[np.lexsort(values.T[::-1])]))
         return opened
 
     def begin_at(self, known: Known, x: Float64) -> Start:

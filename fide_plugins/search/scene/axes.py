@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.search import boundary
-from fide_plugins.search.mixed import Cells
+from fide_plugins.search.mixed import AxisLayout, periodic_axes
 from fide_plugins.types import Float64, Indices
 
 __all__ = ["Axes"]
@@ -19,25 +19,26 @@ __all__ = ["Axes"]
 class Axes:
     """Axes of the cube.
 
-    dim: d.  cells: what is discrete or periodic; None: nothing.
+    dim: d.  layout: what is discrete or periodic; None: nothing.
     """
 
-    def __init__(self, dim: int, cells: Cells | None = None) -> None:
+    def __init__(self, dim: int, layout: AxisLayout | None = None) -> None:
         self.dim = dim
-        self.periodic = None if cells is None or not cells.periodic.any() else cells.periodic
-        self.unit: Indices = np.arange(dim)
+        self.periodic = periodic_axes(layout)
+        first: Indices = np.arange(dim)  # axis of the parameter of each axis
+        for block in () if layout is None else layout.choices:
+            first[block] = block.start
+        self.parameter_of: Indices = np.unique(first, return_inverse=True)[1]
         """(d,), number of the parameter of each axis, from 0."""
-        for block in () if cells is None else cells.choices:
-            self.unit[block] = block.start
-        self.unit = np.unique(self.unit, return_inverse=True)[1]
-        self.units = [np.flatnonzero(self.unit == i) for i in range(self.unit[-1] + 1)]
+        numbers = range(self.parameter_of[-1] + 1)
+        self.axes_of = [np.flatnonzero(self.parameter_of == i) for i in numbers]
         """Axes of each parameter."""
 
     def together(self, chosen: Indices) -> Indices:
         """All axes of the parameters that these axes are of."""
-        if len(self.units) == self.dim:
+        if len(self.axes_of) == self.dim:
             return chosen
-        return np.flatnonzero(np.isin(self.unit, self.unit[chosen]))
+        return np.flatnonzero(np.isin(self.parameter_of, self.parameter_of[chosen]))
 
     def whole(self, blocks: Indices) -> bool:
         """Whether no parameter has axes in a block (one row each) and outside of it."""

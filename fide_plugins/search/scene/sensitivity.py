@@ -32,21 +32,21 @@ class Sensitivity:
     def __init__(self, dim: int, channels: int | None, axes: Axes | None = None) -> None:
         self.dim, self.channels = dim, channels
         self._axes = axes or Axes(dim)
-        p = len(self._axes.units)
+        p = len(self._axes.axes_of)
         self.rounds = 0
         self._overlap = np.zeros((p, p))  # sum over all samples
         self._pairs = np.zeros((p, p))  # how often each pair was seen together
 
     def draw(self, x: Float64, rng: np.random.Generator) -> Float64:
         """Copies (p, d) of x (d,), each with one parameter at a random value."""
-        samples = np.tile(x, (len(self._axes.units), 1))
-        samples[self._axes.unit, np.arange(self.dim)] = rng.random(self.dim)
+        samples = np.tile(x, (len(self._axes.axes_of), 1))
+        samples[self._axes.parameter_of, np.arange(self.dim)] = rng.random(self.dim)
         return samples
 
     def learn(self, incumbent: TrainingSample, samples: Sequence[TrainingSample]) -> None:
         """Learn from renders of what `draw` gave; others, and missing ones, do no harm."""
-        unit = self._axes.unit
-        moved = [np.unique(unit[sample.x != incumbent.x]) for sample in samples]
+        parameter_of = self._axes.parameter_of
+        moved = [np.unique(parameter_of[sample.x != incumbent.x]) for sample in samples]
         single = [(int(m[0]), s) for m, s in zip(moved, samples, strict=True) if len(m) == 1]
         self.rounds += 1
         if not single:
@@ -61,7 +61,7 @@ class Sensitivity:
     def groups(self) -> list[Indices]:
         """Axes of parameters that belong together, as far as is known."""
         parts = find_parts(self._overlap / np.maximum(self._pairs, 1.0))
-        return [np.concatenate([self._axes.units[i] for i in part]) for part in parts]
+        return [np.concatenate([self._axes.axes_of[i] for i in part]) for part in parts]
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that changes."""
@@ -71,6 +71,6 @@ class Sensitivity:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         square = array("p", "p", low=0.0)
         form = {"rounds": whole(), "overlap": square, "pairs": square}
-        check(state, form, {"p": len(self._axes.units)}, "sensitivity")  # type: ignore[arg-type]
+        check(state, form, {"p": len(self._axes.axes_of)}, "sensitivity")  # type: ignore[arg-type]
         self.rounds = state["rounds"]
         self._overlap, self._pairs = state["overlap"], state["pairs"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.search.mixed import Cells
+from fide_plugins.search.mixed import AxisLayout
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices
 
@@ -22,12 +22,12 @@ _BEYOND = 1e-9  # beyond an edge, and in the next cell
 class Values:
     """Values that integers and choices can have, and which combinations were searched.
 
-    axes: those of one parameter.  cells: what is discrete in the cube.  None: nothing is.
+    axes: those of one parameter.  layout: what is discrete in the cube.  None: nothing is.
     """
 
-    def __init__(self, axes: Axes | None = None, cells: Cells | None = None) -> None:
-        self._axes, self._cells = axes, cells
-        self.discrete = np.zeros(1, bool) if cells is None else cells.discrete
+    def __init__(self, axes: Axes | None = None, layout: AxisLayout | None = None) -> None:
+        self._axes, self._layout = axes, layout
+        self.discrete = np.zeros(1, bool) if layout is None else layout.discrete
         """(d,), axes on which many points stand for one value."""
         self._searched = np.empty((0, int(self.discrete.sum())))  # the oldest first
 
@@ -36,24 +36,24 @@ class Values:
 
         All values of a choice; of an integer those up to 8 cells away, and 16, 32, ... 512.
         """
-        if self._cells is None or self._axes is None:
+        if self._layout is None or self._axes is None:
             return np.empty((0, len(x)))
-        units = [unit for unit in self._axes.units if self.discrete[unit[0]]]
-        rows = [row for unit in units for row in self._changed(x, unit)]
-        every = self._cells.snap(np.array(rows).reshape(-1, len(x)))
+        parameters = [axes for axes in self._axes.axes_of if self.discrete[axes[0]]]
+        rows = [row for axes in parameters for row in self._changed(x, axes)]
+        every = self._layout.snap(np.array(rows).reshape(-1, len(x)))
         every = every[(every != x).any(axis=1)]
         distinct: Float64 = every[np.sort(np.unique(every, axis=0, return_index=True)[1])]
         return distinct
 
-    def _changed(self, x: Float64, unit: Indices) -> Float64:
+    def _changed(self, x: Float64, axes: Indices) -> Float64:
         """Copies (m, d) of x with coordinates of one parameter changed, x itself among them."""
-        if len(unit) > 1:
-            rows = np.tile(x, (len(unit), 1))
-            rows[:, unit] = np.eye(len(unit))
+        if len(axes) > 1:
+            rows = np.tile(x, (len(axes), 1))
+            rows[:, axes] = np.eye(len(axes))
             return rows
-        assert self._cells is not None
-        (i,) = unit
-        edges = [float(edge[i]) for edge in self._cells.cells(x) if np.isfinite(edge[i])]
+        assert self._layout is not None
+        (i,) = axes
+        edges = [float(edge[i]) for edge in self._layout.cells(x) if np.isfinite(edge[i])]
         values = [edge + np.copysign(_BEYOND, edge - x[i]) for edge in edges]
         width = 2 * min((abs(edge - x[i]) for edge in edges), default=1.0)
         values += [v for n in _CELLS_AWAY for v in (x[i] - n * width, x[i] + n * width)]

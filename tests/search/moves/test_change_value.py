@@ -133,10 +133,10 @@ def test_only_spaces_with_values_have_the_move() -> None:
     about = np.full(3, 0.5), np.full(3, 1 / 6), 8, torch.zeros(1, 3), 3, 0
     numbers = Space(a=Float(0, 1), b=Float(0, 1), c=Float(0, 1))
     assert "change value" not in MovePolicy(*about).state_dict()
-    policy = MovePolicy(*about, cells=numbers.layout)
+    policy = MovePolicy(*about, layout=numbers.layout)
     assert len(policy.state_dict()["choice"]) == 9
     values = Space(a=Float(0, 1), b=Int(0, 5), c=Float(0, 1))
-    policy = MovePolicy(*about, cells=values.layout)
+    policy = MovePolicy(*about, layout=values.layout)
     assert len(policy.state_dict()["choice"]) == 10
 
 

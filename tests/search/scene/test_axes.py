@@ -135,7 +135,7 @@ def test_without_choices_and_periodic_parameters_nothing_changes(rng: np.random.
     np.testing.assert_array_equal(axes.difference(x, y), np.abs(x - y))
     np.testing.assert_array_equal(axes.inside(x), np.clip(x, 0, 1))
     chosen = np.array([1, 4])
-    assert axes.together(chosen) is chosen and len(axes.units) == 6
+    assert axes.together(chosen) is chosen and len(axes.axes_of) == 6
 
 
 def test_half_a_turn_of_a_periodic_parameter_is_exact(

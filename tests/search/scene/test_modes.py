@@ -92,10 +92,10 @@ def test_orders_of_blocks_are_one_answer() -> None:
 
 
 def test_a_circle_has_no_ends() -> None:
-    cells = Space(turn=Float(0, 1, periodic=True)).layout
+    layout = Space(turn=Float(0, 1, periodic=True)).layout
     hypotheses = np.array([[0.98], [0.02], [0.97], [0.5]])
     shares = nearest_shares(
-        np.array([[0.01], [0.6]]), hypotheses, Exchangeability(1, None, []), Axes(1, cells)
+        np.array([[0.01], [0.6]]), hypotheses, Exchangeability(1, None, []), Axes(1, layout)
     )
     np.testing.assert_allclose(shares, [0.75, 0.25])
 
