@@ -1,7 +1,10 @@
 """How sure the parameters of a solution are: a standard deviation for each, from what was rendered.
 
 =============  =======================================================================
-`estimate`     which remembered samples count for a solution; computed when read
+`estimate`     the estimate of a solution in four steps, computed when it is read
+`selection`    which remembered samples count for a solution
+`matching`     their exchangeable blocks in the order of the solution's
+`features`     their features as numbers
 `basin`        which of them are of another solution with the same image
 `local_fit`    the Jacobian of the features there, and how well the samples tell it
 `covariance`   noise of the target, error of the search, what nothing determines
@@ -15,6 +18,6 @@ from __future__ import annotations
 
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.estimate import LocalEstimate
-from fide_plugins.uncertainty.local_fit import LocalFit, fit_locally
+from fide_plugins.uncertainty.local_fit import LocalFit, Model, fit_locally
 
-__all__ = ["LocalEstimate", "LocalFit", "covariance", "fit_locally"]
+__all__ = ["LocalEstimate", "LocalFit", "Model", "covariance", "fit_locally"]

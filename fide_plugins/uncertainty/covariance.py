@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.types import Float64
-from fide_plugins.uncertainty.local_fit import LocalFit
+from fide_plugins.uncertainty.local_fit import LocalFit, Model
 
 __all__ = ["WIDER", "covariance", "information", "scale_of", "unexplained"]
 
@@ -30,19 +30,15 @@ _RIDGE = 1e-4  # of the mean eigenvalue
 _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precision
 
 
-def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
-    """(d, d), in units of the unit cube.
-
-    target: (f',), its features; f: how many there are, where they are turned into fewer.
-    """
-    d = len(fit.J)
-    scale = scale_of(fit, target, f)
+def covariance(model: Model) -> Float64:
+    """(d, d), in units of the unit cube."""
+    fit, d = model.fit, len(model.fit.J)
     cloud = WIDER**2 * fit.cloud
     cloud += 1e-12 * (1 + float(np.trace(cloud)) / d) * np.eye(d)
     still = np.diag(fit.cloud) < _STILL  # such a parameter never moved: nothing is known of it
     cloud[still], cloud[:, still] = 0.0, 0.0
     cloud[still, still] = 1.0
-    known = information(fit) / scale
+    known = information(fit) / scale_of(model)
     known[still], known[:, still] = 0.0, 0.0
     reach = np.linalg.inv(cloud)
     reach[still, still] = 0.0
@@ -50,9 +46,10 @@ def covariance(fit: LocalFit, target: Float64, f: int) -> Float64:
     return np.asarray(np.linalg.inv(precision), np.float64)
 
 
-def scale_of(fit: LocalFit, target: Float64, f: int) -> float:
+def scale_of(model: Model) -> float:
     """Variance of a feature that the truth is away."""
-    residual = target - fit.here
+    fit, target, f = model
+    residual = model.residual
     left = unexplained(fit, residual)
     noise = float(left @ left)
     explained = float(residual @ residual) - noise

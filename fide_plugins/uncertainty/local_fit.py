@@ -15,12 +15,13 @@ consecutive samples of equal weight (the delete-a-group jackknife, Kott 2001).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from fide_plugins.types import Float64
 
-__all__ = ["LocalFit", "fit_locally"]
+__all__ = ["LocalFit", "Model", "fit_locally"]
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -65,42 +66,90 @@ class LocalFit:
         return predicted
 
 
+class Model(NamedTuple):
+    """The linear model of a solution, beside the target of which the solution was sought.
+
+    fit: the model.
+    target: (f',), its features.
+    f: how many there are, where they are turned into fewer.
+    """
+
+    fit: LocalFit
+    target: Float64
+    f: int
+
+    @property
+    def residual(self) -> Float64:
+        """(f',), features of the target that those of the solution lack."""
+        missing: Float64 = self.target - self.fit.here
+        return missing
+
+
 def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
     """Fit features e (n, f) of samples u (n, d), in the order of asking; n > d + 1.
 
     distances: (n,), squared, of their features from those of the solution.
     """
-    d = u.shape[1]
     order = np.argsort(distances, kind="stable")
-    near, far = order[: max(_NEAR * d, _FEWEST_NEAR)], order[len(order) // 3 :]
+    near, far = order[: max(_NEAR * u.shape[1], _FEWEST_NEAR)], order[len(order) // 3 :]
     reach = max(float(np.median(distances[near])), _TINY)
     beyond = np.maximum(distances - reach, 0.0)
     weights = 1 / (reach + beyond)
     for _ in range(_ROUNDS):
-        shares = weights / weights.sum()
-        center, origin = shares @ u, shares @ e
-        uc, ec = u - center, e - origin
-        weighted = uc * weights[:, None]
-        normal = _ridged(weighted.T @ uc)
-        P = np.linalg.solve(normal, weighted.T)  # (d, n)
-        J = P @ ec
-        left = 1 - np.einsum("nd,dn->n", uc, P) - shares
-        missed = np.square(ec - uc @ J).sum(axis=1) / np.maximum(left, _LOWEST)
+        found = _regress(u, e, weights)
+        missed = found.missed()
         s = max(float(np.median(missed[near])), 1e-9 * reach)
-        rho = np.median(np.maximum(missed - s, 0.0)[far] / (beyond[far] + 1e-9 * reach))
-        rho = float(np.clip(rho, *_RHO))
+        slopes = np.maximum(missed - s, 0.0)[far] / (beyond[far] + 1e-9 * reach)
+        rho = float(np.clip(np.median(slopes), *_RHO))
         weights = 1 / (s + rho * beyond)
-    cloud = (u * shares[:, None]).T @ u
-    error = _jackknife(weighted, uc, ec, J, normal, shares)
-    return LocalFit(J, center, origin, normal, cloud, error, s, rho, reach)
+    cloud = (u * found.shares[:, None]).T @ u
+    model = (found.J, found.center, found.origin, found.normal)
+    return LocalFit(*model, cloud, _jackknife(found), s, rho, reach)
 
 
-def _jackknife(
-    weighted: Float64, u: Float64, e: Float64, J: Float64, normal: Float64, shares: Float64
-) -> Float64:
+class _Regression(NamedTuple):
+    """Weighted least squares.
+
+    J: (d, f).  center, origin: (d,), (f,), weighted means of u and e.
+    u, e: (n, d), (n, f), without these.  weighted: (n, d), u times its weights.
+    normal: (d, d), u^T W u, with a ridge.
+    shares: (n,), weights that sum to 1.  leverages: (n,), without these.
+    """
+
+    J: Float64
+    center: Float64
+    origin: Float64
+    u: Float64
+    e: Float64
+    weighted: Float64
+    normal: Float64
+    shares: Float64
+    leverages: Float64
+
+    def missed(self) -> Float64:
+        """Squared errors (n,) of the samples, as if each were not in the model."""
+        left = 1 - self.leverages - self.shares
+        missed: Float64 = np.square(self.e - self.u @ self.J).sum(axis=1)
+        return missed / np.maximum(left, _LOWEST)
+
+
+def _regress(u: Float64, e: Float64, weights: Float64) -> _Regression:
+    """Fit features e (n, f) of samples u (n, d) with weights (n,)."""
+    shares = weights / weights.sum()
+    center, origin = shares @ u, shares @ e
+    u, e = u - center, e - origin
+    weighted = u * weights[:, None]
+    normal = _ridged(weighted.T @ u)
+    P = np.linalg.solve(normal, weighted.T)  # (d, n)
+    leverages = np.einsum("nd,dn->n", u, P)
+    return _Regression(P @ e, center, origin, u, e, weighted, normal, shares, leverages)
+
+
+def _jackknife(found: _Regression) -> Float64:
     """Energy (d, d) of the error of J, by leaving out groups of consecutive samples."""
+    J, u, e, weighted, normal = found.J, found.u, found.e, found.weighted, found.normal
     number = min(_GROUPS, len(u) // 2)
-    groups = np.minimum((np.cumsum(shares) * number).astype(np.intp), number - 1)
+    groups = np.minimum((np.cumsum(found.shares) * number).astype(np.intp), number - 1)
     products = weighted.T @ e
     error = np.zeros_like(normal)
     for group in np.unique(groups):

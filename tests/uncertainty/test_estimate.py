@@ -14,8 +14,8 @@ from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate as module, fit_locally
-from fide_plugins.uncertainty.estimate import aligned
+from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate, fit_locally, matching
+from fide_plugins.uncertainty.matching import aligned
 
 D, SIDE = 5, 16
 RAMPS = np.random.default_rng(2).uniform(-1, 1, (D, SIDE, SIDE, 3)) / D
@@ -55,7 +55,7 @@ def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch
         calls.append(1)
         return fit_locally(u, e, distances)
 
-    monkeypatch.setattr(module, "fit_locally", fit)
+    monkeypatch.setattr(estimate, "fit_locally", fit)
     opt = run(200)
     best, found = opt.best, opt.solutions()
     assert best is not None and found and not calls
@@ -193,7 +193,7 @@ def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyP
     points = x + 0.05 * rng.standard_normal((50, 12))
     points[:, blocks] = points[:, blocks[rng.permutation(4)]]
     whole = aligned(points, x, blocks, Axes(12))
-    monkeypatch.setattr(module, "_NUMBERS", 100)
+    monkeypatch.setattr(matching, "_NUMBERS", 100)
     for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
         np.testing.assert_array_equal(one, other)
 
