@@ -10,7 +10,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from fide_plugins.population import Population
+from fide_plugins.population import Kind, Population
 from fide_plugins.population.training_sample import columns
 from fide_plugins.preview import make_next
 from fide_plugins.retargeting import Retargeting
@@ -128,7 +128,7 @@ class Asking(Retargeting):
         state, population = self.state, self.state.population
         n = population.size if population.pending else max(1, population.missing)
         x, _ = state.search.sample(n, state.rng)
-        population.draw(x, x, extra=True)
+        population.draw(x, x, spare=True)
 
     def _train_early(self) -> None:
         """Line 8, before the generation is complete, where each proposal is made when asked for."""
@@ -165,4 +165,4 @@ class Asking(Retargeting):
             assert state.steps is not None
             state.steps.taken(len(x))
         for row in zip(x, state.search.near(x), strict=True):
-            state.population.adopt(*row, step=True)
+            state.population.adopt(*row, Kind.STEP)

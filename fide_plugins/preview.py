@@ -3,7 +3,7 @@
 Who asks when those told and those awaited are a whole generation renders for the next one. Most
 results are known by then. So a copy of the search is updated with these (line 10 of Algorithm 1),
 as if they were all there will be, and the candidate is drawn from the copy. It is much nearer to
-the next generation than to the present one, and counts in the next one as late.
+the next generation than to the present one, and yet not of its distribution.
 """
 
 from __future__ import annotations

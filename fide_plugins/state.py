@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from fide_plugins.evaluation import Images
-from fide_plugins.population import Candidate, Population
+from fide_plugins.population import Candidate, Kind, Population
 from fide_plugins.population.best import SCHEMA as BEST, Best
 from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.proposers import Proposer
@@ -133,7 +133,7 @@ class State:
         if finite:
             if tokens is not None:
                 self._keep(TrainingSample(number, exact.copy(), tokens, loss))
-            if candidate is None or candidate.step:
+            if candidate is None or candidate.kind is Kind.STEP:
                 self._inject(x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 solution = Solution(x.copy(), loss, self.evaluations, _copied(image))

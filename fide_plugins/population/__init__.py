@@ -2,7 +2,9 @@
 
 =================  =======================================================
 `population`       which were drawn, which are pending, which were evaluated
-`candidate`        one of them
+`queue`            those that were drawn and not handed out
+`pending`          those that were handed out and not told
+`candidate`        one of them, and what it counts for
 `training_sample`  one whose image is known
 `best`             the best point told so far
 =================  =======================================================
@@ -10,12 +12,8 @@
 
 from __future__ import annotations
 
-from fide_plugins.population.candidate import Candidate
-from fide_plugins.population.population import (
-    Population,
-    Propose,
-    mirrored_pair,
-    search_columns,
-)
+from fide_plugins.population.candidate import Candidate, Kind
+from fide_plugins.population.population import Population, mirrored_pair, search_columns
+from fide_plugins.population.queue import Propose
 
-__all__ = ["Candidate", "Population", "Propose", "mirrored_pair", "search_columns"]
+__all__ = ["Candidate", "Kind", "Population", "Propose", "mirrored_pair", "search_columns"]

@@ -1,9 +1,10 @@
-"""A candidate, and how a list of them is saved."""
+"""A candidate, what it counts for, and how a list of them is saved."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,28 @@ import numpy as np
 from fide_plugins.runtime.schema import Schema, array
 from fide_plugins.types import Float64
 
-__all__ = ["Candidate", "form_of", "pack", "unpack"]
+__all__ = ["Candidate", "Kind", "form_of", "pack", "unpack"]
+
+
+class Kind(IntEnum):
+    """What a candidate counts for.
+
+    ======  ==============================  =======  ==============================
+    kind    counts towards a generation     awaited  when it is withdrawn
+    ======  ==============================  =======  ==============================
+    MEMBER  the one in which it is told     yes      a spare one counts in its place
+    SPARE   if members are withdrawn, lost  yes      nothing
+    STEP    never                           no       nothing
+    ======  ==============================  =======  ==============================
+
+    A spare one is asked beyond a generation that needs just its own candidates, such as a test.  A
+    step comes between two generations (`proposers.steps`).  What is told and was not pending is no
+    candidate: it is *injected*.
+    """
+
+    MEMBER = 0
+    SPARE = 1
+    STEP = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,24 +43,23 @@ class Candidate:
     index: its number among all candidates ever drawn.
     x: (d,), what is rendered.
     z: (d,), what the search distribution learns from; into(z) = x.
-    proposed: whether a proposer made it, and not the search distribution.
-    late: whether it was told after its own generation was complete.
+    kind: what it counts for.
+    proposed: whether a proposer made it, and not a search distribution.
+    off_distribution: whether it is of another distribution than the generation in which it counts:
+        of an earlier one, drawn ahead for the next one, or changed by somebody.
     mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
-    extra: whether its generation does not need it.
-    step: whether it came between two generations, and is of none, see `proposers.steps`.
     """
 
     index: int
     x: Float64
     z: Float64
+    kind: Kind = Kind.MEMBER
     proposed: bool = False
-    late: bool = False
+    off_distribution: bool = False
     mirrored: bool = False
-    extra: bool = False
-    step: bool = False
 
 
-_FLAGS = tuple(field.name for field in fields(Candidate) if field.default is False)
+_FLAGS = ("proposed", "off_distribution", "mirrored")
 
 
 def pack(candidates: list[Candidate]) -> dict[str, Any]:
@@ -47,14 +68,16 @@ def pack(candidates: list[Candidate]) -> dict[str, Any]:
         "index": np.array([c.index for c in candidates], np.int64),
         "x": np.array([c.x for c in candidates]),
         "z": np.array([c.z for c in candidates]),
+        "kind": np.array([c.kind for c in candidates], np.int64),
         **{name: np.array([getattr(c, name) for c in candidates], bool) for name in _FLAGS},
     }
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
+    kinds = [Kind(kind) for kind in packed["kind"].tolist()]
     flags = [packed[name].tolist() for name in _FLAGS]
-    columns = (packed["index"].tolist(), packed["x"], packed["z"], *flags)
+    columns = (packed["index"].tolist(), packed["x"], packed["z"], kinds, *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
 
 
@@ -64,5 +87,6 @@ def form_of(n: str) -> Schema:
         "index": array(n, kind="i"),
         "x": array(n, "d", low=0.0, high=1.0),
         "z": array(n, "d", low=-1e60, high=1e60),
+        "kind": array(n, kind="i", low=min(Kind), high=max(Kind)),
         **{name: array(n, kind="b") for name in _FLAGS},
     }

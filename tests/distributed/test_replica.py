@@ -177,7 +177,7 @@ def test_late_and_altered_count_as_such_and_injected_do_not(bench: Bench) -> Non
         assert replica.tell(x, *bench.look(x), **name) is role
         assert replica.optimizer.state.population.evaluated == counted
     members, _ = replica.optimizer.state.population.members()
-    assert [c.late for c in members] == [True, True, True]  # their steps will be cut
+    assert [c.off_distribution for c in members] == [True, True, True]  # their steps will be cut
 
 
 def test_a_slot_counts_once_as_itself(bench: Bench) -> None:

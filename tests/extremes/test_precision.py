@@ -105,9 +105,7 @@ def next_candidates(
     other = copy.deepcopy(opt)
     tell(other, told)
     X = other.ask()
-    proposed = sum(
-        c.proposed for several in other.state.population._pending.values() for c in several
-    )
+    proposed = sum(candidate.proposed for candidate in other.state.population._pending)
     return (other.state.stage, proposed), X
 
 

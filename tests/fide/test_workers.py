@@ -11,6 +11,7 @@ import pytest
 
 import fide_tasks
 from fide_plugins.fide import FIDE
+from fide_plugins.population import Kind
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float32, Float64
 
@@ -123,7 +124,7 @@ def test_a_test_with_failures_is_not_asked_again(
     own = opt.ask()
     opt.withdraw(own)
     again = opt.ask()
-    assert len(again) == len(own) and not any(one.extra for one in pending_now(opt))
+    assert len(again) == len(own) and all(one.kind is Kind.MEMBER for one in pending_now(opt))
     opt.withdraw(again[:1])
     opt.tell(again[1:], render(again[1:]))
     assert opt.state.population.generations == generations
@@ -170,7 +171,7 @@ def test_what_the_generation_does_not_need_is_drawn_for_the_next_one() -> None:
     opt.tell(X[:4], None, sphere(X[:4]))
     needed, mean = opt.ask(2), opt.state.search.mean.copy()
     ahead = opt.ask(4000)
-    assert [c.late for c in pending_now(opt)] == [False] * 4 + [True] * 4000
+    assert [c.off_distribution for c in pending_now(opt)] == [False] * 4 + [True] * 4000
     expected = opt.state.search.preview(*opt.state.population.members())
     error = ahead.mean(axis=0) - expected.mean
     assert np.abs(error).max() < 5 * expected.std.max() / 4000**0.5
@@ -185,7 +186,7 @@ def test_one_worker_gets_nothing_ahead(target: Float32, render: Render) -> None:
     opt = FIDE(6, target, popsize=8, seed=0)
     for _ in range(100):
         x = opt.ask(1)
-        assert not pending_now(opt)[0].late
+        assert not pending_now(opt)[0].off_distribution
         opt.tell(x, render(x))
 
 
@@ -200,7 +201,7 @@ def test_as_many_are_proposed_as_by_one_worker(target: Float32, render: Render) 
         workers.step()
         if step >= 100:
             asked.update({c.index: c for c in pending_now(opt)})
-    ahead = [c for c in asked.values() if c.late]
+    ahead = [c for c in asked.values() if c.off_distribution]
     assert len(ahead) > 0.4 * len(asked)
     assert 0.4 < np.mean([c.proposed for c in asked.values()]) < 0.6
     assert np.mean([c.proposed for c in ahead]) > 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Population, mirrored_pair, population as book
+from fide_plugins.population import Population, mirrored_pair, pending
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of, made_of
@@ -26,7 +26,7 @@ def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
         assert [c.index for c in members] == [0, 1, 2, 3, 4]
         np.testing.assert_array_equal(losses, [10, 11, 12, 13, 14])
         assert [c.proposed for c in members] == [False, False, False, True, True]
-        assert not any(c.late for c in members)
+        assert not any(c.off_distribution for c in members)
         for c in members:
             np.testing.assert_array_equal(c.z, c.x + 2.0)
 
@@ -143,7 +143,8 @@ def test_a_late_candidate_counts_in_the_generation_in_which_it_arrives() -> None
     for i in (0, 2, 4, 5):
         assert index_of(population, xs[i], 0.0) == i
     members, _ = population.close_generation()
-    assert [c.index for c in members] == [0, 2, 4, 5] and not any(c.late for c in members)
+    assert [c.index for c in members] == [0, 2, 4, 5]
+    assert not any(c.off_distribution for c in members)
     assert population.remaining == 0  # two of the second draw are thrown away
     drawn(4, seed=2, population=population)
     fresh = hand_out(population, 2)
@@ -152,7 +153,8 @@ def test_a_late_candidate_counts_in_the_generation_in_which_it_arrives() -> None
     assert index_of(population, xs[1], 9.0) == 1
     assert index_of(population, fresh[0], 6.0) == 8
     members, losses = population.close_generation()
-    assert [(c.index, c.late) for c in members] == [(1, True), (3, True), (8, False), (9, False)]
+    assert [c.index for c in members] == [1, 3, 8, 9]
+    assert [c.off_distribution for c in members] == [True, True, False, False]
     np.testing.assert_array_equal(losses, [9.0, 7.0, 6.0, 8.0])
 
 
@@ -188,7 +190,9 @@ def test_state_goes_on(told: int) -> None:
         rest = [x.tolist() for x in hand_out(population, 2)]
         indices = [index_of(population, x, 0.5) for x in xs[4 + told :]]
         members, losses = population.close_generation()
-        listed = [(c.index, c.x.tolist(), c.z.tolist(), c.proposed, c.late) for c in members]
+        listed = [
+            (c.index, c.x.tolist(), c.z.tolist(), c.proposed, c.off_distribution) for c in members
+        ]
         outcomes.append((rest, indices, listed, losses.tolist()))
     assert outcomes[0] == outcomes[1]
 
@@ -214,14 +218,15 @@ def test_generations_may_differ_in_size() -> None:
 def test_what_never_comes_back_is_given_up_the_oldest_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(book, "_MOST_PENDING", 10)
+    monkeypatch.setattr(pending, "_MOST", 10)
     population = Population()
     x = np.linspace(0, 1, 25)[:, None]
     for rows in np.split(x, 5):
         population.draw(rows, rows)
         for _ in rows:
             population.hand_out()
-    assert population.pending == len(population.state_dict()["pending"]["index"]) == 10
+    saved = population.state_dict()["pending"]["candidates"]
+    assert population.pending == len(saved["index"]) == 10
     assert index_of(population, x[14], 0.0) is None
     assert index_of(population, x[15], 0.0) == 15
     assert population.pending == Population.from_state(population.state_dict(), 1).pending == 9
@@ -301,7 +306,7 @@ def test_the_pair_of_an_earlier_generation_is_not_that_of_the_present_one() -> N
     for x in (*new[:4], *old[6:8]):
         population.record(x, 0.0)
     members, _ = population.close_generation()
-    assert [candidate.late for candidate in members] == [True, True] + [False] * 4
+    assert [candidate.off_distribution for candidate in members] == [True, True] + [False] * 4
     assert mirrored_pair(members) == (2, 3)
 
 

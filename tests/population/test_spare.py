@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Population
+from fide_plugins.population import Kind, Population
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out
 
 
-def drawn_for_a_test(size: int, extra: int, again: int = 0) -> tuple[Population, list[Float64]]:
-    """A generation that waits for its own candidates, and extra ones that were asked beyond it."""
+def drawn_for_a_test(size: int, spare: int, again: int = 0) -> tuple[Population, list[Float64]]:
+    """A generation that waits for its own candidates, and spare ones that were asked beyond it."""
     population = Population()
-    x = np.random.default_rng(0).random((size + extra, 2))
+    x = np.random.default_rng(0).random((size + spare, 2))
     population.draw(x[:size], x[:size])
     xs = hand_out(population, size)
-    population.draw(x[size:], x[size:], extra=True)
-    return population, xs + hand_out(population, extra - again)
+    population.draw(x[size:], x[size:], spare=True)
+    return population, xs + hand_out(population, spare - again)
 
 
-def test_extra_candidates_do_not_count() -> None:
+def test_spare_candidates_do_not_count() -> None:
     population, xs = drawn_for_a_test(4, 3)
     assert population.size == 4
     for x in (xs[4], xs[0], xs[5], xs[2], xs[6], xs[3]):
@@ -35,10 +35,10 @@ def test_extra_candidates_do_not_count() -> None:
     assert not population.complete and population.evaluated == 0
 
 
-def test_an_extra_candidate_counts_in_the_place_of_one_that_was_withdrawn() -> None:
+def test_a_spare_candidate_counts_in_the_place_of_one_that_was_withdrawn() -> None:
     population, xs = drawn_for_a_test(4, 4)
     population.withdraw(xs[1])
-    population.withdraw(xs[7])  # which was extra itself, and is missed by nobody
+    population.withdraw(xs[7])  # which was spare itself, and is missed by nobody
     for x in (xs[0], xs[2], xs[3]):
         assert not population.complete
         population.record(x, 1.0)
@@ -46,14 +46,14 @@ def test_an_extra_candidate_counts_in_the_place_of_one_that_was_withdrawn() -> N
     population.record(xs[5], 0.0)
     assert population.complete
     members, _ = population.close_generation()
-    assert [c.index for c in members] == [0, 2, 3], "nothing is learned from an extra one"
+    assert [c.index for c in members] == [0, 2, 3], "nothing is learned from a spare one"
     population.draw(np.zeros((1, 2)), np.zeros((1, 2)))
     hand_out(population, 1)
     population.record(np.zeros(2), 0.0)
     assert population.complete, "nothing of the last generation is missed in the next"
 
 
-def test_a_generation_whose_candidates_are_lost_is_completed_by_extra_ones() -> None:
+def test_a_generation_whose_candidates_are_lost_is_completed_by_spare_ones() -> None:
     """After twice its size; or twice as many as are pending, so that slow ones are waited for."""
     population, xs = drawn_for_a_test(4, 8)
     population.record(xs[0], 3.0)
@@ -74,7 +74,7 @@ def test_a_generation_whose_candidates_are_lost_is_completed_by_extra_ones() -> 
     assert len(members) == told, "if not one came back, the others are all that is known"
 
 
-def test_a_generation_is_completed_although_most_extra_ones_are_lost_too() -> None:
+def test_a_generation_is_completed_although_most_spare_ones_are_lost_too() -> None:
     """None is told of the own ones, and of the others every third, generation for generation."""
     population = Population()
     rng = np.random.default_rng(0)
@@ -83,7 +83,7 @@ def test_a_generation_is_completed_although_most_extra_ones_are_lost_too() -> No
     asked = 0
     while not population.complete:
         x = rng.random((6, 2))
-        population.draw(x, x, extra=True)
+        population.draw(x, x, spare=True)
         for row in hand_out(population, 6)[::3]:
             population.record(row, 0.0)
         asked += 6
@@ -124,8 +124,8 @@ def test_what_many_workers_render_is_awaited() -> None:
 
 
 @pytest.mark.parametrize("saved", [False, True])
-def test_the_state_knows_what_is_extra(saved: bool) -> None:
-    population, xs = drawn_for_a_test(4, 6, again=2)  # two extra ones are queued
+def test_the_state_knows_what_is_spare(saved: bool) -> None:
+    population, xs = drawn_for_a_test(4, 6, again=2)  # two spare ones are queued
     population.withdraw(xs[3])
     population.record(xs[4], 1.0)
     if saved:
@@ -154,7 +154,7 @@ def test_other_candidates_take_the_place_of_the_next_ones(first: int) -> None:
     np.testing.assert_array_equal(asked[:2], x)
     np.testing.assert_array_equal(asked[2], np.random.default_rng(0).random((4, 2))[3])
     found = [population.record(row, 0.0) for row in asked]
-    flags = [(c.index, c.proposed, c.late) for c in found if c is not None]
+    flags = [(c.index, c.proposed, c.off_distribution) for c in found if c is not None]
     assert flags == [(1, False, True), (2, True, True), (3, True, False)]
 
 
@@ -163,10 +163,10 @@ def test_a_step_counts_in_no_generation() -> None:
     population = drawn(4)
     xs, steps = hand_out(population, 4), np.array([[0.11, 0.2], [0.12, 0.2], [0.13, 0.2]])
     for x in steps:
-        population.adopt(x, x, step=True)
+        population.adopt(x, x, Kind.STEP)
     assert population.pending == 7
     candidate = population.record(steps[0], 0.0)
-    assert candidate is not None and candidate.step
+    assert candidate is not None and candidate.kind is Kind.STEP
     population.withdraw(steps[1])
     population.withdraw(xs[0])
     assert population.missing == 4 and population.pending == 4
