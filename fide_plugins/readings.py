@@ -118,7 +118,6 @@ class Readings(Saved):
 
         Exchangeable blocks are matched first, so that no order of the same things counts twice.
         Each has its own `std`, as `best` has.
-        `evaluation` is the candidate's number in the order of asking, but for the first solution.
         `probability` is that among those found, by a learned model and by their losses (see
         `search.scene.modes`); None where no model knows the picture.
 
@@ -130,7 +129,7 @@ class Readings(Saved):
         for sample in (optimum.sample for optimum in known.optima.all):
             distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
             if min(distances, default=np.inf) >= APART:
-                one = Solution(sample.x.copy(), sample.loss, evaluation=sample.index)
+                one = Solution(sample.x.copy(), sample.loss, sample.evaluation)
                 estimate = self.state.estimate_of(sample.x)
                 found.append(replace(one, space=self.space, estimate=estimate))
         points = np.array([one.x for one in found]).reshape(len(found), self.dim)

@@ -132,7 +132,8 @@ class State:
             exact = candidate.x  # x may have lost digits on its way
         if finite:
             if tokens is not None:
-                self._keep(TrainingSample(number, exact.copy(), tokens, loss))
+                sample = TrainingSample(number, exact.copy(), tokens, loss, self.evaluations)
+                self._keep(sample)
             if candidate is None or candidate.kind is Kind.STEP:
                 self._inject(x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):

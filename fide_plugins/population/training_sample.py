@@ -15,11 +15,12 @@ from fide_plugins.types import Float64
 
 __all__ = ["SCHEMA", "TrainingSample", "columns", "in_order"]
 
-SCHEMA: Schema = {
+SCHEMA: dict[str, Schema] = {
     "index": whole(),
     "x": array("d", low=0.0, high=1.0),
     "tokens": array("T", "C"),
     "loss": real(),
+    "evaluation": whole(),
 }
 
 
@@ -31,16 +32,18 @@ class TrainingSample:
     x: (d,), parameters.
     tokens: (T, C), features of the image.
     loss: finite.
+    evaluation: number of the evaluation, from 0, in the order of telling.
     """
 
     index: int
     x: Float64
     tokens: Tensor
     loss: float
+    evaluation: int
 
     def state_dict(self) -> dict[str, Any]:
         """All of it; tokens are those in use, not a copy."""
-        return {"index": self.index, "x": self.x, "tokens": self.tokens, "loss": self.loss}
+        return {name: getattr(self, name) for name in SCHEMA}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> TrainingSample:

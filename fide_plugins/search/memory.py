@@ -28,6 +28,7 @@ _PACKED: Schema = {
     "x": array("n", "d", low=0.0, high=1.0),
     "tokens": array("n", "T", "C"),
     "losses": array("n"),
+    "evaluation": array("n", kind="i", low=0),
 }
 _SCHEMA: Schema = {
     "earlier": maybe(_PACKED),
@@ -104,13 +105,14 @@ def _pack(samples: list[TrainingSample]) -> dict[str, Any] | None:
         return None
     x, tokens, losses = columns(samples)
     index = np.array([sample.index for sample in samples], np.int64)
-    return {"index": index, "x": x, "tokens": tokens, "losses": losses}
+    evaluation = np.array([sample.evaluation for sample in samples], np.int64)
+    return {"index": index, "x": x, "tokens": tokens, "losses": losses, "evaluation": evaluation}
 
 
 def _unpack(packed: Mapping[str, Any] | None, device: device) -> list[TrainingSample]:
     if packed is None:
         return []
     tokens: list[Tensor] = [as_tensor(one, device=device).clone() for one in packed["tokens"]]
-    index, losses = packed["index"].tolist(), packed["losses"].tolist()
-    rows = zip(index, packed["x"], tokens, losses, strict=True)
-    return [TrainingSample(i, x.copy(), each, loss) for i, x, each, loss in rows]
+    x = [one.copy() for one in packed["x"]]
+    index, losses, told = (packed[name].tolist() for name in ("index", "losses", "evaluation"))
+    return [TrainingSample(*one) for one in zip(index, x, tokens, losses, told, strict=True)]

@@ -35,7 +35,7 @@ def taught(n: int = 12, **options: float) -> GaussNewtonSteps:
     steps = GaussNewtonSteps(ForwardProposer(D, minimum=5), **options)
     for i, x in enumerate(np.random.default_rng(0).normal(MEAN, STD, (n, D))):
         loss = float(np.square(x - TRUTH).sum())
-        steps.add(TrainingSample(i, x, image_of(x), loss))
+        steps.add(TrainingSample(i, x, image_of(x), loss, i))
     return steps
 
 

@@ -46,7 +46,7 @@ def painted(x: Float64, blocks: np.ndarray) -> Float64:
 def sample(image: Float64, x: Float64, loss: float = 1.0, index: int = 0) -> TrainingSample:
     """TrainingSample candidate of a gray image (T,), the same in three channels."""
     tokens = torch.as_tensor(np.repeat(image[:, None], 3, axis=1), dtype=torch.float32)
-    return TrainingSample(index, x.copy(), tokens, loss)
+    return TrainingSample(index, x.copy(), tokens, loss, index)
 
 
 @pytest.fixture

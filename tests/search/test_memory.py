@@ -15,7 +15,7 @@ SIDES = {"d": 2, "T": 16, "C": 80}
 
 
 def sample(i: int) -> TrainingSample:
-    return TrainingSample(i, np.full(2, 0.5), TOKENS + i, float(i))
+    return TrainingSample(i, np.full(2, 0.5), TOKENS + i, float(i), 2 * i)
 
 
 def filled(n: int, room: int = 20) -> Memory:
@@ -48,7 +48,7 @@ def test_no_room_no_memory() -> None:
 def test_small_samples_are_counted_with_their_objects() -> None:
     memory = Memory(1.0)
     for i in range(1000):
-        memory.add(TrainingSample(i, np.full(2, 0.5), torch.zeros(1, 4), float(i)))
+        memory.add(TrainingSample(i, np.full(2, 0.5), torch.zeros(1, 4), float(i), i))
     assert 128 <= len(memory.samples) <= 256  # 4 KiB each
 
 

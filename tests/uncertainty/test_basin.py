@@ -45,7 +45,9 @@ def std_of(X: Float64, seed: int) -> Float64:
     tokens = folded(X) + NOISE * rng.normal(size=(len(X), F))
     target = torch.as_tensor((folded(X[:1])[0] + NOISE * rng.normal(size=F)).reshape(4, -1))
     kept = torch.as_tensor(tokens.reshape(len(X), 4, -1))
-    samples = [TrainingSample(i, x, t, 0.0) for i, (x, t) in enumerate(zip(X, kept, strict=True))]
+    samples = [
+        TrainingSample(i, x, t, 0.0, i) for i, (x, t) in enumerate(zip(X, kept, strict=True))
+    ]
     std = LocalEstimate(X[0], samples, target, None, Axes(D)).std
     assert std is not None
     return std

@@ -38,7 +38,9 @@ def run(evaluations: int = 400, seed: int = 1, **options: object) -> FIDE:
 
 def samples_of(points: Float64, tokens: Float64) -> list[TrainingSample]:
     kept = torch.as_tensor(tokens.reshape(len(points), 4, -1))
-    return [TrainingSample(i, x, t, 0.0) for i, (x, t) in enumerate(zip(points, kept, strict=True))]
+    return [
+        TrainingSample(i, x, t, 0.0, i) for i, (x, t) in enumerate(zip(points, kept, strict=True))
+    ]
 
 
 def test_what_the_picture_does_not_show_is_open_and_the_rest_is_not() -> None:

@@ -52,7 +52,7 @@ def known() -> Known:
         place=SPACE.snap,
         values=Values(AXES, SPACE.layout),
     )
-    known.incumbent = TrainingSample(0, HERE.copy(), torch.ones(1, 3), 1.0)
+    known.incumbent = TrainingSample(0, HERE.copy(), torch.ones(1, 3), 1.0, 0)
     return known
 
 

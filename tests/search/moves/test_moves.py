@@ -283,10 +283,10 @@ def test_few_parameters_are_enough(dim: int, rng: np.random.Generator) -> None:
         sensitivity=Sensitivity(dim, 3),
         axes=Axes(dim),
     )
-    known.incumbent = TrainingSample(0, np.full(dim, 0.3), tokens, 1.0)
+    known.incumbent = TrainingSample(0, np.full(dim, 0.3), tokens, 1.0, 0)
     known.optima.note(known.incumbent, known.exchangeability.distance)
     known.optima.note(
-        TrainingSample(1, np.full(dim, 0.7), tokens, 2.0), known.exchangeability.distance
+        TrainingSample(1, np.full(dim, 0.7), tokens, 2.0, 1), known.exchangeability.distance
     )
     possible = {
         RelocateSegment(): dim > 1,  # a segment is not all there is

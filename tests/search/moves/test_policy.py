@@ -131,7 +131,7 @@ def test_a_better_optimum_is_the_next_incumbent_and_a_worse_one_is_not() -> None
         round_of(moves, exchangeable, rng)
     first = moves.known.here
     assert moves.goal == first.loss
-    worse = TrainingSample(7, np.full(8, 0.9), first.tokens, first.loss + 1)
+    worse = TrainingSample(7, np.full(8, 0.9), first.tokens, first.loss + 1, 7)
     moves.after_search(worse, 100, guided=True)
     assert moves.known.here is first
     better = exchangeable(STAR)
@@ -201,7 +201,7 @@ def test_optima_are_tried_by_rank_and_failures() -> None:
 
     assert optima.next(2) is None
     best, second = (
-        TrainingSample(i, np.full(2, i / 2), mixed(STAR).tokens, i + 1.0) for i in (0, 1)
+        TrainingSample(i, np.full(2, i / 2), mixed(STAR).tokens, i + 1.0, i) for i in (0, 1)
     )
     assert optima.note(best, distance) and not optima.note(second, distance)
     order = []
@@ -212,10 +212,10 @@ def test_optima_are_tried_by_rank_and_failures() -> None:
             optima.fail(following)
     assert order[:3] == [best, best, best] or order[:2] == [best, best]
     assert second in order and None in order
-    near = TrainingSample(2, best.x + 0.01, best.tokens, 1.5)
+    near = TrainingSample(2, best.x + 0.01, best.tokens, 1.5, 2)
     assert not optima.note(near, distance) and len(optima) == 2
     assert optima.all[0].searches == 2
-    nearer = TrainingSample(3, best.x + 0.01, best.tokens, 0.5)
+    nearer = TrainingSample(3, best.x + 0.01, best.tokens, 0.5, 3)
     assert optima.note(nearer, distance) and len(optima) == 2
     assert optima.all[0].searches == 3 and optima.all[0].failures == 0
 

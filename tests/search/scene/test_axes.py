@@ -40,7 +40,7 @@ def rendered(x: Float64, loss: float = 1.0) -> TrainingSample:
     """One token a parameter shows."""
     values = SPACE.layout.numbers(x[None])[0]
     tokens = torch.as_tensor(np.repeat(values[:, None], 3, axis=1))
-    return TrainingSample(0, x.copy(), tokens, loss)
+    return TrainingSample(0, x.copy(), tokens, loss, 0)
 
 
 @pytest.fixture
