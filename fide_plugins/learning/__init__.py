@@ -20,6 +20,7 @@ file               idea
 `head_choice`      which head, which blocks are exchangeable, whether there is an emulator
 `sets`             exchangeable blocks as a set
 `emulator`         a learned renderer of exchangeable blocks
+`attention`        of these two networks
 `inversion`        parameters of a picture, by descents through the emulator
 `axes`             densities on one axis: truncated and wrapped Gaussians
 `augmentation`     what separates a picture from a render

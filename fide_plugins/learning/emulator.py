@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from fide_plugins.learning.attention import attend, split
 from fide_plugins.learning.axes import fourier, frequencies
 from fide_plugins.learning.trainable import Trainable, mean_and_variance
 
@@ -160,10 +161,10 @@ class _Gather(nn.Module):
     def forward(self, places: Tensor, blocks: Tensor) -> Tensor:
         """Places (B or 1, P, W) and blocks (B, n, W) -> (B, P, W)."""
         keys, values = self.key_value(blocks).chunk(2, dim=-1)
-        query, key, value = (_split(t) for t in (self.query(places), keys, values))
+        query, key, value = (split(t, _HEADS) for t in (self.query(places), keys, values))
         query = query * self.sharpness.exp()
         query = query.expand(len(blocks), -1, -1, -1)
-        seen = F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
+        seen = attend(query, key, value)
         each = F.relu(self.here(places)[:, :, None] + self.there(blocks)[:, None])  # (B, P, n, S)
         mixed: Tensor = self.mix(torch.cat([seen, each.mean(dim=2)], dim=-1))
         return mixed
@@ -185,8 +186,3 @@ def _pixels(size: tuple[int, int]) -> Tensor:
 def _colors(images: Tensor, places: Tensor) -> Tensor:
     """Colors (B, P, 3) of images (B, 3, H, W) at places (P,)."""
     return images.flatten(2)[:, :, places].transpose(1, 2)
-
-
-def _split(features: Tensor) -> Tensor:
-    """(B, m, W) -> (B, heads, m, W / heads)."""
-    return features.view(*features.shape[:2], _HEADS, -1).transpose(1, 2)

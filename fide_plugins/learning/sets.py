@@ -22,6 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from fide_plugins.learning.attention import attend, split
 from fide_plugins.learning.axes import NUMBERS, Components, fourier
 from fide_plugins.learning.heads import Autoregressive
 
@@ -138,9 +139,9 @@ class _Attention(nn.Module):
         self.out = nn.Linear(_WIDTH, _WIDTH)
 
     def forward(self, h: Tensor, of: Tensor) -> Tensor:
-        q, k, v = (_split(t) for t in (self.query(h), *self.key_value(of).chunk(2, dim=-1)))
-        attended = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-        out: Tensor = self.out(attended)
+        keys, values = self.key_value(of).chunk(2, dim=-1)
+        q, k, v = (split(t, _HEADS) for t in (self.query(h), keys, values))
+        out: Tensor = self.out(attend(q, k, v))
         return out
 
 
@@ -149,10 +150,6 @@ def _waves(grid: tuple[int, int]) -> Tensor:
     y, x = ((torch.arange(side) + 0.5) / side for side in grid)
     middles = torch.cartesian_prod(y, x)  # (h * w, 2)
     return fourier(middles, torch.tensor([False, False])).flatten(1)
-
-
-def _split(h: Tensor) -> Tensor:
-    return h.view(*h.shape[:2], _HEADS, -1).transpose(1, 2)
 
 
 def _matching(gain: Tensor) -> Tensor:
