@@ -19,7 +19,7 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.recording.record import Progress, Record, Report
+from fide_plugins.recording.record import Progress, Record, Report, best_so_far
 from fide_plugins.recording.signals import Interrupted, Interrupts
 
 if TYPE_CHECKING:
@@ -221,5 +221,4 @@ class Fitting:
 def _curve(record: Record) -> Float64:
     """(n, 2), number of evaluations and best loss by then."""
     losses = np.array(record.losses, np.float64)
-    best = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
-    return np.stack([np.arange(1.0, len(losses) + 1), best], axis=1)
+    return np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1)

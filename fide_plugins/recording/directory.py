@@ -37,7 +37,7 @@ import numpy as np
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.recording.parallel import WORKERS, rounds
-from fide_plugins.recording.record import Record, RunResult
+from fide_plugins.recording.record import Record, RunResult, best_so_far
 from fide_plugins.recording.record_schema import check_record
 from fide_plugins.runtime import checkpoint, files, machine
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -169,8 +169,7 @@ class RunDirectory:
     def write_curve(self, record: Record) -> None:
         """Write `curve.csv`."""
         losses, seconds = np.array(record.losses), np.array(record.seconds)
-        best = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
-        rows = zip(losses.tolist(), best.tolist(), seconds.tolist(), strict=True)
+        rows = zip(losses.tolist(), best_so_far(losses).tolist(), seconds.tolist(), strict=True)
         lines = ["evaluation,loss,best_loss,seconds"]
         lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
         files.write_text(self.path / "curve.csv", "\n".join(lines) + "\n")

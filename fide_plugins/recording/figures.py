@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.recording.record import PARTS, RunResult
+from fide_plugins.recording.record import PARTS, RunResult, best_so_far
 from fide_plugins.types import Float32
 
 __all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]
@@ -113,7 +113,7 @@ def _curve(axes: Any, result: RunResult) -> None:
     finite = np.isfinite(losses)
     index = np.arange(1, len(losses) + 1)
     if finite.any():
-        best = np.minimum.accumulate(np.where(finite, losses, np.inf))
+        best = best_so_far(losses)
         shown = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 4000)]
         axes.scatter(index[shown], losses[shown], s=3, color=_MUTED, alpha=0.35, linewidths=0,
                      label="each render", rasterized=True)  # fmt: skip

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from fide_plugins.recording.parallel import rounds
 from fide_plugins.types import Float32, Float64, Optimizer
 
-__all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult"]
+__all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult", "best_so_far"]
 
 PARTS = ("render", "encode", "train", "search")
 """Parts of the time of a run; encode includes the loss."""
@@ -266,6 +266,12 @@ class Record:
 
 _ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q", "generations": "q"}
 """Array fields of a record, and their type codes for `array` and for NumPy."""
+
+
+def best_so_far(losses: Float64) -> Float64:
+    """Lowest of the losses (n,) up to each, (n,); infinity before the first finite one."""
+    best: Float64 = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
+    return best
 
 
 def _finite(value: float) -> float | None:
