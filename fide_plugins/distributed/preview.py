@@ -28,13 +28,13 @@ def preview_candidate(optimizer: FIDE, rng: np.random.Generator) -> Candidate | 
         return None
     proposer = _proposer(optimizer)
     x, z = search.sample(1, rng)  # (1, d)
-    drawn, proposed = state.population.drawn, False
+    index, proposed = state.population.drawn, False
     if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
         v, target = search.stretched(z), optimizer.target_tokens
         made = proposer.propose(v, target, search.mean, search.std, rng)
         x, proposed = search.place_proposals(made), True
         z = search.near(x)
-    return Candidate(drawn, x[0], z[0], proposed=proposed, off_distribution=True)
+    return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
 
 
 def _proposer(optimizer: FIDE) -> Proposer | None:

@@ -18,17 +18,17 @@ __all__ = ["Candidate", "Kind", "form_of", "pack", "unpack"]
 class Kind(IntEnum):
     """What a candidate counts for.
 
-    ======  ==============================  =======  ==============================
-    kind    counts towards a generation     awaited  when it is withdrawn
-    ======  ==============================  =======  ==============================
-    MEMBER  the one in which it is told     yes      a spare one counts in its place
-    SPARE   if members are withdrawn, lost  yes      nothing
-    STEP    never                           no       nothing
-    ======  ==============================  =======  ==============================
+    ======  ====================================  ===========  ===============================
+    kind    counts towards a generation           waited for   if it is withdrawn
+    ======  ====================================  ===========  ===============================
+    MEMBER  that in which it is told              yes          a spare one counts in its place
+    SPARE   for members that do not come back     yes          nothing happens
+    STEP    no                                    no           nothing happens
+    ======  ====================================  ===========  ===============================
 
     A spare one is asked beyond a generation that needs just its own candidates, such as a test.  A
-    step comes between two generations (`proposers.steps`).  What is told and was not pending is no
-    candidate: it is *injected*.
+    step comes between two generations (`proposers.steps`).  A point that is told and was not
+    pending is no candidate: it is *injected*.
     """
 
     MEMBER = 0

@@ -3,12 +3,12 @@
 FIDE and all baselines keep one.  A candidate is drawn (`queue`), handed out (`pending`) and told;
 users tell in whatever order and pieces.
 
-*What counts.*  A `Kind` says what a candidate counts for.  Members count in the generation in which
-they are told: asking for more than is left of a generation draws more from the same distribution,
-and any of them complete it.  Who comes after that is `off_distribution` in the next one.  A
-generation that needs just its own candidates, a test, is asked for spare ones beyond these.  A
-point that was asked before a restart, told twice, or never asked at all is *injected*: it tells
-about the renderer, not about the search distribution.
+*What counts.*  A `Kind` says what a candidate counts for.  Asking for more than is left of a
+generation draws more members from the same distribution, and any of them complete it.  Those that
+are told after that count in the next one, in which they are `off_distribution`.  Where a generation
+needs just its own candidates, for a test, asking for more draws spare ones.  A point that was asked
+before a restart, told twice, or never asked at all is *injected*: it tells about the renderer, not
+about the search distribution.
 
 *When a generation is complete.*  It lacks
 

@@ -175,3 +175,11 @@ def test_a_step_counts_in_no_generation() -> None:
         population.record(x, 1.0)
     assert population.missing == 1 and not population.complete
     assert len(population.members()[0]) == 3
+
+
+def test_a_saved_candidate_is_of_a_known_kind() -> None:
+    population, _ = drawn_for_a_test(2, 1)
+    state = population.state_dict()
+    state["pending"]["candidates"]["kind"][0] = 3
+    with pytest.raises(ValueError, match="kind"):
+        Population.from_state(state, 2)
