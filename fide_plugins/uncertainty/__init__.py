@@ -18,6 +18,6 @@ from __future__ import annotations
 
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.estimate import LocalEstimate
-from fide_plugins.uncertainty.local_fit import LocalFit, Model, fit_locally
+from fide_plugins.uncertainty.local_fit import FitToTarget, LocalFit, fit_locally
 
-__all__ = ["LocalEstimate", "LocalFit", "Model", "covariance", "fit_locally"]
+__all__ = ["FitToTarget", "LocalEstimate", "LocalFit", "covariance", "fit_locally"]

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.types import Float64
-from fide_plugins.uncertainty.local_fit import LocalFit, Model
+from fide_plugins.uncertainty.local_fit import FitToTarget, LocalFit
 
 __all__ = ["WIDER", "covariance", "information", "scale_of", "unexplained"]
 
@@ -30,7 +30,7 @@ _RIDGE = 1e-4  # of the mean eigenvalue
 _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precision
 
 
-def covariance(model: Model) -> Float64:
+def covariance(model: FitToTarget) -> Float64:
     """(d, d), in units of the unit cube."""
     fit, d = model.fit, len(model.fit.J)
     cloud = WIDER**2 * fit.cloud
@@ -46,7 +46,7 @@ def covariance(model: Model) -> Float64:
     return np.asarray(np.linalg.inv(precision), np.float64)
 
 
-def scale_of(model: Model) -> float:
+def scale_of(model: FitToTarget) -> float:
     """Variance of a feature that the truth is away."""
     fit, target, f = model
     residual = model.residual

@@ -25,7 +25,7 @@ from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Estimated, Float64, Indices, Mask
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.features import compressed, features_of, floored
-from fide_plugins.uncertainty.local_fit import Model, fit_locally
+from fide_plugins.uncertainty.local_fit import FitToTarget, fit_locally
 from fide_plugins.uncertainty.selection import Surroundings, most_alike, surroundings
 from fide_plugins.uncertainty.values import OtherValue, Pairs, looks_alike, other_values
 
@@ -78,16 +78,16 @@ class LocalEstimate:
         )
         if around is None:
             return Estimated(None, ambiguous)
-        near, others = most_alike(around), other_values(around, self.axes)
-        model, pairs = self._fit(around, near, others)
-        std[around.free] = np.sqrt(np.diag(covariance(model)))
-        for other, pair in zip(others, pairs, strict=True):
+        near, others = most_alike(around), other_values(around, self.axes)  # 1
+        model, pairs = self._fit(around, near, others)  # 2
+        std[around.free] = np.sqrt(np.diag(covariance(model)))  # 3
+        for other, pair in zip(others, pairs, strict=True):  # 4
             ambiguous[other.axes] |= looks_alike(model, pair)
         return Estimated(std, ambiguous)
 
     def _fit(
         self, around: Surroundings, near: Indices, others: Sequence[OtherValue]
-    ) -> tuple[Model, list[Pairs]]:
+    ) -> tuple[FitToTarget, list[Pairs]]:
         """The linear model of the samples `near` (m,), and the pairs of each other value.
 
         The features of all of them, and of the target, are turned into few at once.
@@ -102,4 +102,4 @@ class LocalEstimate:
             Pairs(around.steps(other.rows), theirs, around.steps(other.own), own, other.own)
             for other, theirs, own in zip(others, of_others[::2], of_others[1::2], strict=True)
         ]
-        return Model(fit, target, around.features.shape[1]), pairs
+        return FitToTarget(fit, target, around.features.shape[1]), pairs

@@ -21,7 +21,7 @@ import numpy as np
 
 from fide_plugins.types import Float64
 
-__all__ = ["LocalFit", "Model", "fit_locally"]
+__all__ = ["FitToTarget", "LocalFit", "fit_locally"]
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -66,7 +66,7 @@ class LocalFit:
         return predicted
 
 
-class Model(NamedTuple):
+class FitToTarget(NamedTuple):
     """The linear model of a solution, beside the target of which the solution was sought.
 
     fit: the model.

@@ -21,7 +21,7 @@ import numpy as np
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices
 from fide_plugins.uncertainty.covariance import scale_of, unexplained
-from fide_plugins.uncertainty.local_fit import Model
+from fide_plugins.uncertainty.local_fit import FitToTarget
 from fide_plugins.uncertainty.selection import Surroundings
 
 __all__ = ["OtherValue", "Pairs", "looks_alike", "other_values"]
@@ -84,7 +84,7 @@ def _nearest(own: Indices, rows: Indices) -> Indices:
     return np.where(rows - own[before] <= own[after] - rows, own[before], own[after])
 
 
-def looks_alike(model: Model, pairs: Pairs) -> bool:
+def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
     """Whether the other value may be the true one."""
     fit, target, f = model
     missing = fit.misses(pairs.u) + fit.misses(pairs.own_u)

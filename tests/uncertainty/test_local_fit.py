@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.types import Float64
-from fide_plugins.uncertainty import LocalFit, Model, covariance, fit_locally
+from fide_plugins.uncertainty import FitToTarget, LocalFit, covariance, fit_locally
 from fide_plugins.uncertainty.covariance import WIDER
 
 D, F, N = 6, 300, 400
@@ -41,7 +41,7 @@ def test_the_covariance_is_that_of_least_squares(rng: np.random.Generator) -> No
     noise = sigma * rng.normal(size=F)
     explained = np.linalg.lstsq(MIXING.T, noise, rcond=None)[0]  # of a search that is not over
     target = HERE @ MIXING + noise - explained @ MIXING
-    found = np.sqrt(np.diag(covariance(Model(fit, target, F))))
+    found = np.sqrt(np.diag(covariance(FitToTarget(fit, target, F))))
     sample = np.sqrt(np.square(noise - explained @ MIXING).mean()) / sigma  # of this noise
     np.testing.assert_allclose(found, sample * exact, rtol=0.03)
 
@@ -53,7 +53,7 @@ def test_noise_of_the_renders_is_not_taken_for_knowledge(rng: np.random.Generato
     for noise in (0.0, 0.5):
         fit = fitted(rng, noise=noise, mixing=blind)
         target = HERE @ blind + 0.05 * rng.normal(size=F)
-        std = np.sqrt(np.diag(covariance(Model(fit, target, F))))
+        std = np.sqrt(np.diag(covariance(FitToTarget(fit, target, F))))
         reach = WIDER**2 * fit.cloud[2, 2]  # of samples that look alike
         assert std[2] == pytest.approx((12 + 1 / reach) ** -0.5, rel=0.1)
         assert 0.2 < std[2] < 12**-0.5
@@ -68,7 +68,7 @@ def test_the_error_of_an_unfinished_search_counts(rng: np.random.Generator) -> N
     stds = []
     for length in (0.01, 0.02, 0.04):
         target = (HERE + length * away) @ MIXING
-        stds.append(np.sqrt(np.diag(covariance(Model(fit, target, F)))))
+        stds.append(np.sqrt(np.diag(covariance(FitToTarget(fit, target, F)))))
         z = np.abs(length * away / stds[-1])
         assert 0.4 < np.sqrt(np.square(z).mean()) < 2.0
     np.testing.assert_allclose(stds[1], 2 * stds[0], rtol=0.05)
@@ -83,6 +83,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator)
         clean = HERE @ MIXING
         noisy = clean + 0.1 * rng.normal(size=F)
         wrong = np.linalg.lstsq(MIXING.T, noisy - clean, rcond=None)[0]  # the minimum, less HERE
-        std = np.sqrt(np.diag(covariance(Model(fit, noisy - wrong @ MIXING, F))))
+        std = np.sqrt(np.diag(covariance(FitToTarget(fit, noisy - wrong @ MIXING, F))))
         inside.append(np.abs(wrong) <= 1.645 * std)
     assert 0.84 < np.mean(inside) < 0.96  # five standard errors of 360
