@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CallbackError",
+    "EvaluationError",
     "Failure",
     "Failures",
     "FitError",
@@ -41,6 +42,10 @@ class GivenUpError(FitError, RenderError):
 
 class CallbackError(FitError):
     """A callback raised an exception."""
+
+
+class EvaluationError(FitError):
+    """The loss or the encoder raised an exception."""
 
 
 class RenderFailedWarning(RuntimeWarning):

@@ -163,6 +163,8 @@ class Fitting:
         if self.saved is not None:
             if self._loop.whole:
                 self._save(self.saved)
+            else:
+                self.saved.write_tables(self.record, self.optimizer)
             self.saved.leave(status, self.record, self.optimizer)
         return self._result(stopped)
 

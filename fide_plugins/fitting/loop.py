@@ -21,7 +21,7 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
-from fide_plugins.fitting.failures import Failures, GivenUpError
+from fide_plugins.fitting.failures import EvaluationError, Failures, GivenUpError
 from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
@@ -94,7 +94,7 @@ class Loop:
     def step(self) -> str | None:
         """Wait for a render, and tell it; returns why the fit is over, None if it is not.
 
-        Raises GivenUpError or CallbackError (both FitErrors).
+        Raises GivenUpError, EvaluationError or CallbackError (all FitErrors).
         """
         self._fill()
         if not self._running:
@@ -199,7 +199,7 @@ class Loop:
     def _enter(self, x: Float64, outcome: Outcome) -> bool:
         """Tell the outcome of x (d,), or withdraw it; returns whether it is the best so far.
 
-        Raises GivenUpError (a FitError) if most renders fail.
+        Raises GivenUpError if most renders fail, EvaluationError as `_tell` (both FitErrors).
         """
         if isinstance(outcome, Failed):
             self._fail(x, outcome)
@@ -207,8 +207,7 @@ class Loop:
         self.render_seconds += outcome.seconds
         try:
             loss = self._tell(x, as_told(self.optimizer, outcome.image))
-        except ImageError as error:  # raised before anything changes
-            self.whole = True
+        except ImageError as error:
             self._fail(x, Failed(f"render returned no image that fits: {error}"))
             return False
         improved = self._note(x, outcome.image, loss)
@@ -217,10 +216,27 @@ class Loop:
         return improved
 
     def _tell(self, x: Float64, images: Any) -> float:
-        """Tell images of the point x (d,); returns its loss."""
-        self.whole = False
-        with self.record.timing(self.optimizer):
-            losses = self.optimizer.tell(x[None], images)  # (1,)
+        """Tell images of the point x (d,); returns its loss.
+
+        Raises ImageError for those that do not fit, and EvaluationError where the loss or the
+        encoder raises.  Both come before anything changes; then x waits to be rendered again.
+        """
+        self.whole, before = False, self.optimizer.evaluations
+        try:
+            with self.record.timing(self.optimizer):
+                losses = self.optimizer.tell(x[None], images)  # (1,)
+        except BaseException as error:
+            self.whole = self.optimizer.evaluations == before
+            if not self.whole or isinstance(error, ImageError):
+                raise
+            self._waiting.appendleft(x)
+            if not isinstance(error, Exception):
+                raise
+            raise EvaluationError(
+                f"the loss or the encoder raised {error!r} for a render; what was found until then "
+                "is the attribute `result` of this error, and a fit with a run directory goes on "
+                "with resume=True once the cause is mended"
+            ) from error
         return float(losses[0])
 
     def _note(self, x: Float64, image: Any, loss: float) -> bool:

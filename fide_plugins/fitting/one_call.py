@@ -114,8 +114,8 @@ def fit(
     FideError
         before the first render: an option, the target or the space is not what it must be.
     FitError
-        the first 8 renders all failed, more than half of the last 50 failed, or a callback raised
-        an exception.  Its `result` is what was computed until then.
+        the first 8 renders all failed, more than half of the last 50 failed, or a callback, the
+        loss or the encoder raised an exception.  Its `result` is what was computed until then.
     FitInterrupted
         (a KeyboardInterrupt) Ctrl-C or SIGTERM; it has a `result`, too.
     """

@@ -90,6 +90,10 @@ class SavedRun:
     def save(self, record: Record, optimizer: FIDE) -> None:
         """Write a checkpoint, the tables and the best image."""
         self._directory.save(record, optimizer)
+        self.write_tables(record, optimizer)
+
+    def write_tables(self, record: Record, optimizer: FIDE) -> None:
+        """Write the tables and the best image, where no checkpoint can be written."""
         self._directory.write_curve(record)
         self._directory.write_improvements(record)
         if record.image is not None:

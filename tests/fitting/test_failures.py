@@ -24,6 +24,7 @@ from fide_plugins import Float, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.failures import (
     CallbackError,
+    EvaluationError,
     FitError,
     GivenUpError,
     RenderFailedWarning,
@@ -257,3 +258,35 @@ def test_an_exception_of_a_callback_loses_nothing() -> None:
     result = error.value.result
     assert result.evaluations == 10 and result.best is not None
     assert np.isfinite(result.best.loss)
+
+
+@pytest.mark.parametrize("what", ["loss", "encoder"])
+def test_an_exception_of_a_loss_or_an_encoder_loses_nothing(what: str, tmp_path: Path) -> None:
+    calls, limit = 0, 40
+
+    def loss(images: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > limit:
+            raise MemoryError("no more of it")
+        return ((images - target()[..., None]) ** 2).mean(axis=(1, 2, 3))
+
+    def encoder(images: Any) -> Any:
+        loss(images)
+        return images.reshape(len(images), 16, -1)
+
+    options: dict[str, Any] = {what: loss if what == "loss" else encoder}
+    options |= {"out": tmp_path, "workers": 0, "seed": 0, "budget": 60}
+    with pytest.raises(EvaluationError, match=r"loss or the encoder raised MemoryError") as error:
+        fit(disk(), target(), SPACE, **options)
+    assert isinstance(error.value.__cause__, MemoryError)
+    result = error.value.result
+    done = result.evaluations
+    assert 20 < done < 40 and result.best is not None and result.failures == 0
+    assert len((tmp_path / "curve.csv").read_text().splitlines()) == done + 1
+    assert (tmp_path / "best.png").exists()
+    limit = 1000
+    resumed = fit(disk(), target(), SPACE, **options, resume=True)
+    whole = fit(disk(), target(), SPACE, **{**options, "out": None})
+    assert resumed.evaluations == 60
+    np.testing.assert_array_equal(resumed.curve, whole.curve)

@@ -269,6 +269,24 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             return None  # the best candidate told
         return self._start().from_cube(self.fide.recommend())
 
+    # -- minimize ----------------------------------------------------------------------------------
+
+    def minimize(self, *args: Any, **kwargs: Any) -> Any:
+        """As in Nevergrad; once an objective has raised, call it again to go on.
+
+        In Nevergrad the failed job would stay the next one to be told, and raise again each time.
+        Its candidate is withdrawn; it counts in the budget, as all that were asked.
+        """
+        try:
+            return super().minimize(*args, **kwargs)
+        except Exception:
+            if self._finished_jobs:  # the first is the one whose result or whose `tell` has raised
+                candidate, _ = self._finished_jobs.popleft()
+                asked = candidate._meta.pop(_ASKED, None)
+                if asked is not None:
+                    self.fide.withdraw([asked])
+            raise
+
     # -- dump --------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:

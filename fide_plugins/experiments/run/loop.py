@@ -270,19 +270,25 @@ class Run:
         with self._checkpoints.writing():
             if self._directory is not None:
                 self._directory.save(self.record, self.optimizer)
-                self._directory.write_curve(self.record)
-                self._directory.write_improvements(self.record)
-                self._directory.write_best(self.record.image)
-                self._directory.write_target(self.target)
+                self._write_tables(self._directory)
         self._tick()
 
+    def _write_tables(self, directory: RunDirectory) -> None:
+        """Write the tables and the images; they need no consistent state."""
+        directory.write_curve(self.record)
+        directory.write_improvements(self.record)
+        directory.write_best(self.record.image)
+        directory.write_target(self.target)
+
     def _leave(self, status: str) -> None:
-        """Save a consistent state before an exception is raised on."""
+        """Save a consistent state, or all but that, before an exception is raised on."""
         if self._directory is None:
             return
         if self._whole:
             self._tick()
             self._save()
+        else:
+            self._write_tables(self._directory)
         r = self.record
         seen = judge(None, self.target, self.loss, r.x_best, r.image, metrics=self._metrics)
         self._directory.write_run(status, self._result(seen))

@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,30 @@ def test_point_23_executors(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, np.zeros(budget), atol=1e-9)  # each with its own candidate
     assert optimizer.num_tell == optimizer.num_ask == optimizer.num_images == budget
     assert optimizer.num_tell_not_asked == 0 and optimizer.num_objectives == 1
+
+
+@pytest.mark.filterwarnings("ignore:num_workers = 3 > 1 is suboptimal")  # of no executor
+@pytest.mark.parametrize("name", ["threads", None])
+def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_path: Path) -> None:
+    """Where a candidate always fails, too, which Nevergrad would tell again and again."""
+
+    def fails(x: Any) -> Any:
+        if x[0] < 0.4:
+            raise ArithmeticError("too far to the left")
+        return render(x)
+
+    optimizer, calls, failed = fide(budget=40, workers=3), 0, 0
+    with threads(tmp_path) if name else nullcontext() as executor:
+        while optimizer.num_ask < 40 or calls == failed:
+            calls += 1
+            assert calls <= 40
+            try:
+                optimizer.minimize(fails, executor=executor)
+            except ArithmeticError:
+                failed += 1
+    assert failed > 1 and optimizer.num_ask == 40
+    assert optimizer.num_tell == optimizer.num_images == 40 - failed
+    assert optimizer.fide.state.population.pending == 0
 
 
 @pytest.mark.slow

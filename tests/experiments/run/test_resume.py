@@ -231,6 +231,24 @@ def test_a_renderer_that_fails_loses_nothing(tmp_path: Path) -> None:
     assert same(resumed, harness.run(Tint(), "cma", **settings))
 
 
+def test_an_optimizer_that_fails_leaves_its_results(tmp_path: Path) -> None:
+    class Breaks(Random):
+        def ask_ready(self) -> Any:
+            if self.evaluations >= 15:
+                raise ArithmeticError("lost")
+            return super().ask_ready()
+
+    optimizers.register("breaks", Breaks)
+    try:
+        with pytest.raises(ArithmeticError, match="lost"):
+            harness.run(Tint(), "breaks", budget=200, seed=0, out=tmp_path)
+    finally:
+        optimizers._REGISTRY._factories.pop("breaks")
+    n = json.loads((tmp_path / "run.json").read_text())["totals"]["evaluations"]
+    assert n >= 15 and len((tmp_path / "curve.csv").read_text().splitlines()) == n + 1
+    assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
+
+
 def test_an_optimizer_that_fails_leaves_the_last_whole_state(tmp_path: Path) -> None:
     class Breaks(Random):
         def tell(self, X: object, images: object = None, losses: object = None) -> None:
