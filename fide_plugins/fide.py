@@ -57,9 +57,9 @@ from fide_plugins.types import Float64, Posterior
 from fide_plugins.validation.points import (
     as_points,
     new_seed,
+    number_of_parameters,
     standard_deviations,
     starting_point,
-    whole_number,
 )
 
 __all__ = ["FIDE"]
@@ -133,7 +133,7 @@ class FIDE(Asking):
         **options: Any,
     ) -> None:
         self.space = dim if isinstance(dim, Space) else None
-        self.dim = dim.dim if isinstance(dim, Space) else whole_number("dim", dim, 1)
+        self.dim = number_of_parameters("dim", dim.dim if isinstance(dim, Space) else dim)
         named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
         self.options = o = make_options(preset, {**named, **options})
         self.x0 = starting_point(x0, self.dim)

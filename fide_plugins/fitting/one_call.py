@@ -22,7 +22,7 @@ from fide_plugins.recording.directory import is_saved
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.option_rules import check_names, switch
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
 
@@ -202,6 +202,8 @@ def _optimizer(
     resumed: str | os.PathLike[str] | None,
 ) -> FIDE:
     """The optimizer; resumed: run directory whose seed it has, where none is given."""
+    if not isinstance(space, Space):
+        number_of_parameters("space", space)
     if resumed is not None and seed is None:
         seed = seed_there(resumed)
     there = resumed is not None and is_saved(resumed)

@@ -22,6 +22,8 @@ def as_told(optimizer: FIDE, image: Any) -> Any:
 
     Raises ImageError (a ValueError) if there is not one image for each view.
     """
+    if image is None:
+        raise ImageError("render returned None; let it return its image")
     target: Any = optimizer.target
     if not isinstance(target, list):
         return [image]

@@ -80,6 +80,14 @@ class Repeated:
     group: Group
     times: int
 
+    def __rmul__(self, times: object) -> Repeated:
+        raise SpaceError(
+            f"a repeated Group cannot be repeated, {times!r} * ({self.times} * Group(...)); write "
+            "one number, the product"
+        )
+
+    __mul__ = __rmul__
+
     def __repr__(self) -> str:
         return f"{self.times} * {self.group!r}"
 

@@ -312,7 +312,8 @@ def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
     if isinstance(kind, Float) and kind.log:
         _refuse(kind, "a logarithm has no steps here", "drop log or step")
     if (high - low) / step >= _MOST_CELLS:
-        _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", "take a wider step")
+        remedy = "take a narrower range" if kind.log else "take a wider step"
+        _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", remedy)
     if isinstance(kind, Int):
         return low + (high - low) // step * step
     return min(high, low + math.floor((high - low) / step + _OFF_GRID) * step)

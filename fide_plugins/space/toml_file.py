@@ -27,7 +27,7 @@ def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     with open(path, "rb") as file:
         data = file.read()
     try:
-        return parse(data.decode("utf-8"))
+        return parse(data.decode("utf-8-sig"))  # Windows begins files with a mark
     except UnicodeDecodeError as error:
         raise SpaceError(f"no TOML: {error}; save it as UTF-8") from None
 

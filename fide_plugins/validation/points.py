@@ -14,12 +14,15 @@ from fide_plugins.types import Float64
 __all__ = [
     "as_points",
     "new_seed",
+    "number_of_parameters",
     "standard_deviation",
     "standard_deviations",
     "starting_point",
     "torch_seed",
     "whole_number",
 ]
+
+_MOST_PARAMETERS = 10_000  # a matrix of so many rows and columns has 0.8 GB
 
 
 def as_points(X: object, dim: int) -> Float64:
@@ -56,6 +59,23 @@ def whole_number(name: str, value: object, minimum: int) -> int:
         number = None
     if number is None or number < minimum:
         raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}")
+    return number
+
+
+def number_of_parameters(name: str, value: object) -> int:
+    """`value` as an int; OptionError (a ValueError) for what is neither that nor a `Space`."""
+    try:
+        number = whole_number(name, value, 1)
+    except OptionError:
+        raise OptionError(
+            f"{name} must be a Space, or the number of parameters, a whole number >= 1, not "
+            f"{value!r}; Space(...) takes a dictionary, too, and Space.read(path) a file"
+        ) from None
+    if number > _MOST_PARAMETERS:
+        raise OptionError(
+            f"{name} must be at most {_MOST_PARAMETERS:,} parameters, not {number:,}: the search "
+            "keeps matrices of dim x dim numbers; fit the picture in parts"
+        )
     return number
 
 

@@ -43,6 +43,8 @@ def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, f
             time.sleep(100)
         if unlucky == "wrong size":
             return np.zeros((8, 8, 3))
+        if unlucky == "returns nothing":
+            return None
         v, u = np.mgrid[0:16, 0:16] / 15
         distance = np.hypot(u - params["x"], v - params["y"])
         image = params["gray"] / (1 + np.exp(20 * (distance - params["radius"])))

@@ -45,6 +45,7 @@ WIDE: dict[str, Any] = {"seed": 0, "sigma0": 0.4}  # so that some candidates are
     [
         ("raises", "ValueError: too far to the right"),
         ("wrong size", "must have the target's size, 16 x 16"),
+        ("returns nothing", "render returned None; let it return its image"),
         ("nan", "must be finite"),
     ],
 )

@@ -181,3 +181,8 @@ def test_bad_arguments_are_named_before_anything_is_rendered(
     assert isinstance(caught.value, ValueError) and not (tmp_path / "log").exists()
     with pytest.raises(OptionError, match="render must be a function"):
         fit("scene.py", target(), SPACE)  # type: ignore[arg-type]
+    for space in ("space.toml", None, SPACE.to_dict(), 0):
+        with pytest.raises(OptionError, match=r"^space must be a Space, or the number of.*read"):
+            fit(disk(), target(), space, workers=0)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="space must be at most 10,000 parameters, not 100,000"):
+        fit(disk(), target(), 100_000, workers=0)

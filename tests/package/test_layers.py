@@ -9,7 +9,8 @@ from pathlib import Path
 
 LAYERS = (
     ("errors", "status", "types"),
-    ("runtime", "validation"),
+    ("runtime",),
+    ("validation",),
     ("options", "population", "space"),
     ("denoiser", "renderers", "search"),
     ("learning", "uncertainty"),

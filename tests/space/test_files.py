@@ -131,6 +131,8 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "picture.toml").write_bytes(b"\x89PNG\xff")
     with pytest.raises(SpaceError, match="picture.toml: no TOML.*save it as UTF-8"):
         Space.read(tmp_path / "picture.toml")
+    (tmp_path / "windows.toml").write_text('[x]\ntype = "float"\nlow = 0\nhigh = 1', "utf-8-sig")
+    assert Space.read(tmp_path / "windows.toml") == Space(x=Float(0, 1))
     with pytest.raises(SpaceError, match="a space must be a dictionary"):
         Space.from_dict([1, 2])  # type: ignore[arg-type]
 

@@ -233,6 +233,8 @@ BAD_KINDS = [
     (lambda: True * Group(x=Float(0, 1)), "repeated 1 to 100000 times, not True"),
     (lambda: Group(x=Float(0, 1)) * 1.5, "not 1.5"),  # type: ignore[operator]
     (lambda: 2 * Group(a=2 * Group(x=Float(0, 1))), "cannot hold another repeated Group"),
+    (lambda: 3 * (2 * Group(x=Float(0, 1))), r"3 \* \(2 \* Group\(...\)\); write one number"),
+    (lambda: Int(1, 10**15, log=True), r"at most 2\^40 values.*take a narrower range"),
     (lambda: Group(), "Group needs at least one parameter"),
     (lambda: Group(repeat=Float(0, 1)), "'repeat'.*; call it repeat_"),
     (lambda: Space(), "Space needs at least one parameter"),

@@ -21,7 +21,7 @@ from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
 from fide_adapters.optuna.study import StudyState
-from fide_plugins.errors import OptionError, ProtocolError
+from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.validation.points import new_seed, whole_number
 from fide_plugins.views.views import views_of
@@ -151,6 +151,11 @@ class FIDESampler(BaseSampler):
         ValueErrors, or `ProtocolError` for a sampler without target, before anything is recorded.
         """
         images = self._images()
+        if image is None:
+            raise ImageError(
+                "tell_image needs the image of the trial, not None; without one return the loss "
+                "from the objective, or raise optuna.TrialPruned where the render failed"
+            )
         batch = images.read(image)
         if loss is None and isinstance(trial, Trial) and _maximizes(trial.study):
             raise ProtocolError(

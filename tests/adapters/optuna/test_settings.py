@@ -48,6 +48,14 @@ def test_images_need_a_target(bench: Bench) -> None:
     assert isinstance(caught.value, RuntimeError)
 
 
+def test_no_image_is_refused_with_what_to_do(bench: Bench) -> None:
+    sampler = bench.sampler()
+    trial = optuna.create_study(sampler=sampler).ask()
+    for loss in (None, 1.0):
+        with pytest.raises(ImageError, match="not None; without one return the loss.*TrialPruned"):
+            sampler.tell_image(trial, None, loss)
+
+
 def test_without_a_target_it_says_once_that_it_is_cma_es(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
