@@ -135,7 +135,8 @@ class Loop:
         while len(self._running) - free < self.workers.usable and self._may_ask():
             if not self._waiting:
                 self.whole = False
-                self._waiting.append(self.optimizer.ask(1)[0])
+                with self.record.timing(self.optimizer):
+                    self._waiting.append(self.optimizer.ask(1)[0])
                 self.whole = True
             with self._waiting_for_renders(), self._interrupts.stoppable():
                 task = self.workers.submit(self._waiting[0])  # in this process it renders

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.recording.record import PARTS, RunResult, best_so_far
-from fide_plugins.types import Float32
+from fide_plugins.types import Float32, Float64
 
 __all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]
 
@@ -115,13 +115,15 @@ def _curve(axes: Any, result: RunResult) -> None:
     if finite.any():
         best = best_so_far(losses)
         shown = np.flatnonzero(finite)[:: max(1, int(finite.sum()) // 4000)]
-        axes.scatter(index[shown], losses[shown], s=3, color=_MUTED, alpha=0.35, linewidths=0,
-                     label="each render", rasterized=True)  # fmt: skip
-        axes.step(index, np.where(np.isfinite(best), best, np.nan), where="post",
-                  color=_ACCENT, linewidth=2, label="best so far")  # fmt: skip
-        if (best[-1] > 0) and losses[finite].min() > 0:
+        least = _least_shown(losses[finite])
+        if least > 0:
             axes.set_yscale("log")
-        axes.legend(loc="upper right", fontsize=8, frameon=False, markerscale=3)
+        axes.scatter(index[shown], np.maximum(losses[shown], least), s=3, color=_MUTED, alpha=0.35,
+                     linewidths=0, label="each render", rasterized=True)  # fmt: skip
+        axes.step(index, np.where(np.isfinite(best), np.maximum(best, least), np.nan), where="post",
+                  color=_ACCENT, linewidth=2, label="best so far")  # fmt: skip
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncol=2, borderpad=0.2,
+                    fontsize=8, frameon=False, markerscale=3)  # fmt: skip
     axes.set_xlim(0, max(2, len(losses)))
     axes.set_xlabel("renders", fontsize=9, color=_INK, labelpad=2)
     axes.set_title(f"loss ({plain(result.loss)})", fontsize=9, color=_INK, loc="left", pad=4)
@@ -130,6 +132,14 @@ def _curve(axes: Any, result: RunResult) -> None:
     axes.set_axisbelow(True)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
+
+
+def _least_shown(losses: Float64) -> float:
+    """Where a logarithmic axis draws what is 0; -inf if there are losses that it cannot show."""
+    positive = losses[losses > 0]
+    if losses.min() < 0 or not len(positive):
+        return -np.inf
+    return float(positive.min()) if losses.min() > 0 else float(positive.min()) / 10
 
 
 def _time_bar(axes: Any, result: RunResult) -> None:
@@ -145,7 +155,10 @@ def _time_bar(axes: Any, result: RunResult) -> None:
         if share >= 0.005:
             labels.append((f"{part} {share:.0%}", _PART_COLORS[part]))
         left += share
-    axes.barh(0.5, max(0.0, 1.0 - left), left=left, height=1.0, color="#e4e4e7")
+    other = max(0.0, 1.0 - left)
+    axes.barh(0.5, other, left=left, height=1.0, color="#e4e4e7")
+    if other >= 0.005:
+        labels.append((f"other {other:.0%}", _MUTED))
     axes.text(1.0, -0.5, f"{result.wall_s:.1f} s", fontsize=9, color=_INK, ha="right", va="top")
     for i, (label, color) in enumerate(labels):
         axes.text(0.13 * i, -0.5, label, fontsize=9, color=color, ha="left", va="top")

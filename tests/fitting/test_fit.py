@@ -153,6 +153,21 @@ def test_a_result_is_short_to_read() -> None:
 # -- bad input -------------------------------------------------------------------------------------
 
 
+def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    ask = FIDE.ask
+
+    def slow(self: FIDE, n: int | None = None) -> Float64:
+        time.sleep(0.01)
+        return ask(self, n)
+
+    monkeypatch.setattr(FIDE, "ask", slow)
+    fitting = prepare(
+        disk(), target(), SPACE, stopping=Stopping(30), workers=0, seed=0, progress=False
+    )
+    fitting.execute()
+    assert fitting.record.times["search"] > 30 * 0.01
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -1,0 +1,42 @@
+"""The loss curve of a run's picture."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from fide_plugins.recording.figures import _curve
+
+
+def drawn(*losses: float) -> Any:
+    """Axes with the curve of these losses."""
+    axes = Figure().add_subplot()
+    _curve(axes, SimpleNamespace(losses=np.array(losses), loss="mse"))  # type: ignore[arg-type]
+    return axes
+
+
+@pytest.mark.parametrize(
+    ("losses", "scale", "best"),
+    [
+        ((1e-1, np.inf, 1e-6), "log", (1e-1, 1e-1, 1e-6)),
+        ((1e-1, 1e-6, 0.0), "log", (1e-1, 1e-6, 1e-7)),  # 0 below the least that is shown
+        ((0.5, -0.5, 1.0), "linear", (0.5, -0.5, -0.5)),
+        ((0.0, 0.0, 0.0), "linear", (0.0, 0.0, 0.0)),
+    ],
+)
+def test_the_axis_is_logarithmic_wherever_it_can_be(
+    losses: tuple[float, ...], scale: str, best: tuple[float, ...]
+) -> None:
+    axes = drawn(*losses)
+    assert axes.get_yscale() == scale
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), best)
+    assert len(axes.collections[0].get_offsets()) == int(np.isfinite(losses).sum())
+
+
+def test_without_a_finite_loss_it_is_empty() -> None:
+    axes = drawn(np.inf, np.nan)
+    assert not axes.lines and not axes.collections
