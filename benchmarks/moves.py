@@ -195,18 +195,19 @@ def _sheet(things: NDArray[np.float64], size: int) -> NDArray[np.float32]:
 
 
 def table(rows: list[Row]) -> str:
-    """Share solved by each mark, and the median of renders, in Markdown."""
+    """Median of renders until a scene is solved, and runs solved by each mark, in Markdown."""
+    marks = " | ".join(f"{mark:,}" for mark in MARKS)
     lines = [
-        f"| scene | configuration | px | runs | solved by {' / '.join(map(str, MARKS))} | median |",
-        "|---|---|---:|---:|---|---:|",
+        f"| scene | configuration | px | runs | median | {marks} |",
+        "|---|---|" + "---:|" * (3 + len(MARKS)),
     ]
     names = ("scene", "configuration", "size", "budget")
     for kind in dict.fromkeys(tuple(row[name] for name in names) for row in rows):
         group = [row for row in rows if tuple(row[name] for name in names) == kind]
         scene, configuration, size, budget = kind
         at = [row["solved_at"] or np.inf for row in group]
-        counts = [str(sum(n <= mark for n in at)) for mark in MARKS if mark <= budget]
-        line = (scene, configuration, size, len(group), " / ".join(counts), f"{np.median(at):.0f}")
+        counts = [sum(n <= mark for n in at) if mark <= budget else "" for mark in MARKS]
+        line = (scene, configuration, size, len(group), f"{np.median(at):.0f}", *counts)
         lines.append(f"| {' | '.join(map(str, line))} |")
     return "\n".join(lines)
 

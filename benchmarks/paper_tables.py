@@ -90,15 +90,15 @@ def section(task: str, loss: str, rows: list[Row], configurations: list[str]) ->
     paths = f", {TASK_OPTIONS[task]['spp']} paths a pixel" if task in TASK_OPTIONS else ""
     most = max(row["budget"] for row in rows)
     marks = [*(m for m in MARKS if int(m) < most), str(most)]
-    columns = ["", "targets", *(f"{name}, {int(m):,}" for name in METRICS for m in marks)]
-    columns += ["lowest", "solved"]
+    columns = ["", "lowest", "solved", "targets"]  # these first: a page cuts off what is wide
+    columns += [f"{name}, {int(m):,}" for name in METRICS for m in marks]
     lines = [f"### {task}, minimized `{loss}`{paths}", "", "| " + " | ".join(columns) + " |"]
     lines.append("|---" + "|---:" * (len(columns) - 1) + "|")
     for configuration in configurations:
         group = [row for row in rows if row["configuration"] == configuration]
         fewer = "" if configuration in AFFORDABLE else shorter(group, most)
-        cells = [configuration + fewer, str(len(group)), *values(group, marks)]
-        cells += [lowest(group, rows), solved(group, task)] if group else ["-", "-"]
+        counts = [lowest(group, rows), solved(group, task)] if group else ["-", "-"]
+        cells = [configuration + fewer, *counts, str(len(group)), *values(group, marks)]
         lines.append("| " + " | ".join(cells) + " |")
     return [*lines, ""]
 
