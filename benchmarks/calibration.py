@@ -95,7 +95,7 @@ def table(rows: list[Row]) -> str:
     lines = [
         "| scene | renders, passes | scale | nats | "
         + " | ".join(f"{p:.0%} region" for p in SHARES)
-        + " | goal |"
+        + " | as wanted |"
     ]
     lines.append("|---|---|---:|---:|" + "---:|" * len(SHARES) + "---|")
     for row in rows:
@@ -104,7 +104,7 @@ def table(rows: list[Row]) -> str:
         lines.append(
             f"| {row['scene']} | {row['renders']:,}, {row['passes']} | "
             f"{row['scale'] if row['scaled'] else '-'} | {row['nats']:.2f} | {cells} | "
-            f"{'reached' if reached else 'missed'} |"
+            f"{'yes' if reached else 'no'} |"
         )
     return "\n".join(lines)
 
