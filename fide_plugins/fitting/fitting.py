@@ -71,8 +71,8 @@ class Fitting:
         """Fit until a rule says stop.
 
         Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if most
-        renders fail or a callback raises, any error of the optimizer or of the user's loss, OSError
-        if the run directory cannot be written.  What was computed is saved before.
+        renders fail or a callback, the loss or the encoder raises, any error of the optimizer,
+        OSError if the run directory cannot be written.  What was computed is saved before.
         """
         with Interrupts() as interrupts, reporting(self._progress) as report:
             self._loop = Loop(

@@ -234,9 +234,9 @@ class Loop:
             if not isinstance(error, Exception):
                 raise
             raise EvaluationError(
-                f"the loss or the encoder raised {error!r} for a render; what was found until then "
-                "is the attribute `result` of this error, and a fit with a run directory goes on "
-                "with resume=True once the cause is mended"
+                f"evaluating a render, by the loss and the encoder, raised {error!r}; what was "
+                "found until then is the attribute `result` of this error, and a fit with a run "
+                "directory goes on with resume=True once the cause is mended"
             ) from error
         return float(losses[0])
 

@@ -99,7 +99,8 @@ def fit(
         go on with the fit in `out`, if there is one.  `budget`, `time`, `stop_at`, `workers` and
         the like may be others; what defines the fit must be the same.
     progress
-        True: a bar; False: none; None: a bar in a terminal.
+        True: a bar; False: none; None: a bar in a terminal; or a function of a
+        `recording.record.Progress`, which is called some ten times a second at most.
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
         be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
@@ -202,8 +203,7 @@ def _optimizer(
     resumed: str | os.PathLike[str] | None,
 ) -> FIDE:
     """The optimizer; resumed: run directory whose seed it has, where none is given."""
-    if not isinstance(space, Space):
-        number_of_parameters("space", space)
+    number_of_parameters("space", space.dim if isinstance(space, Space) else space)
     if resumed is not None and seed is None:
         seed = seed_there(resumed)
     there = resumed is not None and is_saved(resumed)

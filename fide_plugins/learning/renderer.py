@@ -18,7 +18,7 @@ from fide_plugins.runtime.opencv import cv2
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.points import number_of_parameters
 
 __all__ = ["BatchRenderer", "Pixels", "Small", "as_renderer", "resized", "small_size"]
 
@@ -108,7 +108,7 @@ def as_renderer(render: Any, space: Space | int | None) -> BatchRenderer:
         raise OptionError("a function needs its space: learn(render, space), or learn(render, dim)")
     space = own if space is None else space
     named = space if isinstance(space, Space) else None
-    dim = named.dim if named is not None else whole_number("space", space, 1)
+    dim = named.dim if named is not None else number_of_parameters("space", space)
     if batch and getattr(render, "dim", dim) != dim:
         raise OptionError(f"the task has {render.dim} parameters, and the space {dim}")
     return BatchRenderer(render, named, dim, own_name(render))

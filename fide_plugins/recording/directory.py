@@ -175,14 +175,14 @@ class RunDirectory:
         files.write_text(self.path / "curve.csv", "\n".join(lines) + "\n")
 
     def write_improvements(self, record: Record) -> None:
-        """Write `improvements.csv`."""
+        """Write `improvements.csv`; what a metric that raised has not measured is empty."""
         in_round = rounds(record.generations)
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
         names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
         writer.writerow(names)
         for k, i in enumerate(record.improvements):
-            others = (repr(values[k]) for values in record.metrics.values())
+            others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
             where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
             writer.writerow([*where, repr(record.losses[i]), *others])
         files.write_text(self.path / "improvements.csv", buffer.getvalue())

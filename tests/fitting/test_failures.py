@@ -278,7 +278,7 @@ def test_an_exception_of_a_loss_or_an_encoder_loses_nothing(what: str, tmp_path:
 
     options: dict[str, Any] = {what: loss if what == "loss" else encoder}
     options |= {"out": tmp_path, "workers": 0, "seed": 0, "budget": 60}
-    with pytest.raises(EvaluationError, match=r"loss or the encoder raised MemoryError") as error:
+    with pytest.raises(EvaluationError, match=r"evaluating a render.*raised MemoryError") as error:
         fit(disk(), target(), SPACE, **options)
     assert isinstance(error.value.__cause__, MemoryError)
     result = error.value.result

@@ -150,9 +150,6 @@ def test_a_result_is_short_to_read() -> None:
     assert "20 evaluations" in text and "radius" in text
 
 
-# -- bad input -------------------------------------------------------------------------------------
-
-
 def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
     ask = FIDE.ask
 
@@ -166,6 +163,9 @@ def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     fitting.execute()
     assert fitting.record.times["search"] > 30 * 0.01
+
+
+# -- bad input -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fide_plugins.recording.figures import _curve
+from fide_plugins.recording.figures import _curve, _time_bar
+from fide_plugins.recording.record import PARTS
 
 
 def drawn(*losses: float) -> Any:
@@ -40,3 +41,14 @@ def test_the_axis_is_logarithmic_wherever_it_can_be(
 def test_without_a_finite_loss_it_is_empty() -> None:
     axes = drawn(np.inf, np.nan)
     assert not axes.lines and not axes.collections
+
+
+@pytest.mark.parametrize(
+    ("wall", "words"), [(2.0, ["search 25%", "other 25%"]), (1.5, ["search 33%"])]
+)
+def test_what_is_none_of_the_parts_has_a_name(wall: float, words: list[str]) -> None:
+    axes = Figure().add_subplot()
+    times = dict.fromkeys(PARTS, 0.0) | {"render": 1.0, "search": 0.5}
+    _time_bar(axes, SimpleNamespace(times=times, wall_s=wall))  # type: ignore[arg-type]
+    texts = [text.get_text() for text in axes.texts]
+    assert [text for text in texts if text.startswith(("search", "other"))] == words

@@ -9,11 +9,13 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import nevergrad as ng
 import numpy as np
 import optuna
 import pytest
 import torch
 
+from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_plugins import FIDE, FIDESampler, Float, Space, fit
 from fide_plugins.proposers.diffusion import DiffusionProposer
 from fide_plugins.runtime.batch_size import BatchSize
@@ -91,6 +93,11 @@ def lack_a_parameter() -> None:
     study.optimize(lambda trial: trial.suggest_float("x", 0, 1), 1)
 
 
+def lack_images() -> None:
+    optimizer = ParametrizedFIDE(seed=0)(ng.p.Array(shape=(2,), lower=0, upper=1), budget=2)
+    optimizer.minimize(lambda x: float(x[0]))
+
+
 @pytest.mark.parametrize(
     ("act", "what"),
     [
@@ -100,6 +107,7 @@ def lack_a_parameter() -> None:
         (diverge, "training of the denoiser diverged"),
         (lack_memory, "the device's memory is too small"),
         (lack_a_parameter, "has no y, which search_space names"),
+        (lack_images, "has no target, so it is CMA-ES"),
     ],
 )
 def test_each_warning_names_the_user(act: Callable[[], None], what: str) -> None:

@@ -28,6 +28,7 @@ from __future__ import annotations
 import hashlib
 from collections import deque
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from fide_adapters.nevergrad.parametrization import Cube
 from fide_adapters.nevergrad.search import Evaluation, Search
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.options import make_options
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import new_seed
@@ -96,6 +98,14 @@ def _as_setting(target: object, mask: object, weights: object) -> TargetImage | 
         return target
     views = views_of(target, mask, weights)
     return None if views is None else TargetImage(views)
+
+
+def _has_raised(job: Any) -> bool:
+    """Whether a job that is done is a future that has an exception, or was cancelled."""
+    try:
+        return hasattr(job, "exception") and job.exception() is not None
+    except Exception:
+        return True
 
 
 class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
@@ -195,6 +205,12 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             NoImagesWarning,
         )
 
+    def _warn(self, msg: str, e: Any) -> None:
+        """As in Nevergrad, once for each kind of warning, and at the line of the user."""
+        if e not in self._sent_warnings:
+            self._sent_warnings.add(e)
+            warn_user(msg, e)
+
     # -- tell --------------------------------------------------------------------------------------
 
     def tell(
@@ -274,18 +290,27 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     def minimize(self, *args: Any, **kwargs: Any) -> Any:
         """As in Nevergrad; once an objective has raised, call it again to go on.
 
-        In Nevergrad the failed job would stay the next one to be told, and raise again each time.
-        Its candidate is withdrawn; it counts in the budget, as all that were asked.
+        In Nevergrad failed jobs would stay the next ones to be told, and raise again each time.
+        Their candidates are withdrawn; they count in the budget, as all that were asked.
         """
+        signature(super().minimize).bind(*args, **kwargs)  # else a TypeError, of no job
+        if self.budget is None:
+            return super().minimize(*args, **kwargs)  # which says so
         try:
             return super().minimize(*args, **kwargs)
         except Exception:
             if self._finished_jobs:  # the first is the one whose result or whose `tell` has raised
-                candidate, _ = self._finished_jobs.popleft()
-                asked = candidate._meta.pop(_ASKED, None)
-                if asked is not None:
-                    self.fide.withdraw([asked])
+                self._withdraw(self._finished_jobs.popleft())
+            for job in [job for job in self._finished_jobs if _has_raised(job[1])]:
+                self._finished_jobs.remove(job)
+                self._withdraw(job)
             raise
+
+    def _withdraw(self, job: tuple[Any, Any]) -> None:
+        """Say that the candidate of a job will not be told."""
+        x = job[0]._meta.pop(_ASKED, None)
+        if x is not None:
+            self.fide.withdraw([x])
 
     # -- dump --------------------------------------------------------------------------------------
 

@@ -78,7 +78,7 @@ class Fidelity:
         return self._level < self.rule.number
 
     def state_dict(self) -> dict[str, Any]:
-        """The evolving state."""
+        """The evolving state; `recording.record_schema` says what it must look like."""
         return {"rule": self.rule.state_dict(), "level": self._level, "total": self.total}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

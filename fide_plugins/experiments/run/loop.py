@@ -18,6 +18,7 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -288,9 +289,14 @@ class Run:
             self._tick()
             self._save()
         else:
-            self._write_tables(self._directory)
+            with suppress(Exception):  # of a record that is not whole; the totals matter more
+                self._write_tables(self._directory)
         r = self.record
-        seen = judge(None, self.target, self.loss, r.x_best, r.image, metrics=self._metrics)
+        found = self.target, self.loss, r.x_best, r.image
+        try:
+            seen = judge(None, *found, metrics=self._metrics)
+        except Exception:  # of the metric that has ended the run
+            seen = judge(None, *found)
         self._directory.write_run(status, self._result(seen))
 
     def _finish(self, verdict: Verdict) -> RunResult:

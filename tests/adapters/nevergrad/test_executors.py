@@ -87,10 +87,12 @@ def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_pa
 
     def fails(x: Any) -> Any:
         if x[0] < 0.4:
+            raised.append(x)
             raise ArithmeticError("too far to the left")
         return render(x)
 
     optimizer, calls, failed = fide(budget=40, workers=3), 0, 0
+    raised: list[Any] = []
     with threads(tmp_path) if name else nullcontext() as executor:
         while optimizer.num_ask < 40 or calls == failed:
             calls += 1
@@ -100,7 +102,40 @@ def test_after_an_objective_has_raised_minimize_goes_on(name: str | None, tmp_pa
             except ArithmeticError:
                 failed += 1
     assert failed > 1 and optimizer.num_ask == 40
-    assert optimizer.num_tell == optimizer.num_images == 40 - failed
+    assert optimizer.num_tell == optimizer.num_images == 40 - len(raised)
+    assert optimizer.fide.state.population.pending == 0
+
+
+class AtOnce:
+    """An executor whose futures are done when they are made."""
+
+    def submit(self, function: Any, *args: Any, **kwargs: Any) -> Any:
+        future: concurrent.futures.Future[Any] = concurrent.futures.Future()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def test_all_that_failed_at_once_are_withdrawn_by_one_call() -> None:
+    """Where the cause is mended after that, the second call ends; nothing else is lost."""
+    optimizer, mended = fide(budget=40, workers=8), False
+
+    def fails(x: Any) -> Any:
+        if x[0] < 0.5 and not mended:
+            raise ArithmeticError("too far to the left")
+        return render(x)
+
+    with pytest.raises(ArithmeticError):
+        optimizer.minimize(fails, executor=AtOnce())
+    mended = True
+    with pytest.raises(TypeError, match="exector"):  # of no job: none is lost
+        optimizer.minimize(fails, exector=AtOnce())
+    told, waiting = optimizer.num_tell, len(optimizer._finished_jobs)
+    assert 0 < waiting < 7
+    optimizer.minimize(fails, executor=AtOnce())
+    assert optimizer.num_ask == 40 and optimizer.num_tell == told + waiting + 32
     assert optimizer.fide.state.population.pending == 0
 
 

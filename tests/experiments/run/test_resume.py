@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from fide_plugins import optimizers
+from fide_plugins import losses, optimizers
 from fide_plugins.baselines.random import Random
 from fide_plugins.errors import (
     CheckpointError,
@@ -247,6 +247,23 @@ def test_an_optimizer_that_fails_leaves_its_results(tmp_path: Path) -> None:
     n = json.loads((tmp_path / "run.json").read_text())["totals"]["evaluations"]
     assert n >= 15 and len((tmp_path / "curve.csv").read_text().splitlines()) == n + 1
     assert {"best.png", "target.png", "improvements.csv"} <= {p.name for p in tmp_path.iterdir()}
+
+
+def test_a_metric_that_fails_hides_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(self: object, images: object) -> Any:
+        raise MemoryError("of the metric")
+
+    task = Tint()
+    monkeypatch.setattr(type(losses.make("loi", task.target)), "compute", fails)
+    keep = harness.Keep(metrics=("loi",))
+    with pytest.raises(MemoryError, match="of the metric"):
+        harness.run(task, "random", budget=40, seed=0, out=tmp_path, keep=keep)
+    lines = (tmp_path / "improvements.csv").read_text().splitlines()
+    assert lines[0].endswith(",loi") and lines[1].endswith(",")
+    assert json.loads((tmp_path / "run.json").read_text())["status"] == "failed"
+    assert {"run.ckpt", "best.png"} & {p.name for p in tmp_path.iterdir()} == {"best.png"}
 
 
 def test_an_optimizer_that_fails_leaves_the_last_whole_state(tmp_path: Path) -> None:
