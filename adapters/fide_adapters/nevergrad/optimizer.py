@@ -128,6 +128,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         self._drawn: list[Any] = []  # candidates that Nevergrad has drawn in this call of ask
         self._repeated: deque[Any] = deque()  # candidates of a dump, to ask again
         self._evaluation: Evaluation | None = None  # of the candidate that is being told
+        self._failed_job: Any = None  # the last that raised, while it may be tried again
 
     @property
     def target(self) -> Any:
@@ -291,7 +292,8 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         """As in Nevergrad; once an objective has raised, call it again to go on.
 
         In Nevergrad failed jobs would stay the next ones to be told, and raise again each time.
-        Their candidates are withdrawn; they count in the budget, as all that were asked.
+        Their candidates are withdrawn; they count in the budget, as all that were asked.  Without
+        an executor a candidate is withdrawn when it has failed twice: Nevergrad renders it again.
         """
         signature(super().minimize).bind(*args, **kwargs)  # else a TypeError, of no job
         if self.budget is None:
@@ -300,7 +302,10 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             return super().minimize(*args, **kwargs)
         except Exception:
             if self._finished_jobs:  # the first is the one whose result or whose `tell` has raised
-                self._withdraw(self._finished_jobs.popleft())
+                first = self._finished_jobs[0]
+                if hasattr(first[1], "exception") or first is self._failed_job:
+                    self._withdraw(self._finished_jobs.popleft())
+                self._failed_job = first
             for job in [job for job in self._finished_jobs if _has_raised(job[1])]:
                 self._finished_jobs.remove(job)
                 self._withdraw(job)
@@ -326,6 +331,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             "_finished_jobs": deque(),
             "_drawn": [],
             "_evaluation": None,
+            "_failed_job": None,
         }
 
 
