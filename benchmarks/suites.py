@@ -19,7 +19,7 @@ from rows import rows_of
 from suite import budget_of, file_of, longest
 
 from fide_plugins.experiments.report.tables import Entry, Table, markdown
-from fide_plugins.experiments.suite import names, read
+from fide_plugins.experiments.suite import names, profiles, read
 from fide_plugins.experiments.suite.tables import sign_test
 
 US = "fide"
@@ -35,17 +35,9 @@ def pairs(rival: str, budget: int) -> Iterator[Pair]:
         for problem in dict.fromkeys(problem for problem, _ in found):
             ours, theirs = (found.get((problem, label)) for label in (US, rival))
             if ours and theirs:
-                yield (
-                    suite.parts(problem)[0],
-                    _within(ours["solved_at"], budget),
-                    _within(theirs["solved_at"], budget),
-                    ours["losses"][str(budget)],
-                    theirs["losses"][str(budget)],
-                )
-
-
-def _within(solved_at: int | None, budget: int) -> float:
-    return np.inf if solved_at is None or solved_at > budget else float(solved_at)
+                t = np.array([row["solved_at"] or np.inf for row in (ours, theirs)])
+                losses = (row["losses"][str(budget)] for row in (ours, theirs))
+                yield suite.parts(problem)[0], *profiles.within(t, budget).tolist(), *losses
 
 
 def line(name: str, found: list[Pair]) -> tuple[Entry, ...]:

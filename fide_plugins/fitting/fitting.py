@@ -19,7 +19,7 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.recording.record import Progress, Record, Report, best_so_far
+from fide_plugins.recording.record import Record, Report, best_so_far
 from fide_plugins.recording.signals import Interrupted, Interrupts
 
 if TYPE_CHECKING:
@@ -118,7 +118,8 @@ class Fitting:
         def show(renders: int, doing: str) -> None:
             self._loop.tick()
             if report is not None:
-                report(replace(self._at(), evaluations=renders, doing=doing))
+                at = self.record.progress(self._stopping.budget or 0)
+                report(replace(at, evaluations=renders, doing=doing))
 
         workers = self._workers.number if isinstance(self._workers, Processes) else 1
         with interrupts.stoppable():
@@ -195,12 +196,6 @@ class Fitting:
         budget, done = self._stopping.budget, self.record.evaluations
         return Run(self.optimizer, self._workers.number, budget, done, out)
 
-    def _at(self) -> Progress:
-        r = self.record
-        return Progress(
-            r.evaluations, self._stopping.budget or 0, r.best_loss, r.wall_s, dict(r.times)
-        )
-
     def _show(self, report: Report | None, last: bool) -> None:
         """Report the search; only every so often, unless it is the last time."""
         now = time.perf_counter()
@@ -208,7 +203,8 @@ class Fitting:
             return
         self._shown_at, loop = now, self._loop
         failed = f", {loop.failures.count} failed" if loop.failures.count else ""
-        report(replace(self._at(), remark=f"{loop.busy} rendering{failed}"))
+        at = self.record.progress(self._stopping.budget or 0)
+        report(replace(at, remark=f"{loop.busy} rendering{failed}"))
 
     def _save_if_due(self) -> None:
         if self.saved is not None and self._checkpoints.due(self.optimizer):

@@ -93,11 +93,9 @@ class SavedRun:
         self.write_tables(record, optimizer)
 
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
-        """Write the tables and the best image, where no checkpoint can be written."""
-        self._directory.write_curve(record)
-        self._directory.write_improvements(record)
-        if record.image is not None:
-            self._directory.write_best(picture(optimizer, record.image))
+        """Write the tables and the best image."""
+        best = None if record.image is None else picture(optimizer, record.image)
+        self._directory.write_tables(record, best)
 
     def leave(self, status: str, record: Record, optimizer: FIDE) -> None:
         """Write totals; status: "finished", "interrupted" or "failed"."""

@@ -166,6 +166,12 @@ class RunDirectory:
                 with suppress(OSError):
                     old.unlink()
 
+    def write_tables(self, record: Record, best: Float32 | None) -> None:
+        """Write the tables and the best image, as a picture; they need no consistent state."""
+        self.write_curve(record)
+        self.write_improvements(record)
+        self.write_best(best)
+
     def write_curve(self, record: Record) -> None:
         """Write `curve.csv`."""
         losses, seconds = np.array(record.losses), np.array(record.seconds)

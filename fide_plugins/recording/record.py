@@ -245,6 +245,10 @@ class Record:
             elapsed -= spent
         self.times["search"] += max(0.0, elapsed)
 
+    def progress(self, budget: int) -> Progress:
+        """Progress towards a budget; 0 where there is none."""
+        return Progress(self.evaluations, budget, self.best_loss, self.wall_s, dict(self.times))
+
     def judge_again(self, image: Float32, loss: float) -> None:
         """Replace image and loss of the best candidate by those of another render."""
         self.image, self.best_loss = image.copy(), loss if math.isfinite(loss) else math.inf

@@ -176,8 +176,8 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         finally:
             drawn, self._drawn = self._drawn, []
             for candidate in drawn:
-                if candidate is not asked and _ASKED in candidate._meta:
-                    self.fide.withdraw([candidate._meta.pop(_ASKED)])
+                if candidate is not asked:
+                    self._withdraw(candidate)
         return asked
 
     def _internal_ask_candidate(self) -> Any:
@@ -304,16 +304,16 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
             if self._finished_jobs:  # the first is the one whose result or whose `tell` has raised
                 first = self._finished_jobs[0]
                 if hasattr(first[1], "exception") or first is self._failed_job:
-                    self._withdraw(self._finished_jobs.popleft())
+                    self._withdraw(self._finished_jobs.popleft()[0])
                 self._failed_job = first
             for job in [job for job in self._finished_jobs if _has_raised(job[1])]:
                 self._finished_jobs.remove(job)
-                self._withdraw(job)
+                self._withdraw(job[0])
             raise
 
-    def _withdraw(self, job: tuple[Any, Any]) -> None:
-        """Say that the candidate of a job will not be told."""
-        x = job[0]._meta.pop(_ASKED, None)
+    def _withdraw(self, candidate: Any) -> None:
+        """Say that a candidate will not be told; if it is not ours, nothing happens."""
+        x = candidate._meta.pop(_ASKED, None)
         if x is not None:
             self.fide.withdraw([x])
 

@@ -95,8 +95,7 @@ class Run:
     @property
     def progress(self) -> Progress:
         """Progress of the run."""
-        r = self.record
-        return Progress(r.evaluations, self._budget, r.best_loss, r.wall_s, dict(r.times))
+        return self.record.progress(self._budget)
 
     def execute(self, on_progress: Report | None = None) -> RunResult:
         """Run until the budget is spent.
@@ -275,10 +274,7 @@ class Run:
         self._tick()
 
     def _write_tables(self, directory: RunDirectory) -> None:
-        """Write the tables and the images; they need no consistent state."""
-        directory.write_curve(self.record)
-        directory.write_improvements(self.record)
-        directory.write_best(self.record.image)
+        directory.write_tables(self.record, self.record.image)
         directory.write_target(self.target)
 
     def _leave(self, status: str) -> None:
