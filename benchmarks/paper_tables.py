@@ -27,6 +27,7 @@ from paper import (
     grid,
     make_task,
 )
+from PIL import Image, ImageDraw, ImageFont
 from quality import key
 from rows import Row, read
 from scenes import joined
@@ -190,7 +191,16 @@ def picture(rows: list[Row], loss: str) -> NDArray[np.float32]:
             for name in racers
         ]
         lines.append(joined([*drawn, scene.target], axis=1))
-    return joined(lines, axis=0)
+    return joined([titles([*racers, "target"], lines[0].shape[1]), *lines], axis=0)
+
+
+def titles(names: list[str], width: int) -> NDArray[np.float32]:
+    """Names of columns of equal width, black on white: (H, width, 3)."""
+    image = Image.new("RGB", (width, 16), "white")
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(10)
+    for i, name in enumerate(names):
+        draw.text(((i + 0.5) * width / len(names), 8), name, "black", font, anchor="mm")
+    return np.asarray(image).astype(np.float32) / np.float32(255)
 
 
 if __name__ == "__main__":
