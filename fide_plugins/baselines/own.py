@@ -28,14 +28,14 @@ from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.images_needed import needed_images
 from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import CheckpointError, OptionError, PointsError
-from fide_plugins.runtime.reference import Kind, attribute, load, split
+from fide_plugins.runtime.reference import Referent, attribute, load, split
 from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
 
 __all__ = ["Own", "own"]
 
-_KIND = Kind(
+_REFERENT = Referent(
     "optimizer",
     "class",
     "a class with ask and tell",
@@ -210,8 +210,8 @@ def own(reference: str) -> type[Own]:
 
     Raises OptionError (a ValueError), with the remedy, if there is none or it breaks the protocol.
     """
-    place, name = split(reference, _KIND)
-    found = attribute(load(place, _KIND), place, name, _KIND)
+    place, name = split(reference, _REFERENT)
+    found = attribute(load(place, _REFERENT), place, name, _REFERENT)
     _check_constructor(reference, found)
     if isinstance(found, type):
         _check_methods(reference, found)

@@ -19,7 +19,7 @@ import torch
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import FeaturesError
 from fide_plugins.runtime.callables import differs, name_of, tried_on
-from fide_plugins.runtime.reference import Kind, attribute, load, split
+from fide_plugins.runtime.reference import Referent, attribute, load, split
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 
@@ -29,7 +29,7 @@ _RULE = (
     "an encoder takes images, float32 (n, H, W, 3) in [0, 1], and returns finite floats, (n, T, C) "
     "or (n, C)"
 )
-_KIND = Kind(
+_REFERENT = Referent(
     "encoder",
     "function",
     "a function of images",
@@ -40,8 +40,8 @@ _KIND = Kind(
 
 def referenced(reference: str) -> Callable[..., Any]:
     """Return the encoder at ``FILE.py:NAME`` or ``module:NAME``; raises OptionError."""
-    place, name = split(reference, _KIND)
-    return attribute(load(place, _KIND), place, name, _KIND)
+    place, name = split(reference, _REFERENT)
+    return attribute(load(place, _REFERENT), place, name, _REFERENT)
 
 
 class OwnEncoder(PatchEncoder):

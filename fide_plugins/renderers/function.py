@@ -9,13 +9,13 @@ from typing import Any
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers.fingerprint import digest, version_of
 from fide_plugins.renderers.naming import described
-from fide_plugins.runtime.reference import Kind, attribute, load, shown_traceback, split
+from fide_plugins.runtime.reference import Referent, attribute, load, shown_traceback, split
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["FunctionRenderer"]
 
-_KIND = Kind(
+_REFERENT = Referent(
     "renderer",
     "function",
     "a function of the parameters",
@@ -39,10 +39,10 @@ class FunctionRenderer:
     """
 
     def __init__(self, reference: str) -> None:
-        place, self._name = split(reference, _KIND)
+        place, self._name = split(reference, _REFERENT)
         self.place = os.path.abspath(place) if place.endswith(".py") else place
-        self._module = load(self.place, _KIND)
-        self._function = attribute(self._module, self.place, self._name, _KIND)
+        self._module = load(self.place, _REFERENT)
+        self._function = attribute(self._module, self.place, self._name, _REFERENT)
 
     def __call__(self, params: Any) -> Any:
         """Image of the parameters."""

@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 from fide_plugins.errors import OptionError, UnknownNameError, did_you_mean
 
-__all__ = ["Kind", "attribute", "is_reference", "load", "shown_traceback", "split"]
+__all__ = ["Referent", "attribute", "is_reference", "load", "shown_traceback", "split"]
 
 
-class Kind(NamedTuple):
+class Referent(NamedTuple):
     """What a reference is to: words for errors.
 
     name: such as "renderer"; word, plural: what it is in Python, such as "function".
@@ -38,19 +38,18 @@ def is_reference(text: str) -> bool:
     return ":" in text or text.endswith(".py")
 
 
-def split(reference: str, kind: Kind) -> tuple[str, str]:
+def split(reference: str, referent: Referent) -> tuple[str, str]:
     """File or module, and name; OptionError (a ValueError) unless both are there."""
     place, _, name = reference.rpartition(":")
     if place and name.isidentifier():
         return place, name
     if os.path.isfile(reference):
-        raise OptionError(
-            f"{reference} is a file, not a {kind.word}; {_names(load(reference, kind), kind)}"
-        )
-    raise OptionError(f"no {kind.name} {reference!r}; {kind.form}")
+        names = _names(load(reference, referent), referent)
+        raise OptionError(f"{reference} is a file, not a {referent.word}; {names}")
+    raise OptionError(f"no {referent.name} {reference!r}; {referent.form}")
 
 
-def load(place: str, kind: Kind) -> ModuleType:
+def load(place: str, referent: Referent) -> ModuleType:
     """Module in a file, or by its name; loaded once a process.
 
     The folder of a file becomes the first in the search path for modules, as by ``python FILE.py``.
@@ -60,13 +59,13 @@ def load(place: str, kind: Kind) -> ModuleType:
     traceback the error shows.
     """
     if not place.endswith(".py"):
-        return _import(place, kind)
+        return _import(place, referent)
     path = os.path.abspath(place)
     name = f"{Path(path).stem}_{hashlib.sha256(path.encode()).hexdigest()[:8]}"
     if name in sys.modules:
         return sys.modules[name]
     if not os.path.isfile(path):
-        raise OptionError(f"no file {place!r}{_similar_files(path)}; {kind.form}")
+        raise OptionError(f"no file {place!r}{_similar_files(path)}; {referent.form}")
     spec = spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None, "a file that ends with .py"
     module = module_from_spec(spec)
@@ -80,14 +79,14 @@ def load(place: str, kind: Kind) -> ModuleType:
     return module
 
 
-def _import(name: str, kind: Kind) -> ModuleType:
+def _import(name: str, referent: Referent) -> ModuleType:
     """Module by name, also from the current folder."""
     _search_in(os.getcwd(), first=False)
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
-            raise UnknownNameError(f"no module {name!r}; {kind.form}") from None
+            raise UnknownNameError(f"no module {name!r}; {referent.form}") from None
         raise _unusable(name, error) from error
     except Exception as error:
         raise _unusable(name, error) from error
@@ -117,16 +116,16 @@ def shown_traceback(error: BaseException, caller: str = __file__) -> str:
     return "".join(shown).rstrip()
 
 
-def attribute(module: ModuleType, place: str, name: str, kind: Kind) -> Callable[..., Any]:
+def attribute(module: ModuleType, place: str, name: str, referent: Referent) -> Callable[..., Any]:
     """Callable `name` of a module at `place`; OptionError (a ValueError) without."""
     if not hasattr(module, name):
         hint = did_you_mean(name, _functions(module))
-        raise OptionError(f"{place} has no {name!r}; {_names(module, kind)}{hint}")
+        raise OptionError(f"{place} has no {name!r}; {_names(module, referent)}{hint}")
     found = getattr(module, name)
     if not callable(found):
         raise OptionError(
-            f"{name!r} in {place} is {type(found).__name__}, not {kind.rule}; "
-            f"{_names(module, kind)}"
+            f"{name!r} in {place} is {type(found).__name__}, not {referent.rule}; "
+            f"{_names(module, referent)}"
         )
     return found  # type: ignore[no-any-return]
 
@@ -142,9 +141,9 @@ def _functions(module: ModuleType) -> list[str]:
     ]
 
 
-def _names(module: ModuleType, kind: Kind) -> str:
+def _names(module: ModuleType, referent: Referent) -> str:
     names = _functions(module)
-    return f"its {kind.plural}: {', '.join(names)}" if names else f"it has no {kind.plural}"
+    return f"its {referent.plural}: {', '.join(names)}" if names else f"it has no {referent.plural}"
 
 
 def _similar_files(path: str) -> str:
