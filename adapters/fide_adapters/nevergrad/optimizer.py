@@ -25,7 +25,6 @@ dumps, and `_meta` of candidates, which Nevergrad's own optimizers use in the sa
 
 from __future__ import annotations
 
-import hashlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from inspect import signature
@@ -38,14 +37,13 @@ from nevergrad.optimization import base
 from fide_adapters.image_loss import Result, read_result
 from fide_adapters.nevergrad.parametrization import Cube
 from fide_adapters.nevergrad.search import Evaluation, Search
-from fide_plugins.errors import ImageError, OptionError
+from fide_adapters.nevergrad.settings import check_options, target_setting
+from fide_plugins.errors import ImageError
 from fide_plugins.options import make_options
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import new_seed
 from fide_plugins.views import Views
-from fide_plugins.views.views import views_of
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -61,43 +59,6 @@ _FAILED = 5.0e20  # what Nevergrad makes of NaN and infinity
 
 class NoImagesWarning(errors.InefficientSettingsWarning):  # type: ignore[misc]  # no types there
     """FIDE gets no images, so it is CMA-ES."""
-
-
-class TargetImage:
-    """A target as a setting: comparable, and with a short name.
-
-    image, mask, weights: anything that `fide_plugins.FIDE` takes.
-    views: what they are; its arrays are read-only.
-    """
-
-    def __init__(self, image: object, mask: object = None, weights: object = None) -> None:
-        self.views = Views.read(image, mask, weights)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, TargetImage) and repr(self) == repr(other)
-
-    def __hash__(self) -> int:
-        return hash(repr(self))
-
-    def __repr__(self) -> str:
-        views = self.views
-        content = views.target.tobytes() + views.version.encode()
-        return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
-
-
-def _check_options(options: object) -> None:
-    """Raise OptionError for what is no mapping, or names an argument of its own."""
-    if options is not None and not isinstance(options, Mapping):
-        raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
-    instead = "is an argument of its own: give it as one, not in options"
-    check_names(options or {}, ("encoder", "popsize"), instead)
-
-
-def _as_setting(target: object, mask: object, weights: object) -> TargetImage | None:
-    if isinstance(target, TargetImage) and mask is None and weights is None:
-        return target
-    views = views_of(target, mask, weights)
-    return None if views is None else TargetImage(views)
 
 
 def _has_raised(job: Any) -> bool:
@@ -380,10 +341,10 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
         seed: int | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        _check_options(options)
+        check_options(options)
         make_options(preset, {"encoder": encoder, "popsize": popsize, **(options or {})})
         settings = {
-            "target": _as_setting(target, mask, weights),
+            "target": target_setting(target, mask, weights),
             "mask": None,  # which the target has
             "weights": None,
             "loss": loss,

@@ -1,0 +1,51 @@
+"""The settings of a `ParametrizedFIDE`, as Nevergrad compares and prints them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+
+from fide_plugins.errors import OptionError
+from fide_plugins.validation.option_rules import check_names
+from fide_plugins.views import Views
+from fide_plugins.views.views import views_of
+
+__all__ = ["TargetImage", "check_options", "target_setting"]
+
+
+class TargetImage:
+    """A target as a setting: comparable, and with a short name.
+
+    image, mask, weights: anything that `fide_plugins.FIDE` takes.
+    views: what they are; its arrays are read-only.
+    """
+
+    def __init__(self, image: object, mask: object = None, weights: object = None) -> None:
+        self.views = Views.read(image, mask, weights)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TargetImage) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))
+
+    def __repr__(self) -> str:
+        views = self.views
+        content = views.target.tobytes() + views.version.encode()
+        return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
+
+
+def check_options(options: object) -> None:
+    """Raise OptionError for what is no mapping, or names an argument of its own."""
+    if options is not None and not isinstance(options, Mapping):
+        raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
+    instead = "is an argument of its own: give it as one, not in options"
+    check_names(options or {}, ("encoder", "popsize"), instead)
+
+
+def target_setting(target: object, mask: object, weights: object) -> TargetImage | None:
+    """The setting `target` with its mask and weights; raises ImageError."""
+    if isinstance(target, TargetImage) and mask is None and weights is None:
+        return target
+    views = views_of(target, mask, weights)
+    return None if views is None else TargetImage(views)
