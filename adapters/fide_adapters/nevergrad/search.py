@@ -7,6 +7,7 @@ candidate; and a dump holds FIDE's state as arrays, without images, encoder and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Evaluation", "Search"]
 
 _NO_TARGET = np.zeros((1, 1, 3), np.float32)  # no image is compared with it
+_MOST_OBJECTIVES = 15  # as benchmarks have them; the time of a hypervolume grows exponentially
 
 
 class Evaluation(NamedTuple):
@@ -132,10 +134,13 @@ class Search:
         Raises
         ------
         ImageError, FeaturesError, LossError
-            all ValueErrors: the image or the features are not valid, or a loss is missing.
+            all ValueErrors: the image or the features are not valid, a loss is missing, or there
+            are as many losses as a flat image has values.
         """
         if result.image is not None and result.features is not None:
             raise ImageError("a candidate is told with its image or with features, not with both")
+        if self.target is not None:
+            _refuse_flat_image(result, self.target)
         if self._read is None:
             if result.loss is None:
                 raise LossError(
@@ -188,3 +193,25 @@ class Search:
                 snapshot["state"]["best"]["image"] = None
             state["_snapshot"] = as_arrays(snapshot)
         return state
+
+
+def _refuse_flat_image(result: Result, target: Views) -> None:
+    """Raise ImageError for an image without its axes, whose values would be objectives."""
+    n = _count(result.loss)
+    is_alone = result.image is None and result.features is None
+    sizes = {math.prod(view.size) * channels for view in target.views for channels in (1, 3, 4)}
+    if n == 1 or (n <= _MOST_OBJECTIVES and not (is_alone and n in sizes)):
+        return
+    raise ImageError(
+        f"with a target of {target.sizes} a result is a loss, up to {_MOST_OBJECTIVES} losses of "
+        "several objectives, or an image of shape (H, W) or (H, W, C), not a "
+        f"{type(result.loss).__name__} of {n} numbers: return the image as an array with all its "
+        "axes, or the pair (loss, image)"
+    )
+
+
+def _count(loss: Any) -> int:
+    """Number of numbers in a loss, in arrays and nested lists of any shape."""
+    if isinstance(loss, list | tuple):
+        return sum(_count(one) for one in loss)
+    return math.prod(np.shape(loss))

@@ -20,7 +20,7 @@ from fide_adapters.nevergrad import IMAGE, ImageLoss, ImageRef
 from fide_plugins import encoders
 from fide_plugins.errors import FeaturesError, ImageError, LossError
 
-from .conftest import SIZE, fide, mse, render, told
+from .conftest import SIZE, TARGET, fide, mse, render, told
 
 BYTES = np.round(render(np.full(6, 0.5)) * 255).astype(np.uint8)
 
@@ -158,6 +158,56 @@ def test_point_17_what_is_no_image_changes_nothing(kind: str) -> None:
     optimizer.tell(candidate, render(candidate.value))
     other.tell(twin, render(twin.value))
     assert candidate.loss == twin.loss
+
+
+FLAT: dict[str, Callable[[Any], Any]] = {
+    "array": np.ravel,
+    "gray": lambda image: image[..., 0].ravel(),
+    "list": lambda image: image.ravel().tolist(),
+    "nested lists": lambda image: image.tolist(),
+    "torch": lambda image: torch.from_numpy(image.ravel()),
+    "row": lambda image: image[0, :, 0],
+    "with a loss": lambda image: (mse(image), image.ravel()),
+}
+
+
+@pytest.mark.parametrize("kind", FLAT)
+def test_a_flat_image_is_not_so_many_objectives(kind: str) -> None:
+    """Nevergrad would take its pixels for losses, and have no best candidate."""
+    optimizer, other = fide(), fide()
+    candidate, twin = optimizer.ask(), other.ask()
+    with pytest.raises(ImageError, match=r"16 x 16.*\(H, W\) or .* all its axes"):
+        optimizer.tell(candidate, FLAT[kind](render(candidate.value)))
+    assert optimizer.num_tell == 0 and candidate.loss is None
+    with pytest.raises(ImageError, match="numbers"):
+        fide().minimize(lambda x: FLAT[kind](render(x)))
+    for one, its in ((optimizer, candidate), (other, twin)):
+        one.tell(its, render(its.value))
+    np.testing.assert_array_equal(told(optimizer, 12), told(other, 12))
+
+
+def test_a_flat_image_of_a_small_view() -> None:
+    """Its values could be losses; with images beside them they are."""
+    small = TARGET[:3, :4]
+    optimizer = fide(target=[TARGET, small])
+    values = small[..., 0].ravel()
+    with pytest.raises(ImageError, match=r"16 x 16 \+ 3 x 4.*12 numbers"):
+        optimizer.tell(optimizer.ask(), values)
+    optimizer.tell(optimizer.ask(), values, image=[TARGET, small])
+    assert optimizer.num_objectives == 12
+
+
+@pytest.mark.filterwarnings("ignore::nevergrad.common.errors.BadLossWarning")  # of a worse one
+@pytest.mark.parametrize("objectives", [2, 15])
+def test_several_objectives_are_not_an_image(objectives: int) -> None:
+    optimizer = fide()
+    for _ in range(2):
+        candidate = optimizer.ask()
+        image = render(candidate.value)
+        losses = [mse(image) + i for i in range(objectives)]
+        optimizer.tell(candidate, (losses, image))
+        optimizer.tell(optimizer.ask(), np.array(losses), image=image)
+    assert optimizer.num_objectives == objectives and optimizer.num_images == 4
 
 
 @pytest.mark.parametrize(
