@@ -8,9 +8,9 @@ Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
   and choices have made of its value.  A candidate that was not asked (a suggestion, one of another
   member of a portfolio) is injected.  One whose generation is complete is late, see
   `fide_plugins.population`.
-- The search uses the loss with Nevergrad's penalties; the proposer uses the image.  Losses that are
-  NaN or infinite, or 5e20, with which Nevergrad replaces them, rank last; nothing is learned from
-  their images.
+- The search uses the loss with Nevergrad's penalties; the proposer uses the image.  A loss that is
+  NaN or infinite, also minus infinity, ranks last in the search and in Nevergrad, which has 5e20 in
+  its place; nothing is learned from its image.
 - A candidate that violates a cheap constraint is withdrawn.
 - An image is used while it is told; no reference to it is kept.
 - The recommendation is the best candidate told; if ``parametrization.function.deterministic`` is

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ _MOST_OBJECTIVES = 15  # as benchmarks have them; the time of a hypervolume grow
 class Evaluation(NamedTuple):
     """A checked result of a candidate.
 
-    loss: as it goes to Nevergrad, which checks it.
+    loss: as it goes to Nevergrad, which checks it; infinity for one that is not finite.
     batch: image (1, H, W, 3).
     features: tokens (1, T, C), in place of an image.
     """
@@ -141,6 +142,10 @@ class Search:
             raise ImageError("a candidate is told with its image or with features, not with both")
         if self.target is not None:
             _refuse_flat_image(result, self.target)
+        evaluation = self._evaluate(result)
+        return evaluation._replace(loss=_as_ranked(evaluation.loss))
+
+    def _evaluate(self, result: Result) -> Evaluation:
         if self._read is None:
             if result.loss is None:
                 raise LossError(
@@ -208,6 +213,17 @@ def _refuse_flat_image(result: Result, target: Views) -> None:
         f"{type(result.loss).__name__} of {n} numbers: return the image as an array with all its "
         "axes, or the pair (loss, image)"
     )
+
+
+def _as_ranked(loss: Any) -> Any:
+    """A loss with which Nevergrad ranks failures last, as FIDE does.
+
+    Nevergrad replaces +inf and NaN, but takes -inf for the best loss of all, and in an array of one
+    number it replaces nothing.
+    """
+    if isinstance(loss, list | tuple | np.ndarray) and _count(loss) == 1:
+        loss = np.ravel(loss)[0]
+    return math.inf if isinstance(loss, Real) and not math.isfinite(loss) else loss
 
 
 def _count(loss: Any) -> int:
