@@ -18,9 +18,11 @@ Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
 - A dump during `minimize` holds the candidates that the executor evaluates, without their results.
   They are asked first when the search continues.
 
-Nevergrad's optimizers are extended by overriding underscored methods; of other underscored names
-only `_callbacks`, `_num_ask`, `_running_jobs` and `_finished_jobs` are used, for `ask` and for
-dumps, and `_meta` of candidates, which Nevergrad's own optimizers use in the same way.
+Nevergrad's optimizers are extended by overriding underscored methods, here the two above and
+`_internal_provide_recommendation`.  `_warn`, which reads `_sent_warnings`, is overridden so that
+warnings name the user's line.  Four more attributes are used, for which there is no public way:
+`_callbacks` and `_num_ask` by `ask`, `_running_jobs` and `_finished_jobs` for jobs that failed, and
+all but the first by dumps.  `_meta` of candidates is used as Nevergrad's own optimizers use it.
 """
 
 from __future__ import annotations
@@ -154,7 +156,8 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         """Begin the search if it has not begun; returns its cube."""
         if self._cube is None:
             cube = Cube(self.parametrization)
-            self._search.start(cube, self._rng)  # fails if the encoder has no weights, for example
+            rng = self.parametrization.random_state
+            self._search.start(cube, rng)  # fails if the encoder has no weights, for example
             self._cube = cube
             if self.target is None:
                 self._warn_of_no_images("has no target")
