@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from inspect import signature
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +70,16 @@ def _has_raised(job: Any) -> bool:
         return hasattr(job, "exception") and job.exception() is not None
     except Exception:
         return True
+
+
+def _without_image(candidate: Any) -> Any:
+    """A candidate for a dump; a copy if an image is attached, which its optimizer will need."""
+    if IMAGE not in candidate._meta:
+        return candidate
+    shared = candidate.random_state, candidate._meta[IMAGE]
+    copy = deepcopy(candidate, {id(one): one for one in shared})
+    del copy._meta[IMAGE]
+    return copy
 
 
 class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
@@ -284,13 +295,11 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     # -- dump --------------------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        jobs = [*self._finished_jobs, *self._running_jobs]
-        for candidate, _ in jobs:
-            self._take_image(candidate)
+        jobs = [candidate for candidate, _ in [*self._finished_jobs, *self._running_jobs]]
         return {
             **self.__dict__,
             "_num_ask": self._num_ask - len(jobs),
-            "_repeated": deque([*self._repeated, *(candidate for candidate, _ in jobs)]),
+            "_repeated": deque(_without_image(one) for one in [*self._repeated, *jobs]),
             "_running_jobs": [],
             "_finished_jobs": deque(),
             "_drawn": [],

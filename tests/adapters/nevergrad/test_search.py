@@ -302,3 +302,46 @@ def test_dumping_changes_nothing(tmp_path: Path) -> None:
     dumped.register_callback("tell", ng.callbacks.OptimizerDump(tmp_path / "dump"))
     one, two = dumped.minimize(objective), other.minimize(objective)
     np.testing.assert_array_equal(one.value, two.value)
+
+
+class Deliver:
+    """Attach the images of all jobs that wait, some at a time; then dump, if there is a path."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path, self.calls = path, 0
+
+    def __call__(self, optimizer: Any, told: Any, loss: float) -> None:
+        self.calls += 1
+        if self.calls % 3 != 1:
+            return
+        waiting = [candidate for candidate, _ in optimizer._finished_jobs]
+        for candidate in waiting:
+            candidate._meta[IMAGE] = render(candidate.value)
+        if self.path is not None:
+            optimizer.dump(self.path)
+        assert all(IMAGE in candidate._meta for candidate in waiting)
+
+
+@pytest.mark.filterwarnings("ignore:num_workers = 3 > 1 is suboptimal")  # of no executor
+def test_dumping_takes_no_image_of_a_candidate(tmp_path: Path) -> None:
+    """Each image reaches the search with its own candidate, and none the file."""
+    dumped, other = fide(budget=30, workers=3), fide(budget=30, workers=3)
+    dumped.register_callback("tell", Deliver(tmp_path / "dump"))
+    other.register_callback("tell", Deliver())
+    values: list[Any] = []
+
+    def objective(x: Any) -> float:
+        values.append(np.array(x))
+        return mse(render(x))
+
+    one, two = dumped.minimize(objective), other.minimize(objective)
+    assert dumped.num_images == other.num_images == 30
+    np.testing.assert_array_equal(one.value, two.value)
+    data = (tmp_path / "dump").read_bytes()
+    assert not any(render(x)[7].tobytes() in data for x in values)
+    copy = REGISTERED.load(tmp_path / "dump")
+    assert len(copy._repeated) == 3 and not any(IMAGE in c._meta for c in copy._repeated)
+    assert all(c.random_state is copy.parametrization.random_state for c in copy._repeated)
+    copy.remove_all_callbacks()
+    copy.register_callback("tell", Deliver())
+    np.testing.assert_array_equal(copy.minimize(objective).value, one.value)
