@@ -36,6 +36,7 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -222,6 +223,21 @@ class ImageEvaluator:
             str(target.shape),
             hashlib.blake2b(target.tobytes()).digest(),
         )
+
+    @cached_property
+    def problem(self) -> str:
+        """Four characters; losses of two samplers can be compared only where these are equal.
+
+        They depend on the targets, the weights of their pixels and the name of the loss.  A user's
+        own loss has no name, so all of them are taken for the same one.
+        """
+        views, name = self.evaluator.views, self.evaluator.loss_name
+        text = json.dumps([name, views.listed, [view.target.shape for view in views.views]])
+        digest = hashlib.blake2b(text.encode(), digest_size=3)
+        for view in views.views:
+            digest.update(view.target.tobytes())
+            digest.update(b"-" if view.weights is None else view.weights.tobytes())
+        return base64.b64encode(digest.digest()).decode("ascii")
 
     def loss(self, image: Float32) -> float:
         """Loss of a canonical image (1, H, W, 3)."""

@@ -199,8 +199,9 @@ class FIDESampler(BaseSampler):
     def _record(
         self, study: Study, storage: BaseStorage, trial: Trial | FrozenTrial, tokens: Tensor
     ) -> None:
-        codec = self._images().codec
-        record = write_image(codec.digest, codec.pack(tokens))
+        images = self._images()
+        codec = images.codec
+        record = write_image(codec.digest, codec.pack(tokens), images.problem)
         write_attribute(storage, trial, IMAGE, record)
         with self._lock:
             self._state_of(study).keep(trial.number, tokens)
@@ -300,7 +301,8 @@ class FIDESampler(BaseSampler):
         - "injected": never asked for by FIDE (enqueued, added, drawn by another sampler), or asked
           for in a search that is over.
         - "image": how many of these had an image.
-        - "left out": failed, pruned, or of another search space.
+        - "left out": failed, pruned, of another search space, or scored against another target or
+          by another loss.
         - "waiting": completed, but not processed before an earlier trial finishes or is skipped.
 
         A key may be absent if its count is zero.  See `fide_plugins.distributed.replica`.

@@ -67,7 +67,11 @@ class OptimizerSettings:
         standard_deviation(self.sigma0)
 
     def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
-        """Eight characters; optimizers with equal digests and seeds ask the same candidates."""
+        """Eight characters; optimizers of one problem with equal ones and seeds ask the same.
+
+        The problem has a digest of its own, see `features.ImageEvaluator.problem`: records of
+        earlier versions lack that one, and count.
+        """
         options = asdict(make_options(self.preset, self.options))
         described = {name: distribution_to_json(space[name]) for name in space}
         text = json.dumps([options, self.sigma0, self.target is None, described], sort_keys=True)
@@ -118,6 +122,11 @@ class Settings:
     artifacts: ImageArtifacts | None
     consider_pruned: bool
     warnings: WarnOnce = field(default_factory=WarnOnce)
+
+    @property
+    def problem(self) -> str | None:
+        """Digest of target and loss; None without a target."""
+        return None if self.images is None else self.images.problem
 
     def make_optimizer(self, dim: int, seed: int) -> FIDE:
         """Optimizer of so many parameters; all share one encoder and one loss."""

@@ -6,6 +6,7 @@ System attributes, JSON, with a version:
 ``fide:ask``      of a trial, written when its parameters are drawn: which candidate it is, and
                   what was decided about other trials (see `trials`)
 ``fide:image``    of a trial, written by `tell_image`: the features of its image (see `features`)
+                  (both with a digest of target and loss: losses of another problem do not count)
 ``fide:seed``     of a study: the seed of samplers that were given none
 ================  ==================================================================================
 
@@ -42,6 +43,7 @@ __all__ = [
     "Trials",
     "WarnOnce",
     "id_of",
+    "problems_of",
     "read_ask",
     "read_image",
     "read_seed",
@@ -78,6 +80,7 @@ class Ask:
     proposed: whether a proposer made the candidate.
     skipped: numbers of unfinished trials that nobody waits for from here on.
     late: numbers of skipped trials that have finished since; they count here.
+    problem: digest of target and loss, see `features.ImageEvaluator.problem`; None: not recorded.
     """
 
     optimizer: str
@@ -88,6 +91,16 @@ class Ask:
     skipped: tuple[int, ...] = ()
     late: tuple[int, ...] = ()
     guided: bool = True
+    problem: str | None = None
+
+    def read_for(self, problem: str | None) -> Ask:
+        """Copy that names no optimizer of this problem if the record is of another one.
+
+        Names of candidates, and when a search began, mean nothing to a search for another target.
+        """
+        if self.problem in (None, problem):
+            return self
+        return replace(self, optimizer=f"{self.optimizer} {self.problem}")
 
     def about_trials_before(self, number: int) -> Ask:
         """Copy that names no trials from `number` on; a record can only be about earlier ones."""
@@ -106,6 +119,7 @@ class Ask:
             "passed": list(self.skipped),
             "late": list(self.late),
             "a": int(not self.guided),
+            "t": self.problem,
         }
         return record | {key: value for key, value in optional.items() if value}
 
@@ -117,22 +131,25 @@ def read_ask(record: Any) -> Ask | None:
     optimizer, skipped, late = record.get("m"), record.get("passed", []), record.get("late", [])
     counts = [record.get("g"), record.get("i"), record.get("b", 0), record.get("p", 0)]
     counts.append(record.get("a", 0))
+    problem = record.get("t")
     if not (isinstance(optimizer, str) and isinstance(skipped, list) and isinstance(late, list)):
+        return None
+    if not (problem is None or isinstance(problem, str)):
         return None
     if max(len(skipped), len(late)) > MOST_NAMED or not _are_counts([*counts, *skipped, *late]):
         return None
     generation, slot, began, proposed, loss_only = counts
     named = tuple(skipped), tuple(late)
-    return Ask(optimizer, generation, slot, began, bool(proposed), *named, not loss_only)
+    return Ask(optimizer, generation, slot, began, bool(proposed), *named, not loss_only, problem)
 
 
 def _are_counts(values: list[Any]) -> bool:
     return all(type(value) is int and 0 <= value < _LARGEST for value in values)
 
 
-def write_image(codec: str, code: str) -> dict[str, Any]:
-    """Record of an image: its `code` by the codec with that digest."""
-    return {"v": _VERSION, "c": codec, "d": code}
+def write_image(codec: str, code: str, problem: str) -> dict[str, Any]:
+    """Record of an image: its `code` by the codec with that digest, and that of target and loss."""
+    return {"v": _VERSION, "c": codec, "d": code, "t": problem}
 
 
 def read_image(record: Any, codec: str) -> str | None:
@@ -141,6 +158,17 @@ def read_image(record: Any, codec: str) -> str | None:
         return None
     code = record.get("d")
     return code if isinstance(code, str) else None
+
+
+def problems_of(trial: FrozenTrial) -> set[str]:
+    """Digests of target and loss in a trial's valid records; empty if none says it.
+
+    There are two if one sampler asked for the trial, and another told its image.
+    """
+    image, ask = trial.system_attrs.get(IMAGE), read_ask(trial.system_attrs.get(ASK))
+    told = image.get("t") if isinstance(image, dict) and image.get("v") == _VERSION else None
+    asked = None if ask is None else ask.problem
+    return {problem for problem in (told, asked) if isinstance(problem, str)}
 
 
 # -- a study ---------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -28,6 +29,7 @@ _MOST_OPTIMIZERS = 4
 _MOST_FEATURES = 1000  # trials; none waits as long as that while this sampler is in use
 _YOUNG = 64  # trials; beyond, all workers have read the same seed
 _FIRST_DIM = 64  # parameters that the first trial is expected to have at most
+_PROBLEM = "problem"  # subject of a warning
 
 
 class StudyState:
@@ -42,7 +44,7 @@ class StudyState:
         self._reader = TrialReader()
         self._trials: Trials = []
         self._seed = settings.seed
-        self._history = History(settings.warnings)
+        self._history = History(settings.warnings, settings.problem)
         self._relative = RelativeSpace(settings.warnings)
         self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
         self._first = np.empty(0)  # coordinates of the first candidate
@@ -126,7 +128,8 @@ class StudyState:
         self._release_features(optimizer)
         late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
         ask, params = optimizer.ask(self._trials, trial.number, skipped, late)
-        storage.write_attribute(storage.storage_of(study), trial, ASK, ask.to_json())
+        record = replace(ask, problem=self._settings.problem).to_json()
+        storage.write_attribute(storage.storage_of(study), trial, ASK, record)
         return params
 
     def _search(self, distributions: Mapping[str, BaseDistribution]) -> None:
@@ -160,6 +163,9 @@ class StudyState:
         loss = loss_of(study, trial, settings.consider_pruned, settings.warnings)
         if loss is None:
             return None
+        if self._is_of_another_problem(trial):
+            self._warn_of_another_problem()
+            return None
         if settings.images is None:
             return loss, None
         if not only_stored and trial.number in self.features:
@@ -171,6 +177,26 @@ class StudyState:
         if stored is not None and not only_stored:
             raise StoredFeaturesNeeded
         return loss, stored
+
+    def _is_of_another_problem(self, trial: FrozenTrial) -> bool:
+        """Whether the loss is a distance from another target, or by another loss.
+
+        A trial that does not say it counts: others than `FIDESampler` or earlier versions made it.
+        """
+        own, named = self._settings.problem, storage.problems_of(trial)
+        return own is not None and bool(named) and own not in named
+
+    def _warn_of_another_problem(self) -> None:
+        warnings = self._settings.warnings
+        if _PROBLEM in warnings.subjects:
+            return  # all trials are looked at for the message, once
+        finished = (trial for trial in self._trials if trial.state.is_finished())
+        of_others = [trial.number for trial in finished if self._is_of_another_problem(trial)]
+        warnings.warn(
+            _PROBLEM,
+            f"{_named(of_others)} scored against another target, or by another loss, and left "
+            "out; study.best_trial may be one of them: start a new study for each target and loss",
+        )
 
     def _stored(self, number: int, record: Any, images: ImageEvaluator) -> Tensor | None:
         code = storage.read_image(record, images.codec.digest)
@@ -227,3 +253,13 @@ class StudyState:
 
     def __getstate__(self) -> Mapping[str, Any]:
         return {**self.__dict__, "_storage": None, "_trials": []}
+
+
+def _named(numbers: list[int]) -> str:
+    """Subject and verb of a sentence about trials, in ascending order."""
+    first, last = numbers[0], numbers[-1]
+    if first == last:
+        return f"trial {first} was"
+    if len(numbers) == last - first + 1:
+        return f"trials {first}-{last} were"
+    return f"{len(numbers)} of the trials {first}-{last} were"

@@ -65,12 +65,13 @@ class History:
     it has finished and its record was read.
 
     warnings: where an invalid record is reported.
+    problem: digest of target and loss, see `Ask`; None without a target.
     """
 
-    def __init__(self, warnings: WarnOnce) -> None:
+    def __init__(self, warnings: WarnOnce, problem: str | None) -> None:
         self.skipped: set[int] = set()
         """Trials that are no longer waited for."""
-        self._warnings = warnings
+        self._warnings, self._problem = warnings, problem
         self._seen = 0  # number of trials looked at
         self._unread: set[int] = set()  # of these, the ones whose record may still come
         self._unfinished: set[int] = set()
@@ -114,7 +115,7 @@ class History:
                 "and is ignored",
             )
             return None
-        return ask.about_trials_before(trial.number)
+        return ask.read_for(self._problem).about_trials_before(trial.number)
 
     def _note_late(self, number: int, ask: Ask) -> None:
         if ask.late and number not in self.skipped:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import warnings
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from optuna.testing.storages import STORAGE_MODES, StorageSupplier
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.features import BYTES, ImageEvaluator
 from fide_adapters.optuna.storage import MOST_NAMED, Ask, read_ask, write_image
 from fide_plugins import FIDE
 
@@ -70,10 +71,10 @@ def test_point_6_two_kibibytes_a_trial_at_200_dimensions() -> None:
     study.optimize(objective, n_trials=8)
     sizes = [size_of(trial.system_attrs) for trial in study.trials]
     assert max(sizes) <= 2048
-    code = study.trials[-1].system_attrs["fide:image"]["d"]
+    code = "A" * (4 * math.ceil(BYTES / 3))  # in base64
     numbers = tuple(range(10**6 - MOST_NAMED, 10**6))
-    worst = Ask("0" * 8, 10**6, 2 * 10**6, 10**6, True, numbers, numbers).to_json()
-    assert size_of({"fide:ask": worst, "fide:image": write_image("0" * 8, code)}) <= 2048
+    worst = Ask("0" * 8, 10**6, 2 * 10**6, 10**6, True, numbers, numbers, False, "0" * 4).to_json()
+    assert size_of({"fide:ask": worst, "fide:image": write_image("0" * 8, code, "0" * 4)}) <= 2048
     assert not study._storage.get_study_system_attrs(study._study_id)
 
 
