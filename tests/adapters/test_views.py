@@ -93,9 +93,7 @@ def test_images_of_views_come_back_from_an_artifact_store(tmp_path: Path) -> Non
 
     study.optimize(objective, n_trials=8)
     trial = study.trials[-1]
-    state = first._state
-    assert state is not None
-    stored = state.from_artifact(study, trial)
+    stored = first._states.of(study).from_artifact(study, trial)
     assert stored is not None
     tokens = core().encoder([[image] for image in views(list(trial.params.values()))])[0]
     np.testing.assert_allclose(stored, tokens, atol=2 / 255)

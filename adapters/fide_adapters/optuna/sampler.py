@@ -20,7 +20,7 @@ from fide_adapters.optuna.artifacts import ImageArtifacts
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
-from fide_adapters.optuna.study import StudyState
+from fide_adapters.optuna.study import StudyState, StudyStates
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.validation.points import new_seed, whole_number
@@ -133,7 +133,7 @@ class FIDESampler(BaseSampler):
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
         self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
         self._reseeded = False
-        self._state: StudyState | None = None
+        self._states = StudyStates(self._settings)
         self._lock = threading.RLock()
 
     # -- images ------------------------------------------------------------------------------------
@@ -311,9 +311,7 @@ class FIDESampler(BaseSampler):
             return self._state_of(study).counts(study, self._search_space)
 
     def _state_of(self, study: Study) -> StudyState:
-        if self._state is None or not self._state.is_of(study):
-            self._state = StudyState(study, self._settings)
-        return self._state
+        return self._states.of(study)
 
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()

@@ -1,10 +1,11 @@
-"""What a sampler knows of one study.  It can be read again, except features in full precision."""
+"""What a sampler knows of its studies.  It can be read again, except features in full precision."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
 from typing import Any
 
@@ -23,8 +24,9 @@ from fide_adapters.optuna.study_optimizer import Evaluation, StoredFeaturesNeede
 from fide_adapters.optuna.trials import History, loss_of
 from fide_plugins.types import Float64
 
-__all__ = ["StudyState"]
+__all__ = ["StudyState", "StudyStates"]
 
+_MOST_STUDIES = 4
 _MOST_OPTIMIZERS = 4
 _MOST_FEATURES = 1000  # trials; none waits as long as that while this sampler is in use
 _YOUNG = 64  # trials; beyond, all workers have read the same seed
@@ -32,15 +34,50 @@ _FIRST_DIM = 64  # parameters that the first trial is expected to have at most
 _PROBLEM = "problem"  # subject of a warning
 
 
+@dataclass
+class _Read:
+    """What was read of a study, by which it is known again through another connection.
+
+    Studies of two storages may have the same number and name, and so may a study that was deleted
+    and the one that was made after it.  But when a trial has begun does not change.
+
+    trials: their number.
+    last: number of a trial that had begun, one of the last, and when it began.
+    """
+
+    trials: int = 0
+    last: tuple[int, datetime] | None = None
+
+    def note(self, trials: Trials, finished: list[FrozenTrial]) -> None:
+        """Note that these were read, and which of them have finished since the last time."""
+        self.trials = len(trials)
+        for trial in (*finished, *trials[-1:]):  # an enqueued one has not begun
+            began = trial.datetime_start
+            if began is not None and (self.last is None or trial.number > self.last[0]):
+                self.last = trial.number, began
+
+    def fits(self, trials: Trials) -> bool:
+        """Whether these can be the trials that were read, and perhaps more."""
+        if len(trials) < self.trials:
+            return False
+        return self.last is None or trials[self.last[0]].datetime_start == self.last[1]
+
+
 class StudyState:
     """The state of a sampler in one study."""
 
     def __init__(self, study: Study, settings: Settings) -> None:
-        self.features: dict[int, Tensor] = {}
-        """Features (T, C), in full precision, of trials that are not processed, by number."""
         self._settings = settings
         self._storage: object = storage.storage_of(study)
         self._study = storage.id_of(study)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Know nothing of the study."""
+        settings = self._settings
+        self.features: dict[int, Tensor] = {}
+        """Features (T, C), in full precision, of trials that are not processed, by number."""
+        self._read = _Read()
         self._reader = TrialReader()
         self._trials: Trials = []
         self._seed = settings.seed
@@ -52,18 +89,41 @@ class StudyState:
         self._space, self._digest = Space({}), ""
 
     def is_of(self, study: Study) -> bool:
-        """Whether this is the study; for an unpickled sampler, whether it has the same name."""
-        if self._storage is None and self._study == storage.id_of(study):
-            self._storage = storage.storage_of(study)
+        """Whether this is the study, through the same connection."""
         same_storage = self._storage is storage.storage_of(study)
-        return same_storage and self._study[0] == storage.id_of(study)[0]
+        return same_storage and self._study == storage.id_of(study)
+
+    def resume(self, study: Study) -> bool:
+        """Go on with the study through another connection, or after unpickling, if this is it."""
+        if self._study != storage.id_of(study):
+            return False
+        if self._read.fits(TrialReader().read(study)):
+            self._storage = storage.storage_of(study)
+            self._reader, self._trials = TrialReader(), []
+            return True
+        if self._storage is None:
+            self._warn_of_another_study()
+        return False
+
+    def _warn_of_another_study(self) -> None:
+        if self._relative.completed:
+            self._settings.warnings.warn(
+                "study",
+                f"the study {self._study[1]!r} has other trials than that of this name which the "
+                "sampler has learned from; the sampler uses nothing of what it knows of those",
+            )
 
     # -- before a trial ----------------------------------------------------------------------------
 
     def update(self, study: Study, number: int = 0) -> RelativeSpace:
         """Read what is new in the storage; returns the search space of trials before `number`."""
         self._trials = self._reader.read(study)
+        if not self._read.fits(self._trials):  # it was deleted, and made again
+            self._warn_of_another_study()
+            self._begin()
+            self._trials = self._reader.read(study)
         news = self._history.update(self._trials)
+        self._read.note(self._trials, news.finished)
         for trial in news.finished:
             self._relative.add(trial)
         if not self._relative.completed:
@@ -116,11 +176,11 @@ class StudyState:
         self, study: Study, trial: FrozenTrial, distributions: Mapping[str, BaseDistribution]
     ) -> dict[str, Any]:
         """Parameters of a trial; writes into the trial which candidate they are."""
+        if trial.number >= len(self._trials):
+            self.update(study)
         self._search(distributions)
         if self._space.dim == 0:
             return self._space.decode(np.empty(0))
-        if trial.number >= len(self._trials):
-            self.update(study)
         optimizer = self._optimizer()
         evaluation = partial(self._evaluation, study)
         optimizer.process(self._trials, evaluation)
@@ -253,6 +313,24 @@ class StudyState:
 
     def __getstate__(self) -> Mapping[str, Any]:
         return {**self.__dict__, "_storage": None, "_trials": []}
+
+
+class StudyStates:
+    """The states of a sampler in the studies that it was used in last; others are read again."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._states: list[StudyState] = []  # the latest at the end
+
+    def of(self, study: Study) -> StudyState:
+        """State in a study."""
+        known = next((state for state in self._states if state.is_of(study)), None)
+        known = known or next((s for s in reversed(self._states) if s.resume(study)), None)
+        if known is None:
+            known = StudyState(study, self._settings)
+        self._states = [state for state in self._states if state is not known]
+        self._states = [*self._states[1 - _MOST_STUDIES :], known]
+        return known
 
 
 def _named(numbers: list[int]) -> str:

@@ -61,8 +61,7 @@ def belief(study: optuna.Study) -> dict[str, Any]:
     sampler = study.sampler
     assert isinstance(sampler, FIDESampler)
     counts = sampler.counts(study)
-    assert sampler._state is not None
-    optimizer = sampler._state.optimizer
+    optimizer = sampler._states.of(study).optimizer
     candidate = optimizer.replica.candidate(0).x.tolist()
     return {"counts": counts, "at": optimizer.at, "next": candidate, "pid": os.getpid()}
 
