@@ -31,13 +31,15 @@ __all__ = ["Retargeting"]
 class Retargeting(Readings):
     """An optimizer whose target can be changed."""
 
-    def begin_with(self, learned: Any) -> None:
+    def begin_with(self, learned: Any, renders: int = 0) -> None:
         """Begin with hypotheses of a learned model, or without; what was told is forgotten.
 
         learned: argument of `FIDE`; raises and warns as that does, before anything changes.
+        renders: of the same run, from which it was learned.  They count as evaluations.
         """
         space = self.space or self.dim
         self.state = self._initial_state(posterior_of(learned, space, self.target, self.seed))
+        self.state.begin_after(renders)
 
     @one_at_a_time
     @one_thread

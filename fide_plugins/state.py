@@ -62,14 +62,15 @@ class State:
     proposer: None where nothing is proposed.
     steps: between generations; None where there are none.
     searches: begun so far.
-    evaluations: points told so far.  not_finite: those whose loss was NaN or infinite.
+    evaluations: points told so far, and renders that were learned from before the search.
+    not_finite: points told whose loss was NaN or infinite.
     best: None before the first finite loss.
     improved_at, improved_to: evaluation and loss of the last improvement by more than a tenth.
     samples: evaluated, not yet learned from.  learned: of this generation, learned from already.
     injected: best point (d,) told in this generation that was a step or never asked, and its loss.
     search_best: best since the last search was over.  over_at: evaluations at that time.
     memory: samples for the next target and for `Solution.std`.
-    retargeted_at: evaluations when the present one came.
+    retargeted_at: evaluations when the search for the present one began.
     clip_warned: whether the user was warned of values outside [0, 1].
     times: seconds in "encode", "train" and "search".
     """
@@ -209,6 +210,11 @@ class State:
         if stage is Stage.SEARCH:
             self._begin_search()
 
+    def begin_after(self, evaluations: int) -> None:
+        """Count on from so many evaluations, and what has happened since from there."""
+        self.evaluations = evaluations
+        self.improved_at = self.retargeted_at = self.over_at = evaluations
+
     def retarget(self, target: torch.Tensor, start: Start) -> None:
         """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
 
@@ -218,7 +224,7 @@ class State:
         self.population.forget_pending()
         self.best = self.injected = self.search_best = None
         self.samples, self.learned = [], []
-        self.improved_at = self.retargeted_at = self.over_at = self.evaluations
+        self.begin_after(self.evaluations)
         self.improved_to = np.inf
         self.moves.retarget(target, start)
         self._begin_search()

@@ -124,7 +124,7 @@ class Fitting:
         workers = self._workers.number if isinstance(self._workers, Processes) else 1
         with interrupts.stoppable():
             learned = rounds.learn(workers, show)
-        self.optimizer.begin_with(learned.model)
+        self.optimizer.begin_with(learned.model, learned.renders)
         self._loop.note_learned(learned.renders)
         if self.saved is not None:
             self._save(self.saved)

@@ -89,8 +89,9 @@ def _is_stalled(optimizer: FIDE) -> bool:
     status = optimizer.status
     if status.code in ("waiting", "improving"):
         return False
-    since = optimizer.evaluations - optimizer.state.improved_at
-    return status.code in _OVER or since >= optimizer.state.improved_at
+    state = optimizer.state
+    since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
+    return status.code in _OVER or since >= took
 
 
 def _loss(stop_at: Any) -> float | None:

@@ -14,6 +14,7 @@ from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.cli import progress
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.experiments import run as harness
+from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.learning import Model, rounds
 from fide_plugins.types import Float64
 
@@ -91,6 +92,36 @@ def test_all_renders_count_and_the_search_begins_at_the_answer(
     assert result.curve[sum(SHARES), 1] == pytest.approx(  # the search is that of the model
         np.square(disk(SPACE.decode(search.ask(1)[0])) - PICTURE).mean(), rel=1e-4
     )
+
+
+def test_solutions_say_which_evaluation_of_the_run_found_them(
+    whole: tuple[Any, Disk, Path],
+) -> None:
+    result, _, folder = whole
+    best, losses = result.best, result.curve[:, 1]
+    assert result.optimizer.evaluations == BUDGET
+    assert losses[best.evaluation] == best.loss < losses[best.evaluation - 1]
+    totals = json.loads((folder / "run.json").read_text())["totals"]
+    assert totals["best_evaluation"] == best.evaluation
+    assert all(one.evaluation >= sum(SHARES) for one in result.solutions)
+    assert sum(SHARES) <= result.optimizer.state.improved_at <= best.evaluation
+
+
+def test_learned_renders_change_no_candidate_and_not_when_a_search_is_stalled() -> None:
+    def search(renders: int) -> tuple[Any, int]:
+        opt = FIDE(SPACE, PICTURE, seed=0, popsize=4)
+        opt.begin_with(None, renders)
+        stopping = Stopping(10_000, until_stalled=True)
+        asked = []
+        while not stopping.reached(opt.evaluations - renders, 0.0, 0.0, True, opt):
+            X = opt.ask()
+            asked.append(X)
+            opt.tell(X, None, np.maximum(0.5, X[:, 0]))
+        return np.concatenate(asked), opt.evaluations
+
+    (asked, n), (same, more) = search(0), search(400)
+    np.testing.assert_array_equal(asked, same)
+    assert more == n + 400 and n < 1000
 
 
 @pytest.mark.usefixtures("few")

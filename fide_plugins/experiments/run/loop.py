@@ -148,7 +148,7 @@ class Run:
         with interrupts.stoppable():
             learned = rounds.learn(1, show)
         optimizer: Any = self.optimizer  # FIDE itself
-        optimizer.begin_with(learned.model)
+        optimizer.begin_with(learned.model, learned.renders)
         self._tick()
         self.record.add_unjudged(learned.renders)
         self._save()
