@@ -16,6 +16,8 @@ outside [0, 1]     refused in a target; clipped in a batch, with a warning (a re
                    overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
                    Floats that are plainly in [0, 255] are refused: up to 255, above 2, and all of
                    them whole numbers or their mean above 8
+hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
+                   refused for them
 files, PIL images  turned upright (EXIF), palettes and 16-bit grays expanded, at most
                    `MAX_PIXELS` pixels
 =================  ============================================================================
@@ -32,7 +34,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.warn import warn_user
-from fide_plugins.types import Float32
+from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.image_sources import (
     MAX_PIXELS,
     Pixels,
@@ -59,6 +61,7 @@ __all__ = [
     "MAX_PIXELS",
     "alpha_of",
     "as_batch",
+    "as_pixels",
     "as_target",
     "is_image",
     "load",
@@ -69,7 +72,13 @@ __all__ = [
 # -- public ----------------------------------------------------------------------------------------
 
 
-def as_target(target: object, *, what: str = "the target", size: Size | None = None) -> Float32:
+def as_target(
+    target: object,
+    *,
+    what: str = "the target",
+    size: Size | None = None,
+    hidden: Mask | None = None,
+) -> Float32:
     """Canonical copy of one image.
 
     Parameters
@@ -80,6 +89,8 @@ def as_target(target: object, *, what: str = "the target", size: Size | None = N
         its name in errors.
     size
         required size (H, W); None: any.
+    hidden
+        (H, W), pixels that do not count; None: all do.
 
     Returns
     -------
@@ -90,7 +101,23 @@ def as_target(target: object, *, what: str = "the target", size: Size | None = N
     ImageError
         wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
     """
-    return _as_image(target, size, what, on_clip=None)
+    return _as_image(target, size, what, on_clip=None, hidden=hidden)
+
+
+def as_pixels(image: object, what: str) -> Pixels:
+    """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
+
+    what: its name in errors.
+
+    Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
+    """
+    array, is_tensor = _to_array(image, what)
+    if array.ndim not in (2, 3):
+        raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
+    if array.ndim == 2:
+        return array
+    pixels: Pixels = channels_last(array, 0, is_tensor, None, what)
+    return pixels
 
 
 def alpha_of(image: object, what: str = "the target") -> Float32:
@@ -129,6 +156,7 @@ def as_batch(
     *,
     n: int | None = None,
     on_clip: Callable[[str], None] = warn_clipped,
+    hidden: Mask | None = None,
 ) -> Float32:
     """Canonical batch of images.
 
@@ -146,6 +174,8 @@ def as_batch(
         required number of images; None: any number, also zero.
     on_clip
         called once, with a message, if finite values outside [0, 1] were clipped.
+    hidden
+        (H, W) of that shape, pixels that do not count; None: all do.
 
     Returns
     -------
@@ -159,7 +189,7 @@ def as_batch(
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):
         check_count(len(images), n)
-        return _list_as_batch(images, size, on_clip)
+        return _list_as_batch(images, size, on_clip, hidden)
     what = "the batch of images"
     if is_path(images) or is_pil(images):
         raise ImageError(f"{what} must be an (n, H, W, C) array or a list of images, got {images}")
@@ -167,11 +197,10 @@ def as_batch(
     check_batch_axes(array, size, what)
     check_count(len(array), n)
     pixels: Pixels = channels_last(array, 1, is_tensor, size, what)
-    if pixels.dtype == np.float32 and pixels.shape[-1] == 3 and pixels.flags.c_contiguous:
-        low, high = _finite_range(pixels, what)
-        if low >= 0.0 and high <= 1.0:
-            return pixels
-    return _canonical(pixels, what, on_clip)
+    is_float32 = pixels.dtype == np.float32 and pixels.shape[-1] == 3
+    if is_float32 and pixels.flags.c_contiguous and _is_unit(*_extremes(pixels)):
+        return pixels
+    return _canonical(pixels, what, on_clip, hidden)
 
 
 def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float32:
@@ -188,16 +217,23 @@ def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float3
 
 
 def _as_image(
-    image: object, size: Size | None, what: str, on_clip: Callable[[str], None] | None
+    image: object,
+    size: Size | None,
+    what: str,
+    on_clip: Callable[[str], None] | None,
+    hidden: Mask | None = None,
 ) -> Float32:
     array, is_tensor = _to_array(image, what)
     if array.ndim not in (2, 3):
         raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
-    return _canonical(channels_last(array, 0, is_tensor, size, what), what, on_clip)
+    return _canonical(channels_last(array, 0, is_tensor, size, what), what, on_clip, hidden)
 
 
 def _list_as_batch(
-    images: Sequence[object], size: Size | None, on_clip: Callable[[str], None]
+    images: Sequence[object],
+    size: Size | None,
+    on_clip: Callable[[str], None],
+    hidden: Mask | None,
 ) -> Float32:
     clipped: list[str] = []
     out: Float32 = np.empty((len(images), *(size or (0, 0)), 3), np.float32)
@@ -207,7 +243,7 @@ def _list_as_batch(
                 f"image {i} is None; of a render that failed tell nothing: leave its point out, "
                 f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
             )
-        rgb = _as_image(image, size, f"image {i}", clipped.append)
+        rgb = _as_image(image, size, f"image {i}", clipped.append, hidden)
         if size is None:
             size = (rgb.shape[0], rgb.shape[1])
             out = np.empty((len(images), *size, 3), np.float32)
@@ -237,9 +273,14 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
     return array, False
 
 
-def _canonical(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None) -> Float32:
-    """Canonical copy of (..., C): gray repeated, alpha composited over white."""
-    values = _unit_range(pixels, what, on_clip)
+def _canonical(
+    pixels: Pixels,
+    what: str,
+    on_clip: Callable[[str], None] | None,
+    hidden: Mask | None,
+) -> Float32:
+    """Canonical copy of (..., H, W, C): gray repeated, alpha composited over white."""
+    values = _unit_range(pixels, what, on_clip, hidden)
     if values.shape[-1] == 3 and values.dtype == np.float32 and values is not pixels:
         return values  # a copy already
     out: Float32 = np.empty((*values.shape[:-1], 3), np.float32)
@@ -251,29 +292,56 @@ def _canonical(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None)
     return out
 
 
-def _unit_range(pixels: Pixels, what: str, on_clip: Callable[[str], None] | None) -> Pixels:
-    """Values of (..., C) as floats in [0, 1], itself if they are; `on_clip` None: never clip."""
+def _unit_range(
+    pixels: Pixels,
+    what: str,
+    on_clip: Callable[[str], None] | None,
+    hidden: Mask | None = None,
+) -> Pixels:
+    """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
+
+    hidden: (H, W), pixels whose values are put into this range silently.
+    """
     if pixels.dtype == np.uint8:
         return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
     if pixels.dtype == np.bool_:
         return pixels.astype(np.float32, order="C")
-    low, high = _finite_range(pixels, what)
+    low, high = _extremes(pixels)
+    if _is_unit(low, high):
+        return pixels
+    seen = pixels
+    if hidden is not None:  # what does not count is looked at only where something is wrong
+        seen, pixels = pixels[..., ~hidden, :], _mended(pixels, hidden)
+        low, high = _extremes(seen)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
+        raise refuse_not_finite(what, bad, pixels)
 
     def of_bytes() -> bool:
-        return is_bright(pixels.mean(dtype=np.float64)) or bool((pixels == np.rint(pixels)).all())
+        return is_bright(seen.mean(dtype=np.float64)) or bool((seen == np.rint(seen)).all())
 
     if not is_clipped(pixels, low, high, of_bytes, what, on_clip):
         return pixels
     return np.clip(pixels, 0.0, 1.0, order="C")
 
 
-def _finite_range(pixels: Pixels, what: str) -> tuple[float, float]:
-    """Smallest and largest value; raises ImageError if one of them is NaN or infinite."""
+def _mended(pixels: Pixels, hidden: Mask) -> Pixels:
+    """Copy of floats (..., H, W, C) whose hidden pixels lie in [0, 1], with 0 for NaN."""
+    mended = pixels.copy(order="C")
+    values = mended[..., hidden, :]
+    values[np.isnan(values)] = 0.0
+    mended[..., hidden, :] = np.clip(values, 0.0, 1.0)
+    return mended
+
+
+def _extremes(pixels: Pixels) -> tuple[float, float]:
+    """Smallest and largest value; NaN if there is one."""
     if pixels.size == 0:
         return 0.0, 0.0
     with np.errstate(invalid="ignore"):
-        low, high = float(pixels.min()), float(pixels.max())
-    if not (np.isfinite(low) and np.isfinite(high)):
-        bad = pixels.size - int(np.count_nonzero(np.isfinite(pixels)))
-        raise refuse_not_finite(what, bad, pixels)
-    return low, high
+        return float(pixels.min()), float(pixels.max())
+
+
+def _is_unit(low: float, high: float) -> bool:
+    """Whether values from low to high lie in [0, 1]; False for NaN."""
+    return low >= 0.0 and high <= 1.0

@@ -17,9 +17,10 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.types import Float32
-from fide_plugins.validation.images import as_batch, as_target, is_image
-from fide_plugins.views.weights import ALPHA, joined, read_weights
+from fide_plugins.types import Float32, Mask
+from fide_plugins.validation.image_sources import Pixels
+from fide_plugins.validation.images import as_batch, as_pixels, as_target, is_image
+from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
 
 __all__ = ["View", "Views", "is_list_of_images", "views_of"]
 
@@ -50,6 +51,11 @@ class View:
     def mean_weight(self) -> float:
         """Mean of the weights."""
         return 1.0 if self.weights is None else float(self.weights.mean(dtype=np.float64))
+
+    @cached_property
+    def hidden(self) -> Mask | None:
+        """(H, W), pixels of weight 0, where a render may have any values; None: all count."""
+        return hidden_by(self.weights)
 
     @cached_property
     def _roots(self) -> Float32:
@@ -109,14 +115,15 @@ class Views:
 
         Raises ImageError unless it has the sizes of the first.
         """
-        other = Views.read(target)
-        if (other.listed, other.sizes) != (self.listed, self.sizes):
+        listed = is_list_of_images(target)
+        pictures = _opened(target)
+        sizes = _sizes([picture.shape for picture in pictures])
+        if (listed, sizes) != (self.listed, self.sizes):
             raise ImageError(
                 f"the next target must have the size of the first, {self.sizes}, not "
-                f"{other.sizes}: resize it, or make another optimizer"
+                f"{sizes}: resize it, or make another optimizer"
             )
-        pairs = zip(other.views, self.views, strict=True)
-        return Views([View(new.target, old.weights) for new, old in pairs], listed=self.listed)
+        return Views.read(pictures if listed else pictures[0], weights=self.weights)
 
     @property
     def plain(self) -> bool:
@@ -153,7 +160,7 @@ class Views:
     @property
     def sizes(self) -> str:
         """Height x width of each view."""
-        return " + ".join(f"{height} x {width}" for height, width in (v.size for v in self.views))
+        return _sizes([view.size for view in self.views])
 
     def as_batch(self, images: object, n: int | None, on_clip: Callable[[str], None]) -> Float32:
         """Renders of n candidates, (n, H, W, 3), packed if there are several views.
@@ -167,13 +174,15 @@ class Views:
             n = len(first) if hasattr(first, "__len__") else 0
         is_packed = isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape)
         if not self.listed or is_packed:
-            return as_batch(images, self.target.shape, n=n, on_clip=on_clip)
+            hidden = None if self.listed else self.views[0].hidden
+            return as_batch(images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden)
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
             raise ImageError(self._rule(images))
         batches = []
         for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
             try:
-                batches.append(as_batch(batch, view.size, n=n, on_clip=_naming(i, on_clip)))
+                said = _naming(i, on_clip)
+                batches.append(as_batch(batch, view.size, n=n, on_clip=said, hidden=view.hidden))
             except ImageError as error:
                 raise ImageError(f"view {i}: {error}") from error
         return self._packed(batches, (n,))
@@ -261,11 +270,26 @@ def _view(target: object, mask: object, weights: object, of: str) -> View:
     """One view; `of` names it in errors."""
     if is_list_of_images(mask) or is_list_of_images(weights):
         raise ImageError("a list of masks or weights needs a list of targets, one for each")
-    picture = as_target(target, what=f"the target{of}")
-    size = picture.shape[0], picture.shape[1]
-    first = read_weights(mask, target, size, f"mask{of}")
-    second = read_weights(weights, target, size, f"weights{of}")
-    return View(picture, joined(first, second, f"mask times weights{of}"))
+    what = f"the target{of}"
+    pixels = as_pixels(target, what)
+    size = pixels.shape[0], pixels.shape[1]
+    first = read_weights(mask, pixels, size, f"mask{of}")
+    second = read_weights(weights, pixels, size, f"weights{of}")
+    product = joined(first, second, f"mask times weights{of}")
+    return View(as_target(pixels, what=what, hidden=hidden_by(product)), product)
+
+
+def _opened(target: object) -> list[Pixels]:
+    """Arrays (H, W) or (H, W, C) of a picture or a list of them, with the values they have."""
+    if not is_list_of_images(target):
+        return [as_pixels(target, "the target")]
+    assert isinstance(target, list | tuple)
+    return [as_pixels(one, f"the target of view {i}") for i, one in enumerate(target)]
+
+
+def _sizes(shapes: Sequence[Sequence[int]]) -> str:
+    """Height x width of each view."""
+    return " + ".join(f"{height} x {width}" for height, width, *_ in shapes)
 
 
 def _one_a_view(name: str, given: object, k: int) -> list[object]:

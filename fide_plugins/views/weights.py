@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.types import Float32
+from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.images import alpha_of, as_target
 
-__all__ = ["ALPHA", "joined", "read_weights"]
+__all__ = ["ALPHA", "hidden_by", "joined", "read_weights"]
 
 ALPHA = "alpha"
 """In place of a mask: the alpha channel of the target."""
@@ -53,3 +53,9 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
         return None
     weights: Float32 = np.ascontiguousarray(product / largest, np.float32)
     return weights
+
+
+def hidden_by(weights: Float32 | None) -> Mask | None:
+    """Pixels (H, W) of weight 0; None if there are none."""
+    hidden = None if weights is None else weights == 0
+    return None if hidden is None or not hidden.any() else hidden

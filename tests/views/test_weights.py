@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
-from fide_plugins import FIDE, losses
+from fide_plugins import FIDE, fit, losses
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
@@ -74,6 +75,94 @@ def test_what_is_hidden_has_no_influence(loss: str | None, encoder: str) -> None
     if loss is not None:
         assert opt.evaluator.loss(right).tolist() == [0.0, 0.0]
         assert opt.evaluator.loss(images).min() > 0
+
+
+WILD = [np.nan, np.inf, -3.0, 50.0, 255.0]
+
+
+def hidden_as(images: Any, value: Any) -> Any:
+    """Images (..., 20, 24, C) with that value where the mask HALF is 0."""
+    return np.where(HALF[..., None] == 1, images, value)
+
+
+@pytest.mark.parametrize("form", ["float32", "float64", "gray", "RGBA", "list", "tensor"])
+@pytest.mark.parametrize("value", WILD)
+def test_hidden_pixels_may_have_any_value(value: float, form: str) -> None:
+    """A ray that misses is NaN, a hole in a depth picture 255: no error, and no warning."""
+    images = RNG.random((3, 20, 24, {"gray": 1, "RGBA": 4}.get(form, 3)), np.float32)
+    wild = hidden_as(images, np.float64(value)).astype("f8" if form == "float64" else "f4")
+    forms: dict[str, Callable[[Any], Any]] = {"list": list, "tensor": torch.from_numpy}
+    given = forms.get(form, np.asarray)(wild)
+    one, other = (FIDE(3, TARGET, mask=HALF, popsize=4, seed=0) for _ in range(2))
+    X = one.ask(3)
+    np.testing.assert_array_equal(one.tell(X, given), other.tell(other.ask(3), images))
+    np.testing.assert_array_equal(one.encoder(given), other.encoder(images))
+    np.testing.assert_array_equal(one.evaluator.loss(given), other.evaluator.loss(images))
+    found: list[Any] = [one.best, other.best]
+    shown, expected = (solution.image for solution in found)
+    np.testing.assert_array_equal(shown[:, :12], expected[:, :12])
+    if form != "RGBA":  # 0 for NaN, then composited
+        np.testing.assert_array_equal(shown[:, 12:], np.clip(np.nan_to_num(value, nan=0), 0, 1))
+
+
+def test_ordinary_hidden_pixels_stay_in_the_best_image() -> None:
+    opt = FIDE(3, TARGET, mask=HALF, popsize=4, seed=0)
+    image = RNG.random((1, 20, 24, 3), np.float32)
+    opt.tell(opt.ask(1), image)
+    assert opt.best is not None
+    np.testing.assert_array_equal(opt.best.image, image[0])
+
+
+@pytest.mark.parametrize("hidden", [0.5, np.nan, 255.0])
+def test_what_counts_is_checked_as_without_a_mask(hidden: float) -> None:
+    opt = FIDE(3, TARGET, mask=HALF, popsize=4, seed=0)
+    X, images = opt.ask(1), hidden_as(TARGET, hidden)[None]
+    for value, message in ((np.nan, "must be finite, got 1 NaN"), (200, "divide by 255")):
+        bad = images.copy()
+        bad[0, :, :11] = 200 if value == 200 else 0.5
+        bad[0, 0, 0, 0] = value
+        with pytest.raises(ImageError, match=message):
+            opt.tell(X, bad)
+    bad = images.copy()
+    bad[0, 0, 0] = 1.2
+    with pytest.warns(RuntimeWarning, match=r", 1\.2].*clipped"):
+        opt.tell(X, bad)
+
+
+@pytest.mark.parametrize("value", WILD)
+def test_the_target_may_have_any_value_where_it_is_hidden(value: float) -> None:
+    plain, wild = (FIDE(3, hidden_as(TARGET, v), mask=HALF, seed=0) for v in (0.0, value))
+    images = RNG.random((2, 20, 24, 3), np.float32)
+    np.testing.assert_array_equal(plain.evaluator.loss(images), wild.evaluator.loss(images))
+    other = hidden_as(1 - TARGET, value)
+    wild.retarget(other)
+    np.testing.assert_array_equal(wild.target[:, :12], other[:, :12].astype(np.float32))
+    assert np.isfinite(wild.target).all()
+    views = Views.read([TARGET, hidden_as(TARGET, value)], [None, HALF]).retargeted(
+        [1 - TARGET, other]
+    )
+    np.testing.assert_array_equal(views.targets[1], wild.target)
+    np.testing.assert_array_equal(views.weights[1], HALF)
+    rgba = np.dstack([hidden_as(TARGET, value), HALF])
+    assert np.isfinite(Views.read(rgba, "alpha").target).all()
+
+
+def test_views_with_holes() -> None:
+    opt = FIDE(3, [TARGET, TARGET], mask=[None, HALF], popsize=4, seed=0)
+    images = RNG.random((2, 20, 24, 3), np.float32)
+    expected = opt.evaluator.loss([images, images])
+    wild = hidden_as(images, np.nan)
+    np.testing.assert_array_equal(opt.tell(opt.ask(2), [images, wild]), expected)
+    with pytest.raises(ImageError, match="view 0: the batch of images must be finite"):
+        opt.tell(opt.ask(2), [wild, images])
+
+
+def test_fit_with_rays_that_miss() -> None:
+    def render(x: Float64) -> Any:
+        return hidden_as(np.full((20, 24, 3), x[0]), np.nan)
+
+    result = fit(render, hidden_as(TARGET, np.nan), 1, budget=8, workers=0, seed=0, mask=HALF)
+    assert result.failures == 0 and result.best is not None and result.best.loss < 0.2
 
 
 def test_mse_of_half_is_that_of_the_crop() -> None:
