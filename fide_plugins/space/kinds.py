@@ -35,6 +35,7 @@ _MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a lo
 _LARGEST_INT = 2**53  # doubles hold every whole number up to it
 _MOST_CHOICES = 1000
 _OFF_GRID = 1e-6  # of a step, by which a value may miss the grid
+_LEAST_STEP = 16  # units in the last place of the largest value
 
 
 class Scale(NamedTuple):
@@ -76,7 +77,8 @@ class Float(_Number):
     unit: for people, such as "deg" or "m".
     log: whether its logarithm is searched; low must be above 0.
     periodic: whether high is the same as low, as for an angle; the search wraps around.
-    step: only low, low + step, ... are meant; high becomes the last of them.  None: every number.
+    step: only low, low + step, ... are meant; high becomes the last of them.  It must be at least
+        16 times as wide as doubles are apart there.  None: every number.
 
     Raises SpaceError (a ValueError).
     """
@@ -113,7 +115,7 @@ class Float(_Number):
             raise SpaceError(_outside(name, self, f"a number in [{self.low}, {self.high}]", value))
         if self.step is not None:
             steps = (number - self.low) / self.step
-            if abs(steps - round(steps)) > _OFF_GRID:
+            if abs(steps - round(steps)) > _off_grid(self.low, self.high, self.step):
                 rule = f"one of {self.low}, {self.low + self.step}, ... {self.high}"
                 raise SpaceError(_outside(name, self, rule, value))
         return number
@@ -307,16 +309,31 @@ def _check_settings(kind: Any) -> None:
 
 def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
     """Largest of low, low + step, ... that is at most high, but for rounding."""
-    if not 0 < step <= (high - low) * (1 + _OFF_GRID):
+    whole = isinstance(kind, Int)
+    off = 0.0 if whole or step <= 0 else _off_grid(low, high, step)
+    if not 0 < step <= (high - low) * (1 + off):
         _refuse(kind, f"step must lie in (0, high - low], not {step}", "take a smaller step")
-    if isinstance(kind, Float) and kind.log:
+    if kind.log and not whole:
         _refuse(kind, "a logarithm has no steps here", "drop log or step")
     if (high - low) / step >= _MOST_CELLS:
         remedy = "take a narrower range" if kind.log else "take a wider step"
         _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", remedy)
-    if isinstance(kind, Int):
+    if whole:
         return low + (high - low) // step * step
-    return min(high, low + math.floor((high - low) / step + _OFF_GRID) * step)
+    if step < _LEAST_STEP * (apart := _apart(low, high)):
+        rule = f"doubles there are {apart:.2g} apart, too far for a step of {step}"
+        _refuse(kind, rule, "take a wider step, or a range near 0 and add the offset in render")
+    return min(high, low + math.floor((high - low) / step + off) * step)
+
+
+def _off_grid(low: float, high: float, step: float) -> float:
+    """Part of a step by which a value may miss the grid: what rounding its digits can do."""
+    return max(_OFF_GRID, 2 * _apart(low, high) / step)
+
+
+def _apart(low: float, high: float) -> float:
+    """Distance of two neighboring doubles where they are largest."""
+    return math.ulp(max(abs(low), abs(high)))
 
 
 def _check_choice(value: Any, others: dict[Any, int]) -> None:

@@ -135,6 +135,28 @@ def test_cells_are_equal(kind: Kind) -> None:
     assert lower[0] == -np.inf and upper[0] == pytest.approx(1 / len(counts), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "step"),
+    [
+        (1.7e9, 1.8e9, 0.001), (1.7e9 + 0.1, 1.7e9 + 0.7, 0.1), (-1.8e9, -1.7e9, 1e-3),
+        (1e15, 1e15 + 7, 7), (1e15, 1e15 + 14, 2), (0.1, 0.7, 0.1),
+        (1e6 + 1 / 3, 1e6 + 16 / 3, 1 / 7e4),
+    ],
+)  # fmt: skip
+def test_steps_far_from_zero(low: float, high: float, step: float) -> None:
+    """Seconds since 1970 in milliseconds: doubles there hold no more than four digits of a step."""
+    space = Space(t=Float(low, high, step=step))
+    assert space.parameters["t"].scale.high == pytest.approx(high, abs=step / 10)
+    X = np.random.default_rng(0).random((2000, 1))
+    values = space.decode_many(X)
+    points = space.encode_many(values)
+    np.testing.assert_allclose(points, space.snap(X), atol=1e-9)
+    assert space.decode_many(points) == values
+    if high - low > 2 * step:
+        with pytest.raises(SpaceError, match="must be one of"):
+            space.encode({"t": low + 1.3 * step})
+
+
 def test_cells_of_a_logarithm_are_where_the_value_changes() -> None:
     space = Space(v=Int(1, 50, log=True))
     for value in (1, 2, 7, 50):
@@ -215,6 +237,7 @@ BAD_KINDS = [
     (lambda: Float(0, 1, step=0), r"step must lie in \(0, high - low\], not 0"),
     (lambda: Float(0, 1, step=2), r"step must lie in \(0, high - low\]"),
     (lambda: Float(0, 1, step=1e-15), r"at most 2\^40 values"),
+    (lambda: Float(1.7e9, 1.7e9 + 1, step=1e-6), r"doubles there are 2\.4e-07 apart.*wider step"),
     (lambda: Float(0, 1, step=0.5, periodic=True), "drop step or periodic"),
     (lambda: Int(8, 3), r"Int\(8, 3\): low must be less than high"),
     (lambda: Int(0, 1.5), "high must be a whole number .* not 1.5; use Float"),  # type: ignore[arg-type]
