@@ -93,7 +93,8 @@ class LossOfTarget(ABC):
     @one_thread
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of a canonical batch (n, H, W, 3), without further checks."""
-        return np.fromiter((self._distance(image) for image in batch), np.float64, len(batch))
+        with np.errstate(under="ignore"):  # squares of tiny differences
+            return np.fromiter((self._distance(image) for image in batch), np.float64, len(batch))
 
     def compute_tensor(self, images: Tensor) -> Float64:
         """Losses (n,) of a canonical batch that is a tensor, computed where that is.

@@ -168,7 +168,8 @@ def _on_checkerboard(weights: Weights) -> Weights:
 
 def _opponent(rgb: Float32) -> Float32:
     """Opponent colors (a, 3, b) of (a, b, 3)."""
-    colors: Float32 = (rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape)
+    with np.errstate(under="ignore"):  # of a target that is nearly black
+        colors: Float32 = (rgb.reshape(-1, 3) @ OPPONENT.T).reshape(rgb.shape)
     return colors.transpose(0, 2, 1)
 
 

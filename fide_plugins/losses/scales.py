@@ -35,7 +35,8 @@ def gaussian_means(pixels: int, samples: int, scale: float) -> Any:
     nearest = distance == distance.min(axis=1, keepdims=True)
     weights: Float64 = nearest.astype(np.float64)
     if scale > 0:
-        weights = np.exp(-0.5 * np.square(distance / scale)) * (distance <= REACH * scale)
+        with np.errstate(under="ignore"):  # far from the center
+            weights = np.exp(-0.5 * np.square(distance / scale)) * (distance <= REACH * scale)
         weights = np.where(weights.any(axis=1, keepdims=True), weights, nearest)
     weights /= weights.sum(axis=1, keepdims=True)
     return csr_array(weights.astype(np.float32))

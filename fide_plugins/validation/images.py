@@ -284,11 +284,12 @@ def _canonical(
     if values.shape[-1] == 3 and values.dtype == np.float32 and values is not pixels:
         return values  # a copy already
     out: Float32 = np.empty((*values.shape[:-1], 3), np.float32)
-    if values.shape[-1] == 4:
-        alpha = values[..., 3:].astype(np.float32)
-        out[...] = 1.0 - alpha * (1.0 - values[..., :3].astype(np.float32))
-    else:
-        out[...] = values
+    with np.errstate(under="ignore"):  # what is too small for float32 is 0
+        if values.shape[-1] == 4:
+            alpha = values[..., 3:].astype(np.float32)
+            out[...] = 1.0 - alpha * (1.0 - values[..., :3].astype(np.float32))
+        else:
+            out[...] = values
     return out
 
 

@@ -68,7 +68,8 @@ class View:
         if self.weights is None:
             return batch
         t, roots = self.target, self._roots
-        blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
+        with np.errstate(under="ignore"):  # a tiny difference times a weight
+            blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
         return blended
 
     def squared_error(self, image: Float32) -> float:

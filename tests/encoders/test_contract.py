@@ -38,6 +38,17 @@ def test_shape_and_type(name: str, size: tuple[int, int], make: Make) -> None:
     assert encoder(np.zeros((0, *size, 3), np.uint8)).shape == (0, *encoder.shape(*size))
 
 
+@every_encoder
+def test_a_user_who_raises_floating_point_errors_gets_the_same_tokens(
+    name: str, make: Make
+) -> None:
+    image = RNG.random((112, 112, 3))
+    images = np.stack([image, np.zeros_like(image), image * 1e-50, image * 1e-30])
+    expected = make(name)(images)
+    with np.errstate(all="raise"):
+        assert torch.equal(make(name)(images), expected)
+
+
 @every_size
 def test_tokens_of_an_image_do_not_depend_on_its_batch(
     name: str, size: tuple[int, int], make: Make, monkeypatch: pytest.MonkeyPatch

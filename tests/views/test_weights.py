@@ -186,6 +186,13 @@ def test_half_weight_scales_the_square_in_every_loss() -> None:
     np.testing.assert_allclose(np.square(seen[-1] - TARGET), squared, atol=1e-6)
 
 
+def test_a_user_who_raises_floating_point_errors_may_have_tiny_weights() -> None:
+    dark = np.full_like(TARGET, 1e-30)
+    with np.errstate(all="raise"):
+        opt = FIDE(3, dark, loss="loi", weights=np.maximum(WEIGHTS - 0.5, 1e-30), popsize=4, seed=0)
+        assert opt.evaluator.loss(np.stack([dark, dark * 3]))[0] == 0.0
+
+
 def test_alpha_of_the_target(tmp_path: Path) -> None:
     pixels = np.dstack([TARGET, HALF])
     Image.fromarray((pixels * 255).astype(np.uint8)).save(tmp_path / "rgba.png")
