@@ -87,7 +87,8 @@ class FIDE(Asking):
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0
-        (dim,), around which the first search begins; None: 0.5 in each parameter.
+        (dim,), around which the first search begins; with a `Space` also a dictionary of values, as
+        its `decode` gives it; None: 0.5 in each parameter.
     sigma0
         its standard deviation there: one number, or one for each parameter.
     preset
@@ -136,7 +137,7 @@ class FIDE(Asking):
         self.dim = number_of_parameters("dim", dim.dim if isinstance(dim, Space) else dim)
         named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
         self.options = o = make_options(preset, {**named, **options})
-        self.x0 = starting_point(x0, self.dim)
+        self.x0 = starting_point(x0, self.dim, self.space)
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import operator
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.errors import OptionError, PointsError
+from fide_plugins.errors import OptionError, PointsError, SpaceError
 from fide_plugins.types import Float64
 
 __all__ = [
@@ -117,12 +118,41 @@ def standard_deviations(value: Any, dim: int) -> float | Float64:
     return np.array([standard_deviation(number) for number in value])
 
 
-def starting_point(value: object, dim: int) -> Float64:
-    """`value` as float64 (dim,), for None the center of the cube; PointsError if outside."""
+class _Encodes(Protocol):
+    """A `Space`, which imports this module."""
+
+    def encode(self, params: Mapping[str, Any]) -> Float64: ...
+
+
+def starting_point(value: object, dim: int, space: _Encodes | None = None) -> Float64:
+    """`value` as float64 (dim,), for None the center of the cube.
+
+    With a space it may be a dictionary of parameters, as `Space.decode` gives it.
+
+    Raises PointsError for what is no point of the cube, SpaceError for a dictionary that is not of
+    the space.
+    """
     if value is None:
         return np.full(dim, 0.5)
+    if isinstance(value, Mapping):
+        return _encoded(value, space)
     try:
         point: Float64 = as_points([value], dim)[0]
     except PointsError as error:
-        raise PointsError(f"x0 must be a point of the cube, (dim,) = ({dim},): {error}") from error
+        hint = "" if space is None else "; of values of the parameters give a dictionary"
+        raise PointsError(
+            f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
+        ) from error
     return point
+
+
+def _encoded(params: Mapping[str, Any], space: _Encodes | None) -> Float64:
+    if space is None:
+        raise PointsError(
+            "x0 is a dictionary of parameters, which needs a Space of them in place of their "
+            "number; or give a point of the cube"
+        )
+    try:
+        return space.encode(params)
+    except SpaceError as error:
+        raise SpaceError(f"x0: {error}") from error

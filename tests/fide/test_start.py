@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins.errors import OptionError, PointsError
+from fide_plugins import Float, Group, Int, Space, fit
+from fide_plugins.errors import OptionError, PointsError, SpaceError
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 
@@ -65,6 +66,33 @@ def test_it_is_saved(target: Float32, tmp_path: Path) -> None:
 def test_no_point_of_the_cube(x0: object, target: Float32) -> None:
     with pytest.raises(PointsError, match="x0 must be a point of the cube"):
         FIDE(3, target, x0=x0)
+
+
+SPACE = Space(angle=Float(-60, 60, unit="deg"), columns=Int(3, 8), dots=1 * Group(x=Float(0, 2)))
+GUESS = {"angle": 30.0, "columns": 4, "dots": [{"x": 0.5}]}
+
+
+def test_it_may_be_given_as_physical_values(target: Float32, tmp_path: Path) -> None:
+    named, point = (FIDE(SPACE, target, x0=x, seed=0) for x in (GUESS, SPACE.encode(GUESS)))
+    np.testing.assert_array_equal(named.ask(), point.ask())
+    named.save(tmp_path / "c")
+    np.testing.assert_array_equal(FIDE.load(tmp_path / "c").x0, SPACE.encode(GUESS))
+    result = fit(
+        lambda params: target * (params["angle"] + 60) / 120,
+        target, SPACE, budget=6, workers=0, seed=0, x0=GUESS, sigma0=1e-3,
+    )  # fmt: skip
+    assert result.params["angle"] == pytest.approx(30, abs=1)
+
+
+def test_physical_values_that_are_none(target: Float32) -> None:
+    with pytest.raises(PointsError, match="x0 is a dictionary of parameters, which needs a Space"):
+        FIDE(3, target, x0=GUESS)
+    with pytest.raises(SpaceError, match="x0: parameter 'angle' must be a number in"):
+        FIDE(SPACE, target, x0={**GUESS, "angle": 90})
+    with pytest.raises(SpaceError, match="x0: missing parameter 'columns', 'dots'"):
+        FIDE(SPACE, target, x0={"angle": 0})
+    with pytest.raises(PointsError, match="of values of the parameters give a dictionary"):
+        FIDE(SPACE, target, x0=[30, 4, 0.5])
 
 
 @pytest.mark.parametrize("sigma0", [[0.1], [0.1, 0.1, 0.0], np.full((3, 1), 0.1)])
