@@ -20,10 +20,13 @@ __all__ = [
     "describe",
     "from_pil",
     "from_tensor",
+    "has_scale",
     "is_path",
     "is_pil",
     "is_torch_tensor",
     "read_pixels",
+    "refuse_type",
+    "scale_remedy",
 ]
 
 Pixels: TypeAlias = npt.NDArray[Any]
@@ -63,12 +66,38 @@ def from_tensor(tensor: Any, what: str) -> Pixels:
         array: Pixels = tensor.numpy()
     except (TypeError, RuntimeError, ValueError) as e:
         raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
-    if array.dtype.kind not in "fb" and array.dtype != np.uint8:
-        raise ImageError(
-            f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got a tensor of "
-            f"{describe(array)}; write image.to(torch.uint8) if its values are in [0, 255]"
-        )
+    if not has_scale(array):
+        remedy = scale_remedy(array, "image.bool()", "image.to(torch.uint8)")
+        raise refuse_type(what, f"a tensor of {describe(array)}", remedy)
     return array
+
+
+def has_scale(array: Pixels) -> bool:
+    """Whether the type of an array says which value is white."""
+    return array.dtype.kind in "fb" or array.dtype == np.uint8
+
+
+def scale_remedy(
+    array: Pixels,
+    as_bool: str = "image.astype(bool)",
+    as_bytes: str = "image.astype(np.uint8)",
+) -> str:
+    """What to write for an array whose type does not say it; as_bool, as_bytes: conversions."""
+    if array.dtype.kind not in "iu" or not array.size or array.min() < 0:
+        return "convert it to floats in [0, 1]"
+    high = int(array.max())
+    if array.dtype == np.uint16 or high > 255:
+        return "divide by the value that is white, for example image / 65535"
+    if high <= 1:
+        return f"write {as_bool} if 1 is white, {as_bytes} if 255 is"
+    return f"write {as_bytes} if 255 is white"
+
+
+def refuse_type(what: str, got: str, remedy: str) -> ImageError:
+    """Error for values of a type whose scale is unknown."""
+    return ImageError(
+        f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}; {remedy}"
+    )
 
 
 def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:

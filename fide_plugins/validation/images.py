@@ -6,7 +6,8 @@ Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays
 
 =================  ============================================================================
 values             uint8 [0, 255] and bool are scaled to [0, 1]; floats of any precision keep
-                   their values; other types are refused, since their scale is unknown
+                   their values; other types are refused, since their scale is unknown: white may
+                   be 4095 in a uint16 array
 channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white
 axes               channels last.  In a torch tensor channels may come first: if the first axis
                    has 1, 3 or 4 entries and the other two fit the required size (that of the
@@ -18,8 +19,8 @@ outside [0, 1]     refused in a target; clipped in a batch, with a warning (a re
                    them whole numbers or their mean above 8
 hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
                    refused for them
-files, PIL images  turned upright (EXIF), palettes and 16-bit grays expanded, at most
-                   `MAX_PIXELS` pixels
+files, PIL images  turned upright (EXIF), palettes expanded, 16-bit grays divided by 65535, at
+                   most `MAX_PIXELS` pixels
 =================  ============================================================================
 
 PyTorch and Pillow are imported only if an image needs them.
@@ -41,10 +42,13 @@ from fide_plugins.validation.image_sources import (
     describe,
     from_pil,
     from_tensor,
+    has_scale,
     is_path,
     is_pil,
     is_torch_tensor,
     read_pixels,
+    refuse_type,
+    scale_remedy,
 )
 from fide_plugins.validation.rules import (
     Size,
@@ -54,7 +58,6 @@ from fide_plugins.validation.rules import (
     is_bright,
     is_clipped,
     refuse_not_finite,
-    refuse_type,
 )
 
 __all__ = [
@@ -266,10 +269,9 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
-    if array.dtype.kind not in "fb" and array.dtype != np.uint8:
+    if not has_scale(array):
         got = describe(array) if array.ndim else type(image).__name__
-        remedy = "convert it, for example image.astype(np.uint8) if its values are in [0, 255]"
-        raise refuse_type(what, got, remedy)
+        raise refuse_type(what, got, scale_remedy(array))
     return array, False
 
 

@@ -20,7 +20,6 @@ __all__ = [
     "is_bright",
     "is_clipped",
     "refuse_not_finite",
-    "refuse_type",
 ]
 
 Size: TypeAlias = tuple[int, int]  # (H, W)
@@ -77,13 +76,6 @@ def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None
             f"{height} x {width}: {describe(pixels)}; render at that size, or resize the target"
         )
     return pixels
-
-
-def refuse_type(what: str, got: str, remedy: str) -> ImageError:
-    """Error for values of a type whose scale is unknown."""
-    return ImageError(
-        f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}; {remedy}"
-    )
 
 
 def refuse_not_finite(what: str, bad: int, pixels: Any) -> ImageError:

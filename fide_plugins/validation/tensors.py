@@ -12,7 +12,7 @@ from typing import Any, TypeGuard
 import torch
 from torch import Tensor
 
-from fide_plugins.validation.image_sources import describe, is_torch_tensor
+from fide_plugins.validation.image_sources import from_tensor, is_torch_tensor
 from fide_plugins.validation.images import warn_clipped
 from fide_plugins.validation.rules import (
     channels_last,
@@ -21,7 +21,6 @@ from fide_plugins.validation.rules import (
     is_bright,
     is_clipped,
     refuse_not_finite,
-    refuse_type,
 )
 
 __all__ = ["as_tensor_batch", "stays_on_device"]
@@ -70,8 +69,7 @@ def as_tensor_batch(
     what = "the batch of images"
     images = images.detach()
     if not (images.is_floating_point() or images.dtype in (torch.uint8, torch.bool)):
-        remedy = "write image.to(torch.uint8) if its values are in [0, 255]"
-        raise refuse_type(what, f"a tensor of {describe(images)}", remedy)
+        from_tensor(images, what)  # raises
     check_batch_axes(images, size, what)
     check_count(len(images), n)
     pixels = _unit_range(channels_last(images, 1, True, size, what), what, on_clip)
