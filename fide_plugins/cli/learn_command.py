@@ -46,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--passes", type=whole(1), default=10, metavar="N", help="over the renders, at most (10)")
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole(1), metavar="N", help="processes that render (1)")
+    where.add_argument("--workers", type=whole(0), metavar="N",
+        help="processes that render; 0 and 1: this one (1)")  # fmt: skip
     where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster")
     add("--seed", type=whole(0), default=0, metavar="N", help="of parameters and network (0)")
     add("--task-set", type=setting, action="append", default=[], metavar="KEY=VALUE",

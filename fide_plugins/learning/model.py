@@ -78,7 +78,7 @@ def _full_precision() -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """What `learn` returns.  An autocast of the caller changes no result.
 
@@ -105,6 +105,13 @@ class Model:
     report: Report
     fingerprint: str | None = None
     emulator: Emulator | None = None
+
+    def __repr__(self) -> str:
+        height, width = self.size
+        return (
+            f"Model(of {self.renderer!r}: {self.dim} parameters, images of {width} x {height} "
+            f"pixels, {self.report.renders:,} renders)"
+        )
 
     @property
     def dim(self) -> int:

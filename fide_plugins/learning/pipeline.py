@@ -111,8 +111,8 @@ def learn(
         was interrupted in the emulator's part goes on there: more time is the density's only in the
         call after it.
     workers
-        processes that render; with more than one `render` must be picklable.  None: 1, or 8 with an
-        executor.
+        processes that render; with more than one `render` must be picklable.  0 and 1: in this
+        process.  None: 1, or 8 with an executor.
     executor
         where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
         Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
@@ -223,7 +223,7 @@ class _Plan:
         """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
         self._check_region()
         if self.workers > 1 or self.executor is not None:
-            check_workers(self.renderer, self.executor)
+            check_workers(self.renderer, min(self.workers, 1), self.executor)
         check_room(self.settings, self.renders, store_limit * 2**30)
 
     def _check_region(self) -> None:
@@ -389,7 +389,7 @@ def _check(
     if not 16 <= whole_number("size", size, 1) <= 256:
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
     whole_number("passes", passes, 1)
-    whole_number("workers", workers, 1)
+    whole_number("workers", workers, 0)
     if head is not None and head not in HEADS:
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:

@@ -38,8 +38,8 @@ def fill(
 ) -> int:
     """Render what is missing of `renders`; returns how many renders failed in this call.
 
-    workers: processes; with more than one the renderer must be picklable, and a render that ends
-        its process (for lack of memory, say) is one that failed.
+    workers: processes, 0 and 1: this one; with more than one the renderer must be picklable, and a
+        render that ends its process (for lack of memory, say) is one that failed.
     executor: renders in their place, see `fitting.workers.workers_for`; None: processes.  workers
         says how many shards it gets at a time.
     seconds: no shard is begun after this time; None: no limit.
@@ -257,9 +257,12 @@ def _reason(outcome: Outcome) -> str:
     return outcome.reason if isinstance(outcome, Failed) else ""
 
 
-def check_workers(renderer: BatchRenderer, executor: object = None) -> None:
-    """Raise OptionError unless the renderer can be sent to processes, or to what `executor` is."""
-    _pool(renderer, (1, 1), 1, executor)
+def check_workers(renderer: BatchRenderer, workers: int, executor: object = None) -> None:
+    """Raise OptionError unless the renderer can be sent to processes, or to what `executor` is.
+
+    workers: as for `fill`; an executor needs at least one.
+    """
+    _pool(renderer, (1, 1), workers, executor)
 
 
 def _pool(

@@ -202,6 +202,26 @@ def test_seeds_of_any_size_and_none(seed: int | None) -> None:
         np.testing.assert_array_equal(same.sample(plain(np.array([0.3, 0.6])), 4, seed=2**70), x)
 
 
+def test_no_workers_is_this_process_as_in_fit() -> None:
+    process: list[int] = []
+
+    def render(x: Float64) -> Float64:
+        process.append(os.getpid())
+        return plain(x)
+
+    arguments: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1}
+    here = learn(render, 2, workers=0, **arguments)
+    assert set(process) == {os.getpid()}
+    picture = plain(np.array([0.3, 0.6]))
+    other = learn(plain, 2, **arguments)
+    np.testing.assert_array_equal(here.sample(picture, 4), other.sample(picture, 4))
+
+
+def test_a_model_is_shown_in_a_line() -> None:
+    model = learn(plain, 2, renders=100, size=SIDE, passes=1)
+    assert repr(model) == "Model(of 'plain': 2 parameters, images of 16 x 16 pixels, 98 renders)"
+
+
 def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="raise store_limit"):
         learn(plain, 2, renders=10_000, size=64, out=tmp_path / "m", store_limit=0.01)
@@ -211,6 +231,10 @@ def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     for limit in ("x", float("nan"), -1):
         with pytest.raises(OptionError, match="store_limit"):
             learn(plain, 2, size=SIDE, out=tmp_path / "m", store_limit=limit)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="workers=0 renders in this process: leave out executor"):
+        learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=0, executor="threads")
+    with pytest.raises(OptionError, match="workers must be a whole number >= 0"):
+        learn(plain, 2, size=SIDE, out=tmp_path / "m", workers=-1)
     lock = threading.Lock()
     with pytest.raises(OptionError, match="cannot be sent to other processes .*lock"):
         learn(lambda x: plain(x) if lock else x, 2, size=SIDE, out=tmp_path / "m", workers=2)
