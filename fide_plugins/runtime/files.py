@@ -14,6 +14,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
+from weakref import WeakSet
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = [
     "atomic_writer",
@@ -25,6 +31,8 @@ __all__ = [
 ]
 
 _SUFFIX = ".tmp"
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
+"""Errors of a file system that has no locks; the last one of NFS, for a file opened to be read."""
 
 
 @contextmanager
@@ -107,26 +115,97 @@ def _sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def locked(path: str | os.PathLike[str], wait: bool = False) -> Iterator[bool]:
+def locked(
+    path: str | os.PathLike[str], wait: bool = False, *, remove: bool = False
+) -> Iterator[bool]:
     """Lock the file `path`, made if it is missing; yields whether this process holds the lock.
 
     wait: wait until no other process holds the lock, and yield True.
+    remove: remove the file at the end.
 
-    The system releases the lock when a process ends, however it ends.  On a system without such
-    locks (Windows) the result is always True.
+    The system releases the lock when a process ends, however it ends; processes that it has forked
+    do not hold it.  Where there are no such locks (Windows, some network file systems) the result
+    is always True.
     """
-    try:
-        import fcntl
-    except ImportError:
+    if fcntl is None:
         yield True
         return
-    descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+    held = _lock(path, wait)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            yield False
-        else:
-            yield True
+        yield held is not None
     finally:
-        os.close(descriptor)
+        if held is not None:
+            held.release(path if remove else None)
+
+
+class _Held:
+    """An open file with its lock."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.descriptor: int | None = _open_to_lock(path)
+        _ALL.add(self)
+
+    def is_at(self, path: str | os.PathLike[str]) -> bool:
+        """Whether it is the file at `path`, and not one that was removed meanwhile."""
+        try:
+            return self.descriptor is not None and os.path.samestat(
+                os.fstat(self.descriptor), os.stat(path)
+            )
+        except FileNotFoundError:
+            return False
+
+    def release(self, path: str | os.PathLike[str] | None = None) -> None:
+        """Close it; path: where it is to be removed before.  In a forked process: nothing."""
+        if self.descriptor is None:
+            return
+        if path is not None and self.is_at(path):
+            with suppress(OSError):
+                os.unlink(path)
+        self.close()
+
+    def close(self) -> None:
+        """Close it, which frees the lock unless another process has the same open file."""
+        if self.descriptor is not None:
+            os.close(self.descriptor)
+            self.descriptor = None
+
+
+_ALL: WeakSet[_Held] = WeakSet()
+
+
+def _forget_all() -> None:
+    """In a forked process: the lock is its parent's, and ends with that one."""
+    for held in list(_ALL):
+        held.close()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+    os.register_at_fork(after_in_child=_forget_all)
+
+
+def _lock(path: str | os.PathLike[str], wait: bool) -> _Held | None:
+    """The locked file; None where another process holds the lock."""
+    assert fcntl is not None
+    while True:
+        held = _Held(path)
+        assert held.descriptor is not None
+        try:
+            fcntl.flock(held.descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BaseException as error:
+            number = error.errno if isinstance(error, OSError) else None
+            if number in _NO_LOCKS:
+                return held
+            held.close()
+            if number in (errno.EWOULDBLOCK, errno.EACCES):
+                return None
+            raise
+        if held.is_at(path):
+            return held
+        held.close()  # who held the lock before has removed the file
+
+
+def _open_to_lock(path: str | os.PathLike[str]) -> int:
+    try:
+        return os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+    except PermissionError:  # the file of another user, in a folder of several
+        return os.open(path, os.O_RDONLY)

@@ -1,14 +1,21 @@
-"""Atomic files."""
+"""Atomic files, and locks."""
 
 from __future__ import annotations
 
+import errno
 import os
+import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from fide_plugins.runtime import files
+
+needs_locks = pytest.mark.skipif(not hasattr(os, "fork"), reason="no such locks on Windows")
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -63,3 +70,79 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     files.remove_leftovers(tmp_path)
     assert sorted(os.listdir(tmp_path)) == [".hidden", "mine.tmp"]
+
+
+HOLDER = """
+import os, sys, time
+from fide_plugins.runtime import files
+
+with files.locked(sys.argv[1], remove=True) as mine:
+    if os.fork() == 0:
+        print(os.getpid(), flush=True)
+        time.sleep(60)
+        os._exit(0)
+    time.sleep(60)
+"""
+
+
+@needs_locks
+def test_a_lock_ends_with_its_process_also_where_a_forked_one_lives_on(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    command = [sys.executable, "-c", HOLDER, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        child = int(holder.stdout.readline())
+        try:
+            with files.locked(path, remove=True) as mine:
+                assert not mine
+            assert path.exists(), "whose lock it is removes it"
+            holder.kill()
+            holder.wait()
+            with files.locked(path, remove=True) as mine:
+                assert mine
+            assert not path.exists()
+        finally:
+            os.kill(child, signal.SIGKILL)
+
+
+@needs_locks
+def test_a_lock_of_a_file_that_was_removed_meanwhile_counts_for_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    with files.locked(path, remove=True) as first:
+        assert first
+        path.unlink()
+        with files.locked(path, remove=True) as second, files.locked(path) as third:
+            assert second and not third
+        path.touch()
+    assert path.exists(), "it is another file now"
+
+
+@needs_locks
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_stops_nothing(
+    number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(descriptor: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", none)
+    with files.locked(tmp_path / "lock", remove=True) as mine:
+        assert mine
+    assert not (tmp_path / "lock").exists()
+
+
+@needs_locks
+def test_a_lock_file_of_another_user_is_locked_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, opened = tmp_path / "lock", os.open
+    path.touch()
+
+    def forbidden(path: Any, flags: int, mode: int = 0o777) -> int:
+        if flags & os.O_RDWR:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, flags, mode)
+
+    monkeypatch.setattr(os, "open", forbidden)
+    with files.locked(path) as first, files.locked(path) as second:
+        assert first and not second
