@@ -116,7 +116,8 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
-    their digest, mask and weights by that of their product, in whatever form they were given.
+    their digest, mask and weights by that of their product, in whatever form they were given; so
+    are a starting point, its width and groups.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -130,7 +131,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "space": None if space is None else space.to_dict(),
         "optimizer": "fide",
         "options": {
-            key: _recorded(value)
+            key: _recorded(made.get(key, value))
             for key, value in options.items()
             if key not in ("loss", *_CONTENTS)
         },
@@ -139,6 +140,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "seed": optimizer.seed,
     }
 
+    made = {"x0": optimizer.x0, "sigma0": optimizer.sigma0, "groups": optimizer.options.groups}
 
 def features_of(optimizer: FIDE) -> list[float]:
     """Numbers by which an encoder of the user's own is known again: of its features of the target.
