@@ -54,11 +54,16 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
                 result = fitting.execute()
             _keep_pictures(again, result, out)
         except FitInterrupted as stop:
-            note(f"{who}: {stop} after {stop.result.evaluations} renders, saved in {plain(out)}")
+            saved = f" after {stop.result.evaluations} renders, saved in {plain(out)}"
+            unsaved = getattr(stop, "__notes__", ())  # what could not be written
+            note(f"{who}: {stop}{saved}" if not unsaved else f"{who}: {stop}")
+            for remark in unsaved:
+                note(paragraph(remark))
             note(f"continue with: {continuation(command, str(out))}")
             return 128 + stop.signum
         except (FideError, OSError) as error:
             note(f"{who}: the run failed: {paragraph(error)}")
+            _note_found(error)
             return 1
     if args.json:
         print(json.dumps(_summary(result, out), allow_nan=False), flush=True)
@@ -203,6 +208,16 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
 
 def _as_data(params: Any) -> Any:
     return params.tolist() if hasattr(params, "tolist") else params
+
+
+def _note_found(error: Exception) -> None:
+    """Say what was found before an error: perhaps no file could be written."""
+    result = getattr(error, "result", None)
+    if result is not None and isinstance(result.params, dict):
+        from fide_plugins.renderers.naming import described
+
+        note(f"best loss {number(result.best.loss)} after {result.evaluations} renders")
+        note(plain(described(result.params)))
 
 
 def _report(result: Any, out: Path) -> None:

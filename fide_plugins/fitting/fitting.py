@@ -72,9 +72,10 @@ class Fitting:
 
         Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if most
         renders fail or a callback, the loss or the encoder raises, any error of the optimizer,
-        OSError if the run directory cannot be written.  What was computed is saved before.
+        OSError if the run directory cannot be written.  What was computed is saved before, as far
+        as that can be done, and is the attribute `result` of whatever is raised.
         """
-        with Interrupts() as interrupts, reporting(self._progress) as report:
+        with Interrupts(once=True) as interrupts, reporting(self._progress) as report:
             self._loop = Loop(
                 self.optimizer,
                 self._renderer,
@@ -89,11 +90,11 @@ class Fitting:
             try:
                 stopped = self._run(interrupts, report)
             except BaseException as error:
-                raise self._left(error)  # noqa: B904, its cause is what it was
+                stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
+                return self._end(stopped, interrupts, error)  # which raises it
             finally:
-                self._workers.close()
-            # a signal no longer matters: everything is about to be written
-            return self._finish(stopped)
+                self._stop_workers(interrupts)
+            return self._end(stopped, interrupts, None)
 
     def _run(self, interrupts: Interrupts, report: Report | None) -> str:
         """The loop; returns why it has ended."""
@@ -131,43 +132,48 @@ class Fitting:
 
     # -- ending ------------------------------------------------------------------------------------
 
-    def _finish(self, stopped: str) -> Result:
-        """Save, and tell the callbacks."""
-        result = self._close(stopped, "finished")
+    def _end(self, stopped: str, interrupts: Interrupts, error: BaseException | None) -> Result:
+        """Save, and tell the callbacks; raises `error`, or what goes wrong here, with the result.
+
+        No signal stops the writing.
+        """
+        interrupts.hold()
         try:
-            self._callbacks.call("on_end", result)
-        except CallbackError as error:
-            error.result = result
-            raise
+            self._write("finished" if error is None else stopped)
+        except Exception as unsaved:
+            if error is not None:
+                note_unsaved(error, unsaved)
+            error = error or unsaved
+        result = self._result(stopped)
+        try:
+            with interrupts.let_go():
+                self._callbacks.call("on_end", result)
+        except (CallbackError, Interrupted) as failed:
+            error = error or failed
+        if error is not None:
+            raise _with_result(error, result)
         return result
 
-    def _left(self, error: BaseException) -> BaseException:
-        """Save what can be saved after an error; returns the error to be raised."""
-        stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
+    def _write(self, status: str) -> None:
+        """Write everything, each file also where another fails; raises the first error of them."""
+        saved, record, optimizer = self.saved, self.record, self.optimizer
+        if saved is None:
+            return
         try:
-            result = self._close(stopped, stopped)
-        except Exception as unsaved:
-            note_unsaved(error, unsaved)
-            result = self._result(stopped)
-        with suppress(CallbackError):
-            self._callbacks.call("on_end", result)
-        if isinstance(error, FitError):
-            error.result = result
-        elif isinstance(error, Interrupted):
-            stop = FitInterrupted(error.signum)
-            stop.result, stop.__suppress_context__ = result, True
-            return stop
-        return error
-
-    def _close(self, stopped: str, status: str) -> Result:
-        """Write everything; raises OSError if that cannot be done."""
-        if self.saved is not None:
             if self._loop.whole:
-                self._save(self.saved)
+                self._save(saved)
             else:
-                self.saved.write_tables(self.record, self.optimizer)
-            self.saved.leave(status, self.record, self.optimizer)
-        return self._result(stopped)
+                saved.write_tables(record, optimizer)
+        except Exception:
+            with suppress(Exception):
+                saved.leave("failed" if status == "finished" else status, record, optimizer)
+            raise
+        saved.leave(status, record, optimizer)
+
+    def _stop_workers(self, interrupts: Interrupts) -> None:
+        """Stop them; a second signal does not wait for that."""
+        with suppress(Interrupted), interrupts.let_go():
+            self._workers.close()
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
@@ -214,6 +220,21 @@ class Fitting:
         with self._checkpoints.writing():
             self._loop.note_pending()
             saved.save(self.record, self.optimizer)
+
+
+def _with_result(error: BaseException, result: Result) -> BaseException:
+    """The error that ends a fit, with what was computed until then."""
+    if isinstance(error, Interrupted):
+        stop = FitInterrupted(error.signum)
+        stop.result, stop.__suppress_context__ = result, True
+        for note in getattr(error, "__notes__", ()):
+            stop.add_note(note)
+        return stop
+    with suppress(AttributeError, TypeError):  # of a class that takes no attributes
+        error.result = result  # type: ignore[attr-defined]
+        if not isinstance(error, FitError):
+            error.add_note("what was found until then is the attribute `result` of this error")
+    return error
 
 
 def _curve(record: Record) -> Float64:

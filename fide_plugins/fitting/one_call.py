@@ -116,9 +116,13 @@ def fit(
         before the first render: an option, the target or the space is not what it must be.
     FitError
         the first 8 renders all failed, more than half of the last 50 failed, or a callback, the
-        loss or the encoder raised an exception.  Its `result` is what was computed until then.
+        loss or the encoder raised an exception.
     FitInterrupted
-        (a KeyboardInterrupt) Ctrl-C or SIGTERM; it has a `result`, too.
+        (a KeyboardInterrupt) Ctrl-C or SIGTERM.
+    OSError
+        the run directory cannot be written.
+
+    Whatever ends the fit after it has begun has the attribute `result`: what was computed by then.
     """
     return prepare(
         render,

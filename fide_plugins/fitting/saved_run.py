@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
-from fide_plugins.recording.directory import RunDirectory, RunDirectoryError, read_run
+from fide_plugins.recording.checkpointing import try_each
+from fide_plugins.recording.directory import RunDirectory, RunDirectoryError, is_saved, read_run
 from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Record
 from fide_plugins.runtime.callables import own_name
@@ -88,9 +89,16 @@ class SavedRun:
         self._directory.write_run()
 
     def save(self, record: Record, optimizer: FIDE) -> None:
-        """Write a checkpoint, the tables and the best image."""
-        self._directory.save(record, optimizer)
-        self.write_tables(record, optimizer)
+        """Write a checkpoint, the tables and the best image, each also where another fails.
+
+        The checkpoint, the largest, comes last; but the first one first, so that a kill leaves no
+        tables without one.
+        """
+        writes: list[Callable[[], object]] = [
+            lambda: self.write_tables(record, optimizer),
+            lambda: self._directory.save(record, optimizer),
+        ]
+        try_each(*(writes if is_saved(self.path) else reversed(writes)))
 
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
@@ -107,9 +115,10 @@ class SavedRun:
             budget=self._budget or record.evaluations,
             status=str(optimizer.status),
         )
+        writes = [lambda: self._directory.write_run(status, result)]
         if status == "finished" and not isinstance(optimizer.target, list):
-            self._directory.write_summary(result, target)
-        self._directory.write_run(status, result)
+            writes.insert(0, lambda: self._directory.write_summary(result, target))
+        try_each(*writes)
 
 
 def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -121,6 +130,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     """
     target = optimizer.evaluator.target
     space = optimizer.space
+    made = {"x0": optimizer.x0, "sigma0": optimizer.sigma0, "groups": optimizer.options.groups}
     return {
         "task": name,
         "task_seed": None,
@@ -140,7 +150,6 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "seed": optimizer.seed,
     }
 
-    made = {"x0": optimizer.x0, "sigma0": optimizer.sigma0, "groups": optimizer.options.groups}
 
 def features_of(optimizer: FIDE) -> list[float]:
     """Numbers by which an encoder of the user's own is known again: of its features of the target.

@@ -1,14 +1,14 @@
-"""When to write the next checkpoint: by time, and by how long writing takes."""
+"""When to write the next checkpoint: by time, and by how long writing takes; and where it fails."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
 from fide_plugins.types import Optimizer
 
-__all__ = ["CheckpointTimer", "note_unsaved"]
+__all__ = ["CheckpointTimer", "note_unsaved", "try_each"]
 
 _INTERVAL = 20  # least time between two checkpoints, in times of writing one
 
@@ -48,3 +48,21 @@ class CheckpointTimer:
 def note_unsaved(error: BaseException, unsaved: Exception) -> None:
     """Add to the error that ends a run, which matters more, that saving failed after it."""
     error.add_note(f"what was told since the last checkpoint is lost: {unsaved}")
+
+
+def try_each(*writes: Callable[[], object]) -> None:
+    """Call all of them, also after one that fails; then raise the first error of them.
+
+    A disk that has no room for a checkpoint has some for a table.
+    """
+    first: Exception | None = None
+    for write in writes:
+        try:
+            write()
+        except Exception as error:
+            if first is None:
+                first = error
+            elif str(error) != str(first):
+                first.add_note(f"nor was this written: {error}")
+    if first is not None:
+        raise first

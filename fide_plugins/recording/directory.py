@@ -38,6 +38,7 @@ from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.recording.parallel import WORKERS, rounds
 from fide_plugins.recording.record import Record, RunResult, best_so_far
+from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.record_schema import check_record
 from fide_plugins.runtime import checkpoint, files, machine
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -168,9 +169,11 @@ class RunDirectory:
 
     def write_tables(self, record: Record, best: Float32 | None) -> None:
         """Write the tables and the best image, as a picture; they need no consistent state."""
-        self.write_curve(record)
-        self.write_improvements(record)
-        self.write_best(best)
+        try_each(
+            lambda: self.write_curve(record),
+            lambda: self.write_improvements(record),
+            lambda: self.write_best(best),
+        )
 
     def write_curve(self, record: Record) -> None:
         """Write `curve.csv`."""

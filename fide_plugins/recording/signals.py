@@ -1,7 +1,8 @@
 """Ctrl-C and SIGTERM: stop where the state is consistent, and save it.
 
 A signal stops rendering at once, since an unfinished piece is rendered again after resuming.
-During a step of the optimizer it waits for the end of the step.  A second signal does not wait.
+During a step of the optimizer it waits for the end of the step.  A second signal does not wait for
+that.  Once the run is over and being saved, no signal stops the writing.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 __all__ = ["Interrupted", "Interrupts"]
 
@@ -30,12 +31,15 @@ class Interrupted(KeyboardInterrupt):
 class Interrupts:
     """Turns SIGINT and SIGTERM into `Interrupted` where the state is consistent.
 
+    once: whether it is raised once, and signals that follow are only noted, see `hold`.
+
     Only Python's main thread receives signals; in other threads this does nothing.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, once: bool = False) -> None:
         self._signum: int | None = None
         self._at_once = False
+        self._once, self._held = once, False
 
     def __enter__(self) -> Interrupts:
         self._before: dict[int, Any] = {}
@@ -51,7 +55,20 @@ class Interrupts:
     def check(self) -> None:
         """Raise `Interrupted` if a signal has arrived."""
         if self._signum is not None:
-            raise Interrupted(self._signum)
+            self._raise(self._signum)
+
+    def hold(self) -> None:
+        """From now on only note signals: what was computed is about to be written."""
+        self._held = True
+
+    @contextmanager
+    def let_go(self) -> Iterator[None]:
+        """Within this block, where nothing is written, a second signal raises `Interrupted`."""
+        before, self._held = self._held, False
+        try:
+            yield
+        finally:
+            self._held = before
 
     @contextmanager
     def stoppable(self) -> Iterator[None]:
@@ -65,5 +82,9 @@ class Interrupts:
 
     def _receive(self, signum: int, frame: FrameType | None) -> None:
         again, self._signum = self._signum is not None, signum
-        if self._at_once or again:
-            raise Interrupted(signum)
+        if not self._held and (self._at_once or again):
+            self._raise(signum)
+
+    def _raise(self, signum: int) -> NoReturn:
+        self._held = self._once
+        raise Interrupted(signum)

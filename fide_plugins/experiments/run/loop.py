@@ -108,7 +108,7 @@ class Run:
         """
         self._clock = time.perf_counter()
         self._checkpoints = CheckpointTimer(self._checkpoint_every)
-        with Interrupts() as interrupts:
+        with Interrupts(once=True) as interrupts:
             try:
                 if on_progress is not None:
                     on_progress(self.progress)
@@ -129,12 +129,13 @@ class Run:
                 self._leave("interrupted")
                 raise
             except BaseException as error:
+                interrupts.hold()
                 try:
                     self._leave("failed")
                 except OSError as unsaved:
                     note_unsaved(error, unsaved)
                 raise
-            # a signal no longer matters: everything is about to be written
+            interrupts.hold()
             return self._finish(verdict)
 
     def _learn(self, rounds: Rounds, interrupts: Interrupts, on_progress: Report | None) -> None:
