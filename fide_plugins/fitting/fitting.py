@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -75,7 +76,11 @@ class Fitting:
         OSError if the run directory cannot be written.  What was computed is saved before, as far
         as that can be done, and is the attribute `result` of whatever is raised.
         """
-        with Interrupts(once=True) as interrupts, reporting(self._progress) as report:
+        with (
+            self._released(),
+            Interrupts(once=True) as interrupts,
+            reporting(self._progress) as report,
+        ):
             self._loop = Loop(
                 self.optimizer,
                 self._renderer,
@@ -95,6 +100,15 @@ class Fitting:
             finally:
                 self._stop_workers(interrupts)
             return self._end(stopped, interrupts, None)
+
+    @contextmanager
+    def _released(self) -> Iterator[None]:
+        """At the end of this block others may work on the run directory."""
+        try:
+            yield
+        finally:
+            if self.saved is not None:
+                self.saved.release()
 
     def _run(self, interrupts: Interrupts, report: Report | None) -> str:
         """The loop; returns why it has ended."""

@@ -190,8 +190,7 @@ def prepare(
     record, saved = None, None
     if out is not None:
         saved = _saved_run(out, render, optimizer, stopping, options, resume, command)
-        record = saved.restore(optimizer)
-        saved.begin(optimizer)
+        record = saved.begin(optimizer)
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record, saved,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,16 @@ class SavedRun:
         self.path = self._directory.path
         self._budget: int | None = limits.get("budget")
 
+    def begin(self, optimizer: FIDE) -> Record | None:
+        """As `restore`, and write what is known before the first render."""
+        with ExitStack() as refused:
+            refused.callback(self.release)
+            record = self.restore(optimizer)
+            self._directory.write_target(picture(optimizer, optimizer.evaluator.target))
+            self._directory.write_run()
+            refused.pop_all()
+        return record
+
     def restore(self, optimizer: FIDE) -> Record | None:
         """Put the optimizer into the state that was saved; None without one.
 
@@ -83,10 +94,9 @@ class SavedRun:
                 f"image, and is {here:.6g} now; give the same one, or name another directory"
             )
 
-    def begin(self, optimizer: FIDE) -> None:
-        """Write what is known before the first render."""
-        self._directory.write_target(picture(optimizer, optimizer.evaluator.target))
-        self._directory.write_run()
+    def release(self) -> None:
+        """Let other processes go on with the run; nothing is to be written after this."""
+        self._directory.release()
 
     def save(self, record: Record, optimizer: FIDE) -> None:
         """Write a checkpoint, the tables and the best image, each also where another fails.

@@ -10,7 +10,9 @@
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
     run.ckpt       state of the loop; names the file of its optimizer
-    optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending
+    optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending; -N-M-F after
+                   F renders that gave no image
+    .run.lock      locked, and there, while a process works on the run
 
 Each file is replaced atomically.  The optimizer is written first, under a new name; then
 `run.ckpt`, which names it; then the old file is removed.  So a kill at any moment leaves a
@@ -27,7 +29,7 @@ import os
 import re
 import shlex
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -36,9 +38,9 @@ import numpy as np
 
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.parallel import WORKERS, rounds
 from fide_plugins.recording.record import Record, RunResult, best_so_far
-from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.record_schema import check_record
 from fide_plugins.runtime import checkpoint, files, machine
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -63,15 +65,19 @@ FORMAT = 2
 TABLES = ("curve.csv", "improvements.csv")
 _KIND = "run"
 _CHECKPOINT = "run.ckpt"
-_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+\.ckpt")
+_LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
+_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 
 
 class RunDirectoryError(FideError, FileExistsError):
-    """A directory belongs to another run, or is no run directory."""
+    """A directory belongs to another run, is no run directory, or another process works on it."""
 
 
 class RunDirectory:
     """Directory of one run; made and checked before anything is rendered.
+
+    It is locked until `release`, or until the process ends: two that write would overwrite each
+    other's results.  Who only reads takes no lock.
 
     path: folder, made if it is missing.
     settings: settings that define the run; a folder with other settings is refused.
@@ -98,23 +104,29 @@ class RunDirectory:
         self.path = Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
         files.check_writable(self.path)
-        self._run: dict[str, Any] = {
-            "format": FORMAT,
-            "status": "running",
-            "settings": self.settings,
-            "command": None if command is None else shlex.join(command),
-            "started": now(),
-            "resumed": [],
-            **({} if facts is None else {"facts": facts}),
-        }
-        before = read_run(self.path)
-        if before is not None:
-            self._check(before["settings"], resume, may_change)
-            self._run = {**before, "settings": self.settings, "status": "running"}
-            self._run["resumed"] = [*before.get("resumed", []), now()]
-        if limits is not None:
-            self._run["limits"] = limits
-        files.remove_leftovers(self.path)
+        with _lock(self.path) as lock:
+            self._run: dict[str, Any] = {
+                "format": FORMAT,
+                "status": "running",
+                "settings": self.settings,
+                "command": None if command is None else shlex.join(command),
+                "started": now(),
+                "resumed": [],
+                **({} if facts is None else {"facts": facts}),
+            }
+            before = read_run(self.path)
+            if before is not None:
+                self._check(before["settings"], resume, may_change)
+                self._run = {**before, "settings": self.settings, "status": "running"}
+                self._run["resumed"] = [*before.get("resumed", []), now()]
+            if limits is not None:
+                self._run["limits"] = limits
+            files.remove_leftovers(self.path)
+            self._lock = lock.pop_all()
+
+    def release(self) -> None:
+        """Let other processes work on the run; nothing is to be written after this."""
+        self._lock.close()
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -130,19 +142,41 @@ class RunDirectory:
         fresh: an optimizer of the same arguments, which goes on; None: all that it needs is in its
             file, by name.
 
-        Raises CheckpointError (a ValueError) if it is damaged.
+        Raises CheckpointError (a ValueError) if it is damaged, or missing beside results of a run.
         """
         if not is_saved(self.path):
+            self._check_is_new()
             return None
         state, name = read_checkpoint(self.path)
         with _possible(self.path):
             check_record(state, self.settings["dim"], self.settings["size"])
             record = Record.from_state(state)
-        if fresh is not None:
-            fresh.continue_from(self.path / name)
-            return record, fresh
-        device = self.settings["options"].get("device")
-        return record, optimizers.load(self.settings["optimizer"], self.path / name, device=device)
+        return record, self._optimizer(self.path / name, fresh)
+
+    def _optimizer(self, path: Path, fresh: Saved | None) -> Any:
+        try:
+            if fresh is not None:
+                fresh.continue_from(path)
+                return fresh
+            device = self.settings["options"].get("device")
+            return optimizers.load(self.settings["optimizer"], path, device=device)
+        except FileNotFoundError as error:
+            if path.exists():  # it is another file that is missing
+                raise
+            raise CheckpointError(
+                f"{path}: this file of the optimizer, which {_CHECKPOINT} names, is missing; copy "
+                "it back, or start again in another directory"
+            ) from error
+
+    def _check_is_new(self) -> None:
+        """Raise CheckpointError if there are results of a run, which a new one would overwrite."""
+        table = self.path / "curve.csv"
+        n = table.read_bytes().count(b"\n") - 1 if self._run["resumed"] and table.exists() else 0
+        if n > 0:
+            raise CheckpointError(
+                f"{self.path} holds results of {n} renders, but no {_CHECKPOINT}, from which the "
+                "run could go on; copy it back, or start again in another directory"
+            )
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
         changed = {key: self.settings[key] for key in may_change}
@@ -158,14 +192,12 @@ class RunDirectory:
     def save(self, record: Record, optimizer: Optimizer) -> None:
         """Write the state from which the run can continue."""
         pending = 0 if record.pending is None else len(record.pending)
-        name = f"optimizer-{record.evaluations}-{pending}.ckpt"  # one name for each state
+        failed = f"-{record.failures}" if record.failures else ""  # others were asked instead
+        name = f"optimizer-{record.evaluations}-{pending}{failed}.ckpt"  # one name for each state
         optimizer.save(self.path / name)
         state = {"record": record.state(), "optimizer": name}
         checkpoint.write(self.path / _CHECKPOINT, _KIND, state)
-        for old in self.path.glob("optimizer-*.ckpt"):
-            if old.name != name:
-                with suppress(OSError):
-                    old.unlink()
+        self._remove_optimizers(but=name)
 
     def write_tables(self, record: Record, best: Float32 | None) -> None:
         """Write the tables and the best image, as a picture; they need no consistent state."""
@@ -247,9 +279,26 @@ class RunDirectory:
 
     def remove_checkpoint(self) -> None:
         """Remove the state from which the run could continue."""
-        for path in [self.path / _CHECKPOINT, *self.path.glob("optimizer-*.ckpt")]:
-            with suppress(OSError):
-                path.unlink()
+        with suppress(OSError):
+            (self.path / _CHECKPOINT).unlink()
+        self._remove_optimizers()
+
+    def _remove_optimizers(self, but: str = "") -> None:
+        for path in self.path.glob("optimizer-*.ckpt"):
+            if path.name != but and _OPTIMIZER_FILE.fullmatch(path.name):
+                with suppress(OSError):
+                    path.unlink()
+
+
+def _lock(path: Path) -> ExitStack:
+    """The lock of the run in the folder `path`; RunDirectoryError if another process has it."""
+    with ExitStack() as lock:
+        if not lock.enter_context(files.locked(path / _LOCK, remove=True)):
+            raise RunDirectoryError(
+                f"another process is running this fit in {path}; wait until it ends or stop it, "
+                "and resume then, or name another directory"
+            )
+        return lock.pop_all()
 
 
 def is_saved(path: str | os.PathLike[str]) -> bool:

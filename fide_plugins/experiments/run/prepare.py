@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from fide_plugins import losses as losses_module, optimizers
@@ -131,9 +132,7 @@ def prepare(
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change
         )
-        record, searcher = _restored(directory, record, searcher, fidelity)
-        _check_budget(budget, record, directory)
-        directory.write_run()
+        record, searcher = _started(directory, record, searcher, fidelity, budget)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
@@ -183,6 +182,23 @@ def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer)
         )
     if isinstance(searcher, UserOptimizer):
         searcher.check_saves()
+
+
+def _started(
+    directory: RunDirectory,
+    record: Record,
+    searcher: Optimizer,
+    fidelity: Fidelity | None,
+    budget: int,
+) -> tuple[Record, Optimizer]:
+    """As `_restored`, and the run is written down; where it is refused the lock ends."""
+    with ExitStack() as refused:
+        refused.callback(directory.release)
+        record, searcher = _restored(directory, record, searcher, fidelity)
+        _check_budget(budget, record, directory)
+        directory.write_run()
+        refused.pop_all()
+    return record, searcher
 
 
 def _restored(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import time
 from pathlib import Path
@@ -166,6 +167,53 @@ def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path)
         optimizers._REGISTRY._factories.pop("slow")
 
 
+def test_a_second_signal_stops_no_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from fide_plugins.runtime import checkpoint
+
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 60, "options": {"popsize": 10}}
+    write = checkpoint.write
+
+    def interrupted(path: Any, kind: str, state: dict[str, Any]) -> None:
+        raise_interrupt()
+        raise_interrupt()
+        write(path, kind, state)
+
+    def interrupt() -> None:
+        monkeypatch.setattr(checkpoint, "write", interrupted)
+        raise_interrupt()
+
+    task = Tint()
+    task.at_call[3] = interrupt
+    with pytest.raises(harness.Interrupted):
+        harness.run(task, **settings, out=tmp_path)
+    run = json.loads((tmp_path / "run.json").read_text())
+    assert run["status"] == "interrupted" and run["totals"]["evaluations"] == 20
+    monkeypatch.undo()
+    resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
+    assert same(resumed, harness.run(Tint(), **settings))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such locks on Windows")
+def test_a_second_process_is_refused_and_a_refused_one_holds_no_lock(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"optimizer": "cma", "budget": 60, "options": {"popsize": 10}}
+    refused = []
+
+    def again(progress: harness.Progress) -> None:
+        before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+        with pytest.raises(RunDirectoryError, match="another process is running this fit in"):
+            harness.run(Tint(), **settings, out=tmp_path, resume=True)
+        refused.append({p.name: p.read_bytes() for p in tmp_path.iterdir()} == before)
+
+    harness.run(Tint(), **settings, out=tmp_path, on_progress=again)
+    assert refused and all(refused) and not list(tmp_path.glob(".*"))
+    with pytest.raises(RunDirectoryError, match="already holds a run"):
+        harness.run(Tint(), **settings, out=tmp_path)
+    with pytest.raises(OptionError) as kept:  # with all that its traceback refers to
+        harness.run(Tint(), **{**settings, "budget": 30}, out=tmp_path, resume=True)
+    resumed = harness.run(Tint(), **{**settings, "budget": 80}, out=tmp_path, resume=True)
+    assert resumed.evaluations == 80 and "60 renders already" in str(kept.value)
+
+
 def test_another_run_s_directory_is_refused_and_the_setting_named(tmp_path: Path) -> None:
     settings: dict[str, Any] = {
         "task": "voronoi", "optimizer": "cma", "loss": "mse", "budget": 20, "seed": 0, "size": 16,
@@ -202,6 +250,9 @@ def test_damaged_directories(tmp_path: Path) -> None:
     path = tmp_path / "run.ckpt"
     path.write_bytes(path.read_bytes()[:-3])
     with pytest.raises(CheckpointError, match="run.ckpt.*cut short"):
+        harness.run(Tint(), "random", budget=5, out=tmp_path, resume=True)
+    path.unlink()
+    with pytest.raises(CheckpointError, match=r"results of 5 renders, but no run\.ckpt"):
         harness.run(Tint(), "random", budget=5, out=tmp_path, resume=True)
     for text in ("{", "[]", '{"format": 99, "settings": {}}', "[" * 99999, "\ud800"):
         (tmp_path / "run.json").write_bytes(text.encode("utf-8", "surrogatepass"))
