@@ -79,6 +79,13 @@ class View:
             return float(squared.mean())
         return float(np.average(squared.mean(axis=-1), weights=self.weights))
 
+    def largest_error(self, image: Float32) -> float:
+        """Largest difference of an image (H, W, 3) from the target, where pixels count at all."""
+        missed = np.abs(image - self.target)
+        if self.weights is not None:
+            missed = missed[self.weights > 0]
+        return float(missed.max())
+
 
 class Views:
     """The views of a scene.
@@ -234,6 +241,11 @@ class Views:
         """Mean over the views of the weighted mean squared difference of a packed image."""
         pairs = zip(self.views, self.split(image[None]), strict=True)
         return float(np.mean([view.squared_error(part[0]) for view, part in pairs]))
+
+    def largest_error(self, image: Float32) -> float:
+        """Largest difference of a packed image from the target, of all pixels that count."""
+        pairs = zip(self.views, self.split(image[None]), strict=True)
+        return max(view.largest_error(part[0]) for view, part in pairs)
 
     def _packed(self, pictures: Sequence[Float32], leading: tuple[int, ...]) -> Float32:
         """One array of pictures (..., H, W, 3), one for each view."""

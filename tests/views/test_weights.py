@@ -265,3 +265,14 @@ def test_solved_is_judged_by_what_counts() -> None:
     shown = np.where(HALF[..., None] == 1, TARGET, 0)
     opt.tell(opt.ask(), np.stack([shown] * 4))
     assert opt.status.code == "solved"
+
+
+def test_solved_is_judged_in_every_view() -> None:
+    """In 200 x 200 pixels one that is 0.1 off hardly changes the mean."""
+    front, side = TARGET, np.full((200, 200, 3), 0.5, np.float32)
+    moved = side.copy()
+    moved[7, 7, 1] += 0.1
+    for seen, code in ((side, "solved"), (moved, "improving")):
+        opt = FIDE(3, [front, side], popsize=4, seed=0, encoder="patch")
+        opt.tell(opt.ask(1), [front[None], seen[None]])
+        assert opt.status.code == code
