@@ -7,6 +7,7 @@
 `features`     their features as numbers
 `basin`        which of them are of another solution with the same image
 `local_fit`    the Jacobian of the features there, and how well the samples tell it
+`resolution`   in which directions the Jacobian says something, in which nothing is seen
 `covariance`   noise of the target, error of the search, what nothing determines
 `values`       whether the picture tells one value of an integer or a choice from another
 =============  =======================================================================

@@ -21,8 +21,8 @@ import numpy as np
 
 from fide_plugins.search import boundary
 from fide_plugins.types import Float64, Indices, Mask
-from fide_plugins.uncertainty.covariance import information
 from fide_plugins.uncertainty.local_fit import fit_locally
+from fide_plugins.uncertainty.resolution import information
 
 __all__ = ["of_twins"]
 

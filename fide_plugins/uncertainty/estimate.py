@@ -25,11 +25,18 @@ from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Estimated, Float64, Indices, Mask
 from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.features import compressed, features_of, floored
-from fide_plugins.uncertainty.local_fit import FitToTarget, fit_locally
-from fide_plugins.uncertainty.selection import Surroundings, most_alike, surroundings
+from fide_plugins.uncertainty.local_fit import FitToTarget, fit_from_afar, fit_locally
+from fide_plugins.uncertainty.selection import (
+    Surroundings,
+    less_alike,
+    most_alike,
+    surroundings,
+)
 from fide_plugins.uncertainty.values import OtherValue, Pairs, looks_alike, other_values
 
 __all__ = ["LocalEstimate"]
+
+_PARTS = (0.5, 0.65, 0.8)  # of the way, in logarithms, to the farthest features of the run
 
 
 @dataclass(eq=False)
@@ -92,14 +99,22 @@ class LocalEstimate:
 
         The features of all of them, and of the target, are turned into few at once.
         """
-        parts = [near, *(rows for other in others for rows in (other.rows, other.own))]
+        wide = less_alike(around, near)
+        parts = [near, wide, *(rows for other in others for rows in (other.rows, other.own))]
         target = features_of([self.target], self.channels)[0]
         every, target = compressed(around.features[np.concatenate(parts)], target)
         ends = np.cumsum([len(rows) for rows in parts])
-        e, *of_others = np.split(every, ends[:-1])
+        e, of_wide, *of_others = np.split(every, ends[:-1])
         fit = fit_locally(around.steps(near), e, floored(around.distances[near]))
         pairs = [
             Pairs(around.steps(other.rows), theirs, around.steps(other.own), own, other.own)
             for other, theirs, own in zip(others, of_others[::2], of_others[1::2], strict=True)
         ]
-        return FitToTarget(fit, target, around.features.shape[1]), pairs
+        farthest = float(around.distances[around.own].max())
+        distances = floored(around.distances[wide])
+        ratio = max(farthest / fit.reach, 1.0)
+        from_afar = tuple(
+            fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
+            for part in _PARTS
+        )
+        return FitToTarget(fit, target, around.features.shape[1], farthest, from_afar), pairs

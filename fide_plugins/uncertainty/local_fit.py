@@ -15,13 +15,14 @@ consecutive samples of equal weight (the delete-a-group jackknife, Kott 2001).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from fide_plugins.types import Float64
 
-__all__ = ["FitToTarget", "LocalFit", "fit_locally"]
+__all__ = ["FitToTarget", "LocalFit", "fit_from_afar", "fit_locally"]
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -30,6 +31,7 @@ _FEWEST_NEAR = 30
 _LOWEST = 0.1  # of one minus a leverage
 _RHO = (1e-4, 1.0)
 _GROUPS = 20
+_STILL = 1e-30  # spread of a parameter that never moved: the digits of its numbers are coarser
 _TINY = 1e-300
 
 
@@ -39,7 +41,8 @@ class LocalFit:
 
     J: (d, f).  center: (d,), m.  features: (f,), a.
     normal: (d, d), (u - m)^T W (u - m).  cloud: (d, d), weighted second moment of u.
-    error: (d, d), energy of the error of J: the sum over the features of its covariances.
+    changes: (g, d, f), of J by leaving out one group each, scaled so that the sum of their products
+        is the energy of its error.
     s, rho, reach: a sample whose features are farther than `reach` misses by s + rho (D - reach).
     """
 
@@ -48,7 +51,7 @@ class LocalFit:
     features: Float64
     normal: Float64
     cloud: Float64
-    error: Float64
+    changes: Float64
     s: float
     rho: float
     reach: float
@@ -58,6 +61,12 @@ class LocalFit:
         beyond = np.maximum(np.square(u @ self.J).sum(axis=1) - self.reach, 0.0)
         expected: Float64 = self.s + self.rho * beyond
         return expected
+
+    @cached_property
+    def error(self) -> Float64:
+        """Energy (d, d) of the error of J: the sum over the features of its covariances."""
+        energy: Float64 = np.tensordot(self.changes, self.changes, ((0, 2), (0, 2)))
+        return energy
 
     @property
     def here(self) -> Float64:
@@ -72,11 +81,15 @@ class FitToTarget(NamedTuple):
     fit: the model.
     target: (f',), its features.
     f: how many there are, where they are turned into fewer.
+    farthest: squared, by how much features of the run differ from the solution's at most.
+    from_afar: models of samples that are less alike.
     """
 
     fit: LocalFit
     target: Float64
     f: int
+    farthest: float = 0.0
+    from_afar: tuple[LocalFit, ...] = ()
 
     @property
     def residual(self) -> Float64:
@@ -102,23 +115,38 @@ def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
         slopes = np.maximum(missed - s, 0.0)[far] / (beyond[far] + 1e-9 * reach)
         rho = float(np.clip(np.median(slopes), *_RHO))
         weights = 1 / (s + rho * beyond)
+    return _local(u, found, s, rho, reach)
+
+
+def fit_from_afar(u: Float64, e: Float64, distances: Float64, s: float) -> LocalFit:
+    """As `fit_locally`, but samples of which the squared distance is below s > 0 count alike."""
+    return _local(u, _regress(u, e, 1 / np.maximum(distances, s)), s, 1.0, s)
+
+
+def _local(u: Float64, found: _Regression, s: float, rho: float, reach: float) -> LocalFit:
+    """The model of samples u (n, d), in units of the parameters."""
+    spread = found.spread
+    J, changes = found.J / spread[:, None], _jackknife(found) / spread[:, None]
     cloud = (u * found.shares[:, None]).T @ u
-    model = (found.J, found.center, found.origin, found.normal)
-    return LocalFit(*model, cloud, _jackknife(found), s, rho, reach)
+    normal = found.normal * np.outer(spread, spread)
+    return LocalFit(J, found.center, found.origin, normal, cloud, changes, s, rho, reach)
 
 
 class _Regression(NamedTuple):
     """Weighted least squares.
 
-    J: (d, f).  center, origin: (d,), (f,), weighted means of u and e.
-    u, e: (n, d), (n, f), without these.  weighted: (n, d), u times its weights.
+    center, origin: (d,), (f,), weighted means of u and e.
+    spread: (d,), weighted standard deviations of u, in units of which all that follows is: a search
+        may know one parameter to 1e-9 and another not at all.  1 for parameters that never moved.
+    J: (d, f).  u, e: (n, d), (n, f), without their means.  weighted: (n, d), u times its weights.
     normal: (d, d), u^T W u, with a ridge.
     shares: (n,), weights that sum to 1.  leverages: (n,), without these.
     """
 
-    J: Float64
     center: Float64
     origin: Float64
+    spread: Float64
+    J: Float64
     u: Float64
     e: Float64
     weighted: Float64
@@ -138,32 +166,34 @@ def _regress(u: Float64, e: Float64, weights: Float64) -> _Regression:
     shares = weights / weights.sum()
     center, origin = shares @ u, shares @ e
     u, e = u - center, e - origin
+    spread = np.sqrt(shares @ np.square(u))
+    still = spread < _STILL
+    u, spread = np.where(still, 0.0, u), np.where(still, 1.0, spread)
+    u = u / spread
     weighted = u * weights[:, None]
     normal = _ridged(weighted.T @ u)
     P = np.linalg.solve(normal, weighted.T)  # (d, n)
     leverages = np.einsum("nd,dn->n", u, P)
-    return _Regression(P @ e, center, origin, u, e, weighted, normal, shares, leverages)
+    return _Regression(center, origin, spread, P @ e, u, e, weighted, normal, shares, leverages)
 
 
 def _jackknife(found: _Regression) -> Float64:
-    """Energy (d, d) of the error of J, by leaving out groups of consecutive samples."""
+    """Changes (g, d, f) of J by leaving out groups of consecutive samples, see `LocalFit`."""
     J, u, e, weighted, normal = found.J, found.u, found.e, found.weighted, found.normal
     number = min(_GROUPS, len(u) // 2)
     groups = np.minimum((np.cumsum(found.shares) * number).astype(np.intp), number - 1)
     products = weighted.T @ e
-    error = np.zeros_like(normal)
-    for group in np.unique(groups):
-        out = groups == group
+    changes = []
+    for out in (groups == group for group in np.unique(groups)):
         rest = normal - weighted[out].T @ u[out]
         rest += 1e-9 * float(np.trace(normal)) / len(rest) * np.eye(len(rest))
-        change = np.linalg.solve(rest, products - weighted[out].T @ e[out]) - J
-        error += change @ change.T
-    scaled: Float64 = error * (number - 1) / number
+        changes.append(np.linalg.solve(rest, products - weighted[out].T @ e[out]) - J)
+    scaled: Float64 = np.array(changes) * ((number - 1) / number) ** 0.5
     return scaled
 
 
 def _ridged(normal: Float64) -> Float64:
     """Normal equations (d, d) that can be solved: also of parameters that never moved."""
     diagonal = np.diag(normal)
-    ridged: Float64 = normal + np.diag(_RIDGE * diagonal + 1e-12 * diagonal.mean() + _TINY)
+    ridged: Float64 = normal + np.diag(np.where(diagonal > 0, _RIDGE * diagonal, 1.0))
     return ridged

@@ -22,7 +22,7 @@ from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.features import compressed, features_of, floored
 from fide_plugins.uncertainty.matching import aligned
 
-__all__ = ["Surroundings", "most_alike", "surroundings"]
+__all__ = ["Surroundings", "less_alike", "most_alike", "surroundings"]
 
 _NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
 _SPARE = 2  # times as many, of which those of twins are left out
@@ -112,6 +112,12 @@ def most_alike(around: Surroundings) -> Indices:
     rest = pool[~twins]
     enough = len(rest) >= _least(around.free)
     return _nearest_images(rest if enough else pool, around.distances, number)
+
+
+def less_alike(around: Surroundings, near: Indices) -> Indices:
+    """Rows of `near` (m,), and of about as many others, spread evenly over the run."""
+    rest = np.setdiff1d(around.own, near)
+    return np.union1d(near, rest[:: max(1, len(rest) // len(near))])
 
 
 def _least(free: Mask) -> int:

@@ -86,7 +86,7 @@ def _nearest(own: Indices, rows: Indices) -> Indices:
 
 def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
     """Whether the other value may be the true one."""
-    fit, target, f = model
+    fit, target, f = model.fit, model.target, model.f
     missing = fit.misses(pairs.u) + fit.misses(pairs.own_u)
     near = missing <= 2 * max(_NEAR * fit.s, _SMALL * float(target @ target))
     if near.sum() < _FEWEST:

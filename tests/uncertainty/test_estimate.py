@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, Solution
+from fide_plugins import FIDE, Solution, fit
 from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
@@ -301,3 +301,39 @@ def test_a_search_knows_which_choices_the_picture_does_not_show() -> None:
         named += opt.best.undetermined
     assert named.count("paper") >= 3 and named.count("pages") >= 3
     assert named.count("rows") == 0 and named.count("shape") <= 2
+
+
+BLIND = Space(a=Float(0, 1), b=Float(0, 1), n=Float(-5, 5))
+
+
+def spot(p: dict[str, float]) -> Float64:
+    """A picture (24, 24) of a spot at (a, b)."""
+    y, x = np.mgrid[0:24, 0:24] / 23
+    bright: Float64 = np.exp(-(np.square(x - p["a"]) + np.square(y - p["b"])) / 0.045)
+    return bright
+
+
+@pytest.mark.parametrize("budget", [60, 200, 400])
+def test_a_search_of_steps_does_not_know_what_the_picture_does_not_show(budget: int) -> None:
+    """A step leaves such a parameter where it is, so that its samples soon lie together."""
+    target = spot({"a": 0.3, "b": 0.6})
+    several = [
+        fit(spot, target, BLIND, budget=budget, workers=0, seed=seed).best for seed in range(6)
+    ]
+    found = [best for best in several if best is not None]
+    named = [one.undetermined for one in found]
+    assert named.count(("n",)) >= 5 and set(named) <= {("n",), ()}
+    assert all(one.std is not None and one.std[:2].max() < 0.05 for one in found)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 7])
+def test_what_has_converged_to_the_last_digits_has_moved(seed: int) -> None:
+    """Samples near the solution differ by less than 1e-9 in b."""
+    space = Space(a=Float(0, 1), b=Float(0, 1))
+
+    def row(p: dict[str, float]) -> Float64:
+        return spot({"a": 0.5, "b": p["b"]})
+
+    best = fit(row, row({"b": 0.3}), space, budget=300, workers=0, seed=seed).best
+    assert best is not None and best.std is not None and best.std[1] < 1e-3
+    assert best.undetermined == ("a",)

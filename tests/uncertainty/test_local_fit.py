@@ -86,3 +86,30 @@ def test_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator)
         std = np.sqrt(np.diag(covariance(FitToTarget(fit, noisy - wrong @ MIXING, F))))
         inside.append(np.abs(wrong) <= 1.645 * std)
     assert 0.84 < np.mean(inside) < 0.96  # five standard errors of 360
+
+
+def test_a_step_along_which_nothing_changes_is_unseen_however_short(
+    rng: np.random.Generator,
+) -> None:
+    """A search that has converged, in all parameters alike; curvature is its only error."""
+    blind = MIXING.copy()
+    blind[2] = 0.0
+    u = np.geomspace(0.3, 1e-6, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+    e = (HERE + u) @ blind + np.square(u) @ np.abs(blind)
+    distances = np.square(e - HERE @ blind).sum(axis=1)
+    fit = fit_locally(u, e, distances)
+    model = FitToTarget(fit, HERE @ blind, F, float(distances.max()))
+    std = np.sqrt(np.diag(covariance(model)))
+    assert std[2] == pytest.approx(12**-0.5, rel=1e-3)
+    assert np.delete(std, 2).max() < 1e-3
+
+
+def test_a_parameter_with_a_small_effect_is_seen(rng: np.random.Generator) -> None:
+    small = MIXING.copy()
+    small[2] *= 1e-3
+    u = np.geomspace(0.3, 1e-4, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+    e = (HERE + u) @ small + 1e-7 * rng.normal(size=(N, F))
+    distances = np.square(e - HERE @ small).sum(axis=1)
+    fit = fit_locally(u, e, distances)
+    target = HERE @ small + 1e-5 * rng.normal(size=F)
+    assert covariance(FitToTarget(fit, target, F, float(distances.max())))[2, 2] < 0.01**2
