@@ -130,6 +130,7 @@ class StudyOptimizer:
                 break
             skipped += overdue
             self._history.skip(overdue)
+            self._history.warn_of_dead(trials, self.replica.size)
             self.process(trials, evaluate)
         return skipped
 

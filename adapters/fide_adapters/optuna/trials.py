@@ -7,9 +7,10 @@ forgot to call `study.tell`:
 
 - *Waiting*: processing stops at the first unfinished trial.  New trials continue to get candidates
   of the current generation.
-- *Skipping*: when enough later trials have completed (as many as a generation has, and four times
-  as many as are running), the next worker that asks stops waiting, and its own record says so.
-  From then on all workers skip the trial.
+- *Skipping*: when enough later trials have completed, the next worker that asks stops waiting, and
+  its own record says so.  From then on all workers skip the trial.  Enough are as many as a
+  generation has, and four times as many as were completed while any of the latest trials ran: with
+  100 workers that is about 100, however many trials of killed workers are never told.
 - *Late*: a skipped trial that completes after all counts at the place of the first trial that is
   asked then.  The record of that trial says so, and all workers read the record before they get
   there.
@@ -22,8 +23,11 @@ again.  Nothing is rendered for that.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from datetime import datetime
+from itertools import islice, takewhile
 from numbers import Real
 
 from optuna.study import Study, StudyDirection
@@ -34,7 +38,8 @@ from fide_adapters.optuna.storage import ASK, MOST_NAMED, Ask, Trials, WarnOnce,
 __all__ = ["History", "News", "TrialOrder", "loss_of"]
 
 _COUNTABLE = (TrialState.RUNNING, TrialState.COMPLETE)
-_PATIENCE = 4  # trials that complete meanwhile, for each that is running
+_PATIENCE = 4  # how much longer a trial may take than the slowest of the latest ones
+_LATEST = 4  # generations
 _CONSTRAINTS = "constraints"  # Optuna's attribute: a list until Optuna 4, then one for each
 _INFEASIBLE = 1e100  # above any meaningful loss
 _WORST_VIOLATION = 1e100  # larger ones all count as this
@@ -64,7 +69,7 @@ class History:
     A study may have thousands of trials and is read before each: no trial is looked at again once
     it has finished and its record was read.
 
-    warnings: where an invalid record is reported.
+    warnings: where invalid records and dead trials are reported.
     problem: digest of target and loss, see `Ask`; None without a target.
     """
 
@@ -147,6 +152,17 @@ class History:
             self._uncounted.update(self._late_at.pop(number, ()))
         return skipped
 
+    def warn_of_dead(self, trials: Trials, many: int) -> None:
+        """Warn once if so many skipped trials still run; one or two may just be slow."""
+        dead = sorted(n for n in self._uncounted if trials[n].state is TrialState.RUNNING)
+        if len(dead) >= many:
+            self._warnings.warn(
+                "dead",
+                f"{len(dead)} trials that began long ago still run, trial {dead[0]} first. Others "
+                "waited a while for each of them before the sampler learned from them. If they are "
+                f"dead, say so: study.tell({dead[0]}, state=TrialState.FAIL)",
+            )
+
     def uncounted(self, trials: Trials) -> list[int]:
         """Skipped trials that have completed and count nowhere yet."""
         done = [n for n in self._uncounted if trials[n].state.is_finished()]
@@ -202,16 +218,42 @@ class TrialOrder:
         generation: candidates a generation.
         """
         ahead = [trials[n] for n in range(self.next, len(trials)) if n not in self._history.skipped]
-        running = sum(trial.state is TrialState.RUNNING for trial in ahead)
         completed = sum(trial.state is TrialState.COMPLETE for trial in ahead)
-        overdue: list[int] = []
-        for trial in ahead:
-            if trial.state.is_finished() or len(overdue) == MOST_NAMED:
-                break
-            if completed < max(generation, _PATIENCE * running):
-                break
-            overdue.append(trial.number)
-        return overdue
+        if completed < generation or ahead[0].state.is_finished():
+            return []
+        # Also those that were completed while the first of these ran, or slow ones would be missed.
+        latest = _LATEST * generation
+        recent = trials[max(0, self.next - len(ahead) - latest) :]
+        running = sum(trial.state is TrialState.RUNNING for trial in ahead)
+        at_once = min(running, _most_at_once(recent, latest))
+        if completed < max(generation, _PATIENCE * at_once):
+            return []
+        unfinished = takewhile(lambda trial: not trial.state.is_finished(), ahead)
+        return [trial.number for trial in islice(unfinished, MOST_NAMED)]
+
+
+def _most_at_once(trials: Trials, latest: int) -> int:
+    """How many trials were completed while one ran, itself included: the most of the latest ones.
+
+    trials: among them those that were completed while the latest ran.
+    latest: number of completed trials, by the time of their ends.
+
+    Only the times of completed trials say how many workers are alive: trials of those that were
+    killed run forever.  Where times are whole seconds, all that end in the same one count.
+    """
+    times = sorted(
+        (_naive(trial.datetime_complete), _naive(trial.datetime_start))
+        for trial in trials
+        if trial.state is TrialState.COMPLETE and trial.datetime_complete and trial.datetime_start
+    )
+    ends = [end for end, _ in times]
+    during = (bisect_right(ends, end) - bisect_left(ends, start) for end, start in times[-latest:])
+    return max(during, default=1)
+
+
+def _naive(time: datetime) -> datetime:
+    """Local time; only somebody who adds trials can give them another zone."""
+    return time.replace(tzinfo=None)
 
 
 # -- the loss --------------------------------------------------------------------------------------

@@ -176,6 +176,7 @@ def test_point_8_a_newcomer_believes_what_the_others_do(bench: Bench, seed: int)
     assert all(belief == learned[0] for belief in learned)
 
 
+@pytest.mark.filterwarnings("ignore:.* trials that began long ago still run")
 @pytest.mark.parametrize("seed", range(2))
 def test_point_8_who_sees_things_later_comes_to_the_same(bench: Bench, seed: int) -> None:
     """Old snapshots make workers disagree on who is passed, until they have read the records."""
