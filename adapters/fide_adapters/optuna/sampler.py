@@ -11,12 +11,13 @@ import numpy as np
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler, RandomSampler
 from optuna.storages import BaseStorage
-from optuna.study import Study, StudyDirection
+from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial, TrialState
 from torch import Tensor
 
 from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.artifacts import ImageArtifacts
+from fide_adapters.optuna.checks import refuse_several_objectives, running_trial, warn_of_space
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
@@ -141,14 +142,15 @@ class FIDESampler(BaseSampler):
     def tell_image(self, trial: Any, image: object, loss: float | None = None) -> float:
         """Record the image of a trial, and return its loss, for the objective to return.
 
-        trial: that of the objective.  Nothing is recorded for a `FrozenTrial` or `FixedTrial`, so
-            an objective can be called with the best trial.
+        trial: that of the objective, not an object that wraps it.  Nothing is recorded for a
+            `FrozenTrial` or `FixedTrial`, so an objective can be called with the best trial.
         image: of the target's size, anything that `fide_plugins.FIDE` takes, or an `ImageRef`; for
             a list of targets a list of them.
         loss: None: the sampler's own loss of the image, which must be minimized.
 
-        The image is encoded at once and not kept.  Raises `ImageError` or `LossError`, both
-        ValueErrors, or `ProtocolError` for a sampler without target, before anything is recorded.
+        The image is encoded at once and not kept.  Raises, before anything is recorded,
+        `ImageError`, `LossError` or, in a study of several objectives, `OptionError`, all
+        ValueErrors, and `ProtocolError` for a sampler without target and for what is no trial.
         """
         images = self._images()
         if image is None:
@@ -156,17 +158,12 @@ class FIDESampler(BaseSampler):
                 "tell_image needs the image of the trial, not None; without one return the loss "
                 "from the objective, or raise optuna.TrialPruned where the render failed"
             )
-        batch = images.read(image)
-        if loss is None and isinstance(trial, Trial) and _maximizes(trial.study):
-            raise ProtocolError(
-                "the sampler's own loss must be minimized, but the study maximizes; give a loss, "
-                "or create the study with direction='minimize'"
-            )
+        running, batch = running_trial(trial, loss is None), images.read(image)
         value = images.loss(batch) if loss is None else float(as_losses([loss], 1)[0])
-        if isinstance(trial, Trial):
-            self._record(trial.study, trial.storage, trial, images.tokens(batch))
+        if running is not None:
+            self._record(running.study, running.storage, running, images.tokens(batch))
             if self._settings.artifacts is not None:
-                self._settings.artifacts.save(trial, images.evaluator.views.split(batch))
+                self._settings.artifacts.save(running, images.evaluator.views.split(batch))
         return value
 
     def tell_features(
@@ -181,10 +178,10 @@ class FIDESampler(BaseSampler):
 
         Raises `FeaturesError`, a ValueError; otherwise as `tell_image`.
         """
-        tokens = self._images().check(features, version)
+        tokens, running = self._images().check(features, version), running_trial(trial, False)
         value = float(as_losses([loss], 1)[0])
-        if isinstance(trial, Trial):
-            self._record(trial.study, trial.storage, trial, tokens)
+        if running is not None:
+            self._record(running.study, running.storage, running, tokens)
         return value
 
     def image_objective(self, function: Callable[[Trial], Any]) -> Callable[[Trial], float]:
@@ -222,7 +219,7 @@ class FIDESampler(BaseSampler):
         self, study: Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """Return the next candidate, and record in the trial which one it is."""
-        self._raise_error_if_multi_objective(study)
+        refuse_several_objectives(study)
         if self._settings.images is None:
             self._settings.warnings.log("target", "FIDESampler without a target is CMA-ES")
         if not search_space:
@@ -238,7 +235,7 @@ class FIDESampler(BaseSampler):
         param_distribution: BaseDistribution,
     ) -> Any:
         """Return a value of the independent sampler, or of the first candidate in trial 0."""
-        self._raise_error_if_multi_objective(study)
+        refuse_several_objectives(study)
         own = isinstance(self._independent_sampler, NumberedSampler) and not self._reseeded
         if trial.number == 0 and own and not self._n_startup_trials:
             with self._lock:
@@ -261,7 +258,8 @@ class FIDESampler(BaseSampler):
     ) -> None:
         """Record the features of an image that the objective has put in the artifact store."""
         self._independent_sampler.after_trial(study, trial, state, values)
-        self._check_parameters(trial, state)
+        if self._search_space is not None and state is TrialState.COMPLETE:
+            warn_of_space(self._search_space, trial, self._settings.warnings)
         with self._lock:
             known = self._state_of(study)
             if state is TrialState.FAIL:
@@ -270,18 +268,6 @@ class FIDESampler(BaseSampler):
             tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)
             if tokens is not None:
                 self._record(study, storage_of(study), trial, tokens)
-
-    def _check_parameters(self, trial: FrozenTrial, state: TrialState) -> None:
-        """Warn of a trial that lacks a parameter of `search_space`."""
-        if self._search_space is None or state is not TrialState.COMPLETE:
-            return
-        missing = self._search_space.keys() - trial.params.keys()
-        if missing:
-            self._settings.warnings.warn(
-                "search_space",
-                f"trial {trial.number} has no {', '.join(sorted(missing))}, which search_space "
-                "names, so it is left out; name only parameters that every trial has",
-            )
 
     def reseed_rng(self) -> None:
         """Reseed the independent sampler; candidates differ between threads without that."""
@@ -358,7 +344,3 @@ def _sampler_of(trial: Trial) -> FIDESampler:
             "image_objective(function, sampler)"
         )
     return sampler
-
-
-def _maximizes(study: Study) -> bool:
-    return study.direction is StudyDirection.MAXIMIZE

@@ -31,6 +31,11 @@ def check_space(space: object) -> dict[str, BaseDistribution] | None:
     """Copy of a search space, or None; raises OptionError (a ValueError) for anything else."""
     if space is None:
         return None
+    if isinstance(space, Mapping) and not space:
+        raise OptionError(
+            "search_space is empty, so nothing would be searched; name the parameters, or leave it "
+            "out: then it is what the trials have in common"
+        )
     named = isinstance(space, Mapping) and all(isinstance(name, str) for name in space)
     if not named or not all(isinstance(d, BaseDistribution) for d in space.values()):  # type: ignore[attr-defined]
         raise OptionError(

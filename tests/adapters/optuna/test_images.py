@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -175,6 +176,25 @@ def test_an_objective_can_be_called_with_the_best_trial(bench: Bench) -> None:
     objective = bench.objective(bench.sampler_of(study))
     assert objective(study.best_trial) == study.best_value
     assert objective(FixedTrial(study.best_params)) == study.best_value
+
+
+@pytest.mark.parametrize(
+    ("what", "kind"),
+    [
+        (lambda t: t.number, "int"),
+        (lambda t: SimpleNamespace(number=t.number, trial=t), "SimpleNamespace"),
+        (lambda t: None, "NoneType"),
+    ],
+)
+def test_what_is_no_trial_is_refused_with_what_to_give(bench: Bench, what: Any, kind: str) -> None:
+    sampler = bench.sampler()
+    trial = optuna.create_study(sampler=sampler).ask()
+    image = bench.render(bench.suggest(trial))
+    tokens = encoders.make("dense")(image[None])
+    with pytest.raises(ProtocolError, match=f"not in an object of type {kind}; give that trial"):
+        sampler.tell_image(what(trial), image)
+    with pytest.raises(ProtocolError, match=f"not in an object of type {kind}; give that trial"):
+        sampler.tell_features(what(trial), tokens, 0.5)
 
 
 def test_point_18_an_image_is_not_kept(bench: Bench) -> None:

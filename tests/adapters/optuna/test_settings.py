@@ -26,6 +26,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "startup": ({"n_startup_trials": -1}, OptionError, "n_startup_trials"),
     "search space": ({"search_space": ["x"]}, OptionError, "search_space"),
     "search space of numbers": ({"search_space": {"x": (0, 1)}}, OptionError, "FloatDistribution"),
+    "empty search space": ({"search_space": {}}, OptionError, "empty.*leave it out"),
     "independent sampler": ({"independent_sampler": 3}, OptionError, "independent_sampler"),
     "loss without target": ({"target": None, "loss": "mse"}, OptionError, "target"),
 }
@@ -79,6 +80,17 @@ def test_a_search_space_that_promises_too_much_is_warned_of_once(bench: Bench) -
         bench.run(study, 5)
     assert len(caught) == 1
     assert counts_of(study) == {"left out": 5}
+
+
+def test_a_search_space_that_differs_from_the_objective_is_warned_of_once(bench: Bench) -> None:
+    space = {**bench.space, "x3": FloatDistribution(0.0, 0.5)}
+    study = optuna.create_study(sampler=bench.sampler(search_space=space))
+    both = (
+        r"suggests 'x3' from Float.*high=1.0.*but search_space has Float.*high=0.5.*make them equal"
+    )
+    with pytest.warns(RuntimeWarning, match=both) as caught:
+        bench.run(study, 10)
+    assert len(caught) == 1
 
 
 def test_it_is_found_where_the_optimizer_is() -> None:

@@ -14,7 +14,7 @@ from optuna.samplers import PartialFixedSampler, RandomSampler
 from optuna.trial import Trial, TrialState
 
 from fide_adapters.optuna import FIDESampler, image_objective
-from fide_plugins.errors import ProtocolError
+from fide_plugins.errors import OptionError, ProtocolError
 
 from .conftest import Bench, counts_of
 
@@ -115,6 +115,20 @@ def test_point_13_several_objectives_are_refused_by_name(bench: Bench) -> None:
         study.sampler.sample_relative(study, study.trials[0], bench.space)
     with pytest.raises(ValueError, match="FIDESampler cannot be used"):
         trial.suggest_float("x", 0, 1)
+
+
+def test_point_13_several_objectives_are_refused_where_all_parameters_are_enqueued(
+    bench: Bench,
+) -> None:
+    sampler = bench.sampler()
+    study = optuna.create_study(directions=["minimize", "maximize"], sampler=sampler)
+    study.enqueue_trial(dict(zip(bench.names, bench.answer.tolist(), strict=True)))
+    trial = study.ask()
+    image = bench.render(bench.suggest(trial))
+    for loss in (None, 0.5):
+        with pytest.raises(OptionError, match="cannot be used in a study of 2 objectives"):
+            sampler.tell_image(trial, image, loss)
+    assert "fide:image" not in study.trials[0].system_attrs
 
 
 def test_point_13_constraints_are_used(bench: Bench) -> None:

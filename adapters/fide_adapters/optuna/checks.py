@@ -1,0 +1,69 @@
+"""What a sampler refuses, and warns of, in the studies and trials that it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from optuna.distributions import BaseDistribution
+from optuna.study import Study, StudyDirection
+from optuna.trial import FixedTrial, FrozenTrial, Trial
+
+from fide_adapters.optuna.storage import WarnOnce
+from fide_plugins.errors import OptionError, ProtocolError
+
+__all__ = ["refuse_several_objectives", "running_trial", "warn_of_space"]
+
+
+def refuse_several_objectives(study: Study) -> None:
+    """Raise OptionError, a ValueError, if the study has more than one objective."""
+    if len(study.directions) > 1:
+        raise OptionError(
+            f"FIDESampler cannot be used in a study of {len(study.directions)} objectives: an "
+            "image has one loss; create the study with one direction"
+        )
+
+
+def running_trial(trial: object, own_loss: bool) -> Trial | None:
+    """Trial of an objective, to record an image in; None for one in which nothing is recorded.
+
+    own_loss: whether the loss is the sampler's own, which must be minimized.
+
+    Raises OptionError, a ValueError, if the study has several objectives, and ProtocolError for
+    whatever is no trial, or maximizes the sampler's own loss.
+    """
+    if isinstance(trial, FrozenTrial | FixedTrial):
+        return None
+    if not isinstance(trial, Trial):
+        raise ProtocolError(
+            "the image is recorded in the optuna.Trial that the objective is given or study.ask "
+            f"returns, not in an object of type {type(trial).__name__}; give that trial itself, "
+            "also where another object wraps it"
+        )
+    refuse_several_objectives(trial.study)
+    if own_loss and trial.study.direction is StudyDirection.MAXIMIZE:
+        raise ProtocolError(
+            "the sampler's own loss must be minimized, but the study maximizes; give a loss, "
+            "or create the study with direction='minimize'"
+        )
+    return trial
+
+
+def warn_of_space(
+    space: Mapping[str, BaseDistribution], trial: FrozenTrial, warnings: WarnOnce
+) -> None:
+    """Warn of a completed trial that does not have the parameters of `space` as they are there."""
+    missing = space.keys() - trial.params.keys()
+    if missing:
+        warnings.warn(
+            "search_space",
+            f"trial {trial.number} has no {', '.join(sorted(missing))}, which search_space "
+            "names, so it is left out; name only parameters that every trial has",
+        )
+    for name in space.keys() - missing:
+        given, own = space[name], trial.distributions[name]
+        if given != own:
+            warnings.warn(
+                "distribution",
+                f"the objective suggests {name!r} from {own}, but search_space has {given}: the "
+                "search goes by search_space and covers only what is in both; make them equal",
+            )
