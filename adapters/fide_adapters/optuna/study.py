@@ -185,12 +185,23 @@ class StudyState:
         evaluation = partial(self._evaluation, study)
         optimizer.process(self._trials, evaluation)
         skipped = optimizer.skip_overdue(self._trials, trial.number, evaluation)
+        self._warn_without_images()
         self._release_features(optimizer)
         late = [n for n in self._history.uncounted(self._trials) if n < trial.number]
         ask, params = optimizer.ask(self._trials, trial.number, skipped, late)
         record = replace(ask, problem=self._settings.problem).to_json()
         storage.write_attribute(storage.storage_of(study), trial, ASK, record)
         return params
+
+    def _warn_without_images(self) -> None:
+        optimizers = self._optimizers.values()
+        if self._settings.images is not None and all(o.lacks_images for o in optimizers):
+            self._settings.warnings.warn(
+                "images",
+                "FIDESampler has a target and gets no images, so it is CMA-ES; return "
+                "sampler.tell_image(trial, image) from the objective, or make the sampler without "
+                "a target",
+            )
 
     def _search(self, distributions: Mapping[str, BaseDistribution]) -> None:
         """Make these the current search space."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from fide_adapters.optuna.search_space import Space
 from fide_adapters.optuna.storage import MOST_NAMED, Ask, Trials
 from fide_adapters.optuna.trials import History, News, TrialOrder
-from fide_plugins.distributed.replica import Replica
+from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
 
 __all__ = ["Evaluation", "StoredFeaturesNeeded", "StudyOptimizer"]
@@ -106,6 +106,12 @@ class StudyOptimizer:
             self._first = max(self._order.next, trial.number + 1)
             if self.replica.began != self._begins[-1][0]:
                 self._begins.append((self.replica.began, self.replica.guided))
+
+    @property
+    def lacks_images(self) -> bool:
+        """Whether a whole generation of its own candidates was told, and no image at all."""
+        own = sum(self.counts[role.value] for role in (Role.MEMBER, Role.ALTERED, Role.LATE))
+        return own >= self.replica.size and not self.counts["image"]
 
     def agrees(self, news: News) -> bool:
         """Whether the trials processed so far are consistent with what is new."""

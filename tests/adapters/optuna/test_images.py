@@ -197,6 +197,16 @@ def test_what_is_no_trial_is_refused_with_what_to_give(bench: Bench, what: Any, 
         sampler.tell_features(what(trial), tokens, 0.5)
 
 
+def test_a_target_without_images_is_warned_of_once(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=6)
+    with pytest.warns(
+        RuntimeWarning, match=r"gets no images, so it is CMA-ES.*tell_image"
+    ) as caught:
+        study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=12)
+    assert len(caught) == 1
+
+
 def test_point_18_an_image_is_not_kept(bench: Bench) -> None:
     study = optuna.create_study(sampler=bench.sampler())
     sampler = bench.sampler_of(study)

@@ -15,6 +15,8 @@ from optuna.testing.pytest_samplers import (
 
 from fide_adapters.optuna import FIDESampler
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*gets no images")
+
 TARGET = np.full((8, 8, 3), 0.5)
 
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -89,6 +89,7 @@ def test_an_encoder_is_made_once_and_few_optimizers(
     assert made == {"encoders": 1 if target else 2, "optimizers": 2}
 
 
+@pytest.mark.filterwarnings("ignore:.*gets no images")
 @pytest.mark.parametrize("target", [True, False])
 def test_point_4_without_images_it_is_cma_es(bench: Bench, target: bool) -> None:
     def sphere(trial: Trial) -> float:
