@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from math import isclose
 from typing import Any, TypeAlias
 
+from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial
 from torch import Tensor
 
@@ -17,6 +19,7 @@ from fide_plugins.fide import FIDE
 
 __all__ = ["Evaluation", "StoredFeaturesNeeded", "StudyOptimizer"]
 
+_ROUNDING = 1e-6  # relative, of a number that went through a database
 _EARLIER = 10**6  # first slot of trials that were created before the generation, but ask only now
 
 Evaluation: TypeAlias = tuple[float, Tensor | None]
@@ -47,6 +50,11 @@ class StudyOptimizer:
         self, space: Space, make: Callable[[], FIDE], history: History, digest: str
     ) -> None:
         self.space, self.digest = space, digest
+        self._numbers = [
+            name
+            for name, kind in space.distributions.items()
+            if isinstance(kind, FloatDistribution) and kind.step is None and not kind.single()
+        ]
         self._make, self._history = make, history
         self.only_stored = False
         """Whether it learns from features as they are stored, which are the same for all workers,
@@ -93,6 +101,7 @@ class StudyOptimizer:
         name: dict[str, Any] = {}
         if ask is not None and ask.optimizer == self.digest:
             name = {"generation": ask.generation, "slot": ask.slot, "proposed": ask.proposed}
+            self._log_other_seed(trial, ask)
         generation = self.replica.generation
         began = self._history.began(self.digest, generation + 1)
         over, guided = (None, None) if began is None else (began[0] == generation + 1, began[1])
@@ -106,6 +115,23 @@ class StudyOptimizer:
             self._first = max(self._order.next, trial.number + 1)
             if self.replica.began != self._begins[-1][0]:
                 self._begins.append((self.replica.began, self.replica.guided))
+
+    def _log_other_seed(self, trial: FrozenTrial, ask: Ask) -> None:
+        """Log that a trial has none of the numbers of the candidate whose name it has.
+
+        Only the seed says what the candidates of the first generation are.
+        """
+        first = self.replica.generation == 0 == ask.generation and ask.slot < self.replica.size
+        if not first or not self._numbers:
+            return
+        own = self.space.decode(self.replica.candidate(ask.slot).x)
+        if not any(isclose(own[n], trial.params[n], rel_tol=_ROUNDING) for n in self._numbers):
+            self._history.warnings.log(
+                "seed",
+                f"trial {trial.number} was asked with another seed than this worker has, so what "
+                "one asks counts as altered for the other; give all workers of a study the same "
+                "seed, or none",
+            )
 
     @property
     def lacks_images(self) -> bool:

@@ -69,14 +69,14 @@ class History:
     A study may have thousands of trials and is read before each: no trial is looked at again once
     it has finished and its record was read.
 
-    warnings: where invalid records and dead trials are reported.
+    warnings: where it is reported what is wrong with trials.
     problem: digest of target and loss, see `Ask`; None without a target.
     """
 
     def __init__(self, warnings: WarnOnce, problem: str | None) -> None:
+        self.warnings, self._problem = warnings, problem
         self.skipped: set[int] = set()
         """Trials that are no longer waited for."""
-        self._warnings, self._problem = warnings, problem
         self._seen = 0  # number of trials looked at
         self._unread: set[int] = set()  # of these, the ones whose record may still come
         self._unfinished: set[int] = set()
@@ -114,7 +114,7 @@ class History:
             return None
         ask = read_ask(record)
         if ask is None:
-            self._warnings.warn(
+            self.warnings.warn(
                 ASK,
                 f"the attribute {ASK!r} of trial {trial.number} was not written by FIDESampler, "
                 "and is ignored",
@@ -156,7 +156,7 @@ class History:
         """Warn once if so many skipped trials still run; one or two may just be slow."""
         dead = sorted(n for n in self._uncounted if trials[n].state is TrialState.RUNNING)
         if len(dead) >= many:
-            self._warnings.warn(
+            self.warnings.warn(
                 "dead",
                 f"{len(dead)} trials that began long ago still run, trial {dead[0]} first. Others "
                 "waited a while for each of them before the sampler learned from them. If they are "

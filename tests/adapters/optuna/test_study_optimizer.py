@@ -219,7 +219,7 @@ def workers_of_one_study(bench: Bench, seeds: list[int | None]) -> list[optuna.S
     return [optuna.create_study(sampler=sampler, **shared) for sampler in samplers]
 
 
-def test_workers_without_a_seed_share_one(bench: Bench) -> None:
+def test_workers_without_a_seed_share_one(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     studies = workers_of_one_study(bench, [None, None, None])
     for _ in range(10):
         for study in studies:
@@ -227,9 +227,25 @@ def test_workers_without_a_seed_share_one(bench: Bench) -> None:
     learned = beliefs([optimizer_of(study) for study in studies])
     assert learned[0] == learned[1] == learned[2]
     assert learned[0][2].get("altered", 0) == 0
+    assert not caplog.records
 
 
-def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Bench) -> None:
+def test_fixed_numbers_and_a_second_worker_are_no_other_seed(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    studies = workers_of_one_study(bench, [0, 0])
+    studies[0].enqueue_trial(dict.fromkeys(bench.names[1:], 0.5))
+    studies[0].enqueue_trial(dict.fromkeys(bench.names, 0.5))
+    for _ in range(10):
+        for study in studies:
+            bench.run(study, 1)
+    assert optimizer_of(studies[0]).counts["altered"] == 1
+    assert not caplog.records
+
+
+def test_workers_with_seeds_of_their_own_still_learn_from_each_other(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
     studies = workers_of_one_study(bench, [0, 1])
     for _ in range(40):
         for study in studies:
@@ -237,6 +253,8 @@ def test_workers_with_seeds_of_their_own_still_learn_from_each_other(bench: Benc
     counts = optimizer_of(studies[0]).counts
     assert counts["altered"] > 0 and counted(optimizer_of(studies[0])) == 80
     assert studies[0].best_value < 5e-3
+    logged = [r.message for r in caplog.records if "with another seed" in r.message]
+    assert sorted(line[:8] for line in logged) == ["trial 0 ", "trial 1 "]  # one of each worker
 
 
 def test_point_9_a_batch_told_in_reverse(bench: Bench) -> None:
