@@ -12,6 +12,7 @@ import fide_adapters
 
 FOLDER = Path(fide_adapters.__file__).parent
 UNAVOIDABLE = {
+    "optuna/sampler.py": {"_base_sampler"},
     "optuna/storage.py": {"_get_trials", "_storage", "_study_id", "_trial_id"},
     "nevergrad/optimizer.py": {"_meta"},
 }
@@ -19,14 +20,34 @@ UNAVOIDABLE = {
 
 def private_names(path: Path) -> set[str]:
     """Underscored attributes of anything but `self`; named tuples have a public `_replace`."""
-    attributes = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Attribute)]
+    named = [attribute(node) for node in ast.walk(ast.parse(path.read_text()))]
     return {
-        node.attr
-        for node in attributes
-        if node.attr.startswith("_") and not node.attr.startswith("__")
-        if node.attr != "_replace"
-        if not (isinstance(node.value, ast.Name) and node.value.id == "self")
+        name
+        for owner, name in filter(None, named)
+        if name.startswith("_") and not name.startswith("__") and name != "_replace"
+        if not (isinstance(owner, ast.Name) and owner.id == "self")
     }
+
+
+def attribute(node: ast.AST) -> tuple[ast.expr, str] | None:
+    """Owner and name of an attribute, written with a dot or as a text: `getattr(owner, "name")`."""
+    match node:
+        case ast.Attribute(value=owner, attr=name):
+            return owner, name
+        case ast.Call(
+            func=ast.Name(id="getattr" | "hasattr" | "setattr" | "delattr"),
+            args=[owner, ast.Constant(value=str(name)), *_],
+        ):
+            return owner, name
+    return None
+
+
+def test_an_attribute_in_a_text_is_found(tmp_path: Path) -> None:
+    code = tmp_path / "code.py"
+    code.write_text(
+        'getattr(self, "_own"); getattr(study, "_a", None); study._b; self._c; x._replace()'
+    )
+    assert private_names(code) == {"_a", "_b"}
 
 
 def test_private_names_are_where_the_comments_say_why() -> None:

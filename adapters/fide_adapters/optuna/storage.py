@@ -13,10 +13,11 @@ System attributes, JSON, with a version:
 Anybody may write to a shared database.  So each field that is read is checked, nothing is ever
 executed, and an attribute that is not valid is ignored with one warning.
 
-Only this module uses underscored names of Optuna: `_storage`, `_study_id`, `_trial_id` and
+This module uses underscored names of Optuna: `_storage`, `_study_id`, `_trial_id` and
 `_get_trials`.  They have no public counterpart that would do: under `HyperbandPruner` a sampler
 gets a study without public attributes, and the public methods copy every trial.  Optuna's own
-samplers use the same names.
+samplers use the same names.  The only other one is `_base_sampler` of `PartialFixedSampler`, in
+`sampler`: by it `image_objective` finds the sampler inside.
 """
 
 from __future__ import annotations
