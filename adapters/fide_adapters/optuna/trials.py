@@ -9,8 +9,8 @@ forgot to call `study.tell`:
   of the current generation.
 - *Skipping*: when enough later trials have completed, the next worker that asks stops waiting, and
   its own record says so.  From then on all workers skip the trial.  Enough are as many as a
-  generation has, and four times as many as were completed while any of the latest trials ran: with
-  100 workers that is about 100, however many trials of killed workers are never told.
+  generation has, and four times as many as were completed while any of the latest trials ran: of
+  100 workers about 4 x 100, however many trials of killed workers are never told.
 - *Late*: a skipped trial that completes after all counts at the place of the first trial that is
   asked then.  The record of that trial says so, and all workers read the record before they get
   there.
