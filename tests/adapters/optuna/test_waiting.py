@@ -48,7 +48,7 @@ def skipped(workers: int, trials: int, spread: float, dies: float, seed: int = 0
     spread: standard deviation of the logarithm of the seconds that a trial takes.
     """
     rng = np.random.default_rng(seed)
-    order = TrialOrder(history := History(WarnOnce()))
+    order = TrialOrder(history := History(WarnOnce(), None))
     study: list[FrozenTrial] = []
     dead: list[bool] = []
     busy: list[tuple[float, int]] = []
@@ -87,7 +87,7 @@ def test_times_of_another_zone_and_none_at_all_are_survived() -> None:
     for trial in study[1:]:
         complete(trial, trial.number + 0.5)
     study[3].datetime_start = None
-    assert TrialOrder(History(WarnOnce())).overdue(study, GENERATION) == [0]
+    assert TrialOrder(History(WarnOnce(), None)).overdue(study, GENERATION) == [0]
 
 
 def test_one_worker_learns_beside_many_that_were_killed(bench: Bench) -> None:
