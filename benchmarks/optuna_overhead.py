@@ -1,30 +1,34 @@
 """Time of a trial beyond rendering, with Optuna and without, up to trial 20,000.
 
     python benchmarks/optuna_overhead.py --out benchmarks/results/optuna_overhead.jsonl
+    python benchmarks/optuna_overhead.py --sqlite --marks 1000
 
-20 parameters, images of 32 x 32, everything in memory, CPU time of this process.  *Core* is the
-optimizer with ask and tell of one candidate at a time; *Optuna itself* is a study whose sampler
-draws at random; *FIDE beyond both* is the rest of a trial with `FIDESampler`.  `CmaEsSampler`
-continues a study filled with trials of its space.  All take turns in blocks of 20 trials, and
-numbers are medians over blocks, so that other programs affect all of them alike.
+20 parameters, images of 32 x 32, studies in memory or in files of SQLite, CPU time of this process.
+*Core* is the optimizer that is asked for whole generations, as the sampler asks, and told one
+candidate at a time; *Optuna itself* is a study whose sampler draws at random; *FIDE beyond both* is
+the rest of a trial with `FIDESampler`.  `CmaEsSampler` continues a study filled with trials of its
+space.  All take turns in blocks of 20 trials, and numbers are medians over blocks, so that other
+programs affect all of them alike.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
-from optuna.samplers import CmaEsSampler, RandomSampler
+from optuna.samplers import BaseSampler, CmaEsSampler, RandomSampler
 from rows import append
 
 from fide_adapters.optuna import FIDESampler
@@ -59,33 +63,42 @@ def sphere(trial: optuna.Trial, x: list[float]) -> float:
     return float(np.square(np.array(x) - 0.3).sum())
 
 
-def fide() -> Step:
+def new_study(sampler: BaseSampler, folder: str | None) -> optuna.Study:
+    """A study in a new file in the folder; None: in memory."""
+    storage = None if folder is None else f"sqlite:///{folder}/{uuid4().hex}.db"
+    return optuna.create_study(storage=storage, sampler=sampler)
+
+
+def fide(folder: str | None) -> Step:
     """A trial with FIDESampler, and its image."""
     sampler = FIDESampler(TARGET, seed=0)
-    study = optuna.create_study(sampler=sampler)
+    study = new_study(sampler, folder)
     return partial(study_step, study, lambda trial, x: sampler.tell_image(trial, render(x)))
 
 
 def core() -> Step:
     """A candidate of the optimizer, and its image."""
     optimizer = FIDE(DIM, TARGET, seed=0)
+    asked: list[Any] = []
 
     def step() -> None:
-        x = optimizer.ask(1)
-        optimizer.tell(x, render(x[0])[None])
+        if not asked:
+            asked.extend(reversed(optimizer.ask()))
+        x = asked.pop()
+        optimizer.tell(x[None], render(x)[None])
 
     return step
 
 
-def at_random() -> Step:
+def at_random(folder: str | None) -> Step:
     """A trial of Optuna's RandomSampler."""
-    return partial(study_step, optuna.create_study(sampler=RandomSampler(seed=0)), sphere)
+    return partial(study_step, new_study(RandomSampler(seed=0), folder), sphere)
 
 
-def cma(trials: int) -> Step:
+def cma(trials: int, folder: str | None) -> Step:
     """A trial of CmaEsSampler where a study has so many trials."""
     space: dict[str, BaseDistribution] = {name: FloatDistribution(0, 1) for name in NAMES}
-    study = optuna.create_study(sampler=CmaEsSampler(seed=0))
+    study = new_study(CmaEsSampler(seed=0), folder)
     study.add_trials(
         [
             optuna.create_trial(
@@ -111,23 +124,23 @@ def milliseconds(steps: dict[str, Step]) -> dict[str, float]:
     return {name: float(np.median(found)) for name, found in times.items()}
 
 
-def measure() -> dict[str, list[float]]:
-    """Milliseconds at the marks, by name."""
-    steps = {"fide": fide(), "core": core(), "optuna": at_random()}
+def measure(marks: list[int], folder: str | None) -> dict[str, list[float]]:
+    """Milliseconds at the marks, by name; studies are in files in the folder, or in memory."""
+    steps = {"fide": fide(folder), "core": core(), "optuna": at_random(folder)}
     done = 0
     found: dict[str, list[float]] = {}
-    for mark in MARKS:
+    for mark in marks:
         for _ in range(mark - WINDOW - done):
             for step in steps.values():
                 step()
         done = mark
-        others = {"drawing": lambda: render(np.zeros(DIM)), "cma": cma(mark - WINDOW)}
+        others = {"drawing": lambda: render(np.zeros(DIM)), "cma": cma(mark - WINDOW, folder)}
         for name, ms in milliseconds({**steps, **others}).items():
             found.setdefault(name, []).append(ms)
     return found
 
 
-def table(found: dict[str, list[float]]) -> str:
+def table(found: dict[str, list[float]], marks: list[int]) -> str:
     """What was measured, and what is left of it, as Markdown."""
     ms = {name: np.array(values) for name, values in found.items()}
     whole, alone = ms["fide"] - ms["drawing"], ms["core"] - ms["drawing"]
@@ -139,9 +152,9 @@ def table(found: dict[str, list[float]]) -> str:
         "CmaEsSampler, whole trial": ms["cma"],
         "CmaEsSampler beyond Optuna": ms["cma"] - ms["optuna"],
     }
-    head = "| ms a trial | " + " | ".join(f"at {mark:,}" for mark in MARKS) + " |"
+    head = "| ms a trial | " + " | ".join(f"at {mark:,}" for mark in marks) + " |"
     lines = [f"| {n} | " + " | ".join(f"{v:.2f}" for v in row) + " |" for n, row in rows.items()]
-    return "\n".join([head, "|---|" + "---|" * len(MARKS), *lines])
+    return "\n".join([head, "|---|" + "---|" * len(marks), *lines])
 
 
 def main() -> None:
@@ -149,11 +162,16 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--sqlite", action="store_true", help="studies in files, not in memory")
+    parser.add_argument(
+        "--marks", type=int, nargs="+", default=MARKS, help=f"trials, from {WINDOW} on"
+    )
     arguments = parser.parse_args()
-    found = measure()
-    print(table(found))
+    with tempfile.TemporaryDirectory() as folder:
+        found = measure(arguments.marks, folder if arguments.sqlite else None)
+    print(table(found, arguments.marks))
     if arguments.out:
-        append(arguments.out, found)
+        append(arguments.out, {"sqlite": arguments.sqlite, "marks": list(arguments.marks), **found})
 
 
 if __name__ == "__main__":
