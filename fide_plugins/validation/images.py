@@ -64,7 +64,6 @@ __all__ = [
     "MAX_PIXELS",
     "alpha_of",
     "as_batch",
-    "as_pixels",
     "as_target",
     "is_image",
     "load",
