@@ -148,7 +148,7 @@ class Readings(Saved):
 
     @property
     def evaluations(self) -> int:
-        """Points told so far."""
+        """Points told so far, and renders of the same run that were learned from before."""
         return self.state.evaluations
 
     @property

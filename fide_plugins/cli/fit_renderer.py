@@ -36,6 +36,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.cli.running import USAGE_ERRORS, continuation
     from fide_plugins.fitting.fitting import FitInterrupted
+    from fide_plugins.recording.directory import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -59,7 +60,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             note(f"{who}: {stop}{saved}" if not unsaved else f"{who}: {stop}")
             for remark in unsaved:
                 note(paragraph(remark))
-            note(f"continue with: {continuation(command, str(out))}")
+            if is_saved(out):
+                note(f"continue with: {continuation(command, str(out))}")
             return 128 + stop.signum
         except (FideError, OSError) as error:
             note(f"{who}: the run failed: {paragraph(error)}")

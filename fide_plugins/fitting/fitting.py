@@ -176,7 +176,8 @@ class Fitting:
         try:
             if self._loop.whole:
                 self._save(saved)
-            else:
+            else:  # in the midst of a step of the optimizer, which cannot be saved
+                self._loop.note_pending()
                 saved.write_tables(record, optimizer)
         except Exception:
             with suppress(Exception):

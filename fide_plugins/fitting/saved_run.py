@@ -135,12 +135,16 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
-    their digest, mask and weights by that of their product, in whatever form they were given; so
-    are a starting point, its width and groups.
+    their digest, mask and weights by that of their product; a starting point, its width and groups
+    as the optimizer has made them, in whatever form they were given.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
-    made = {"x0": optimizer.x0, "sigma0": optimizer.sigma0, "groups": optimizer.options.groups}
+    made = {
+        "x0": optimizer.x0.tolist(),
+        "sigma0": np.asarray(optimizer.sigma0).tolist(),
+        "groups": optimizer.options.groups,
+    }
     return {
         "task": name,
         "task_seed": None,

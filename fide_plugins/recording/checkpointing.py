@@ -47,7 +47,7 @@ class CheckpointTimer:
 
 def note_unsaved(error: BaseException, unsaved: Exception) -> None:
     """Add to the error that ends a run, which matters more, that saving failed after it."""
-    error.add_note(f"what was told since the last checkpoint is lost: {unsaved}")
+    error.add_note(f"not everything could be written, perhaps no checkpoint: {unsaved}")
 
 
 def try_each(*writes: Callable[[], object]) -> None:

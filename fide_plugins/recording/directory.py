@@ -21,9 +21,7 @@ consistent pair.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import os
 import re
@@ -34,13 +32,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.recording import tables
 from fide_plugins.recording.checkpointing import try_each
-from fide_plugins.recording.parallel import WORKERS, rounds
-from fide_plugins.recording.record import Record, RunResult, best_so_far
+from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.record_schema import check_record
 from fide_plugins.runtime import checkpoint, files, machine
 from fide_plugins.runtime.schema import IMPOSSIBLE
@@ -175,7 +171,8 @@ class RunDirectory:
         if n > 0:
             raise CheckpointError(
                 f"{self.path} holds results of {n} renders, but no {_CHECKPOINT}, from which the "
-                "run could go on; copy it back, or start again in another directory"
+                "run could go on: it was removed (copy it back), or the run was stopped before it "
+                "was written; start again in another directory"
             )
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
@@ -202,31 +199,10 @@ class RunDirectory:
     def write_tables(self, record: Record, best: Float32 | None) -> None:
         """Write the tables and the best image, as a picture; they need no consistent state."""
         try_each(
-            lambda: self.write_curve(record),
-            lambda: self.write_improvements(record),
+            lambda: files.write_text(self.path / "curve.csv", tables.curve(record)),
+            lambda: files.write_text(self.path / "improvements.csv", tables.improvements(record)),
             lambda: self.write_best(best),
         )
-
-    def write_curve(self, record: Record) -> None:
-        """Write `curve.csv`."""
-        losses, seconds = np.array(record.losses), np.array(record.seconds)
-        rows = zip(losses.tolist(), best_so_far(losses).tolist(), seconds.tolist(), strict=True)
-        lines = ["evaluation,loss,best_loss,seconds"]
-        lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
-        files.write_text(self.path / "curve.csv", "\n".join(lines) + "\n")
-
-    def write_improvements(self, record: Record) -> None:
-        """Write `improvements.csv`; what a metric that raised has not measured is empty."""
-        in_round = rounds(record.generations)
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
-        names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
-        writer.writerow(names)
-        for k, i in enumerate(record.improvements):
-            others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
-            where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
-            writer.writerow([*where, repr(record.losses[i]), *others])
-        files.write_text(self.path / "improvements.csv", buffer.getvalue())
 
     def write_frame(self, mark: int, image: Float32) -> None:
         """Write `frame-N.png`, the best image after `mark` renders."""
@@ -295,8 +271,8 @@ def _lock(path: Path) -> ExitStack:
     with ExitStack() as lock:
         if not lock.enter_context(files.locked(path / _LOCK, remove=True)):
             raise RunDirectoryError(
-                f"another process is running this fit in {path}; wait until it ends or stop it, "
-                "and resume then, or name another directory"
+                f"the run in {path} is under way, in another process or in this one; wait until it "
+                "ends or stop it, and resume then, or name another directory"
             )
         return lock.pop_all()
 

@@ -320,7 +320,8 @@ def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
         _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", remedy)
     if whole:
         return low + (high - low) // step * step
-    if step < _LEAST_STEP * (apart := _apart(low, high)):
+    apart = _apart(low, high)
+    if step < _LEAST_STEP * apart:
         rule = f"doubles there are {apart:.2g} apart, too far for a step of {step}"
         _refuse(kind, rule, "take a wider step, or a range near 0 and add the offset in render")
     return min(high, low + math.floor((high - low) / step + off) * step)

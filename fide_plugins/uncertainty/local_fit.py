@@ -22,7 +22,7 @@ import numpy as np
 
 from fide_plugins.types import Float64
 
-__all__ = ["FitToTarget", "LocalFit", "fit_from_afar", "fit_locally"]
+__all__ = ["FitToTarget", "LocalFit", "energy_of", "fit_from_afar", "fit_locally"]
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -65,8 +65,7 @@ class LocalFit:
     @cached_property
     def error(self) -> Float64:
         """Energy (d, d) of the error of J: the sum over the features of its covariances."""
-        energy: Float64 = np.tensordot(self.changes, self.changes, ((0, 2), (0, 2)))
-        return energy
+        return energy_of(self.changes)
 
     @property
     def here(self) -> Float64:
@@ -116,6 +115,12 @@ def fit_locally(u: Float64, e: Float64, distances: Float64) -> LocalFit:
         rho = float(np.clip(np.median(slopes), *_RHO))
         weights = 1 / (s + rho * beyond)
     return _local(u, found, s, rho, reach)
+
+
+def energy_of(changes: Float64) -> Float64:
+    """Energy (d, d) of an error with these changes (g, d, f), see `LocalFit`."""
+    energy: Float64 = np.tensordot(changes, changes, ((0, 2), (0, 2)))
+    return energy
 
 
 def fit_from_afar(u: Float64, e: Float64, distances: Float64, s: float) -> LocalFit:

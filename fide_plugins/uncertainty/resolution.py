@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from fide_plugins.types import Float64, Mask
-from fide_plugins.uncertainty.local_fit import LocalFit
+from fide_plugins.uncertainty.local_fit import LocalFit, energy_of
 
 __all__ = ["information", "unseen"]
 
@@ -98,7 +98,7 @@ def _directions(J: Float64, changes: Float64, normal: Float64, least: float = 0.
     back = (vectors / np.sqrt(values)) @ vectors.T / scale[:, None]
     J, changes = root @ J, np.matmul(root, changes)  # all directions alike
     energy = J @ J.T
-    error = np.tensordot(changes, changes, ((0, 2), (0, 2))) + least * root @ root.T
+    error = energy_of(changes) + least * root @ root.T
     floor = _SMALL * float(np.trace(energy)) / len(energy) + _TINY
     L = np.linalg.cholesky(error + floor * np.eye(len(error)))
     inner = np.linalg.solve(L, np.linalg.solve(L, energy).T)

@@ -79,8 +79,8 @@ def has_scale(array: Pixels) -> bool:
 
 def scale_remedy(
     array: Pixels,
-    as_bool: str = "image.astype(bool)",
-    as_bytes: str = "image.astype(np.uint8)",
+    as_bool: str,
+    as_bytes: str,
 ) -> str:
     """What to write for an array whose type does not say it; as_bool, as_bytes: conversions."""
     if array.dtype.kind not in "iu" or not array.size or array.min() < 0:

@@ -268,9 +268,13 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
+    if not array.ndim and not has_scale(array):
+        remedy = "give an array, a path, a PIL image or a torch tensor"
+        raise refuse_type(what, type(image).__name__, remedy)
     if not has_scale(array):
-        got = describe(array) if array.ndim else type(image).__name__
-        raise refuse_type(what, got, scale_remedy(array))
+        name = "image" if isinstance(image, np.ndarray) else "np.asarray(image)"
+        remedy = scale_remedy(array, f"{name}.astype(bool)", f"{name}.astype(np.uint8)")
+        raise refuse_type(what, describe(array), remedy)
     return array, False
 
 

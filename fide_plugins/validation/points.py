@@ -139,7 +139,7 @@ def starting_point(value: object, dim: int, space: _Encodes | None = None) -> Fl
     try:
         point: Float64 = as_points([value], dim)[0]
     except PointsError as error:
-        hint = "" if space is None else "; of values of the parameters give a dictionary"
+        hint = "" if space is None else "; to give values, pass a dictionary of them"
         raise PointsError(
             f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
         ) from error

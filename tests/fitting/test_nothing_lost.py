@@ -116,8 +116,11 @@ def test_each_file_is_tried_where_another_cannot_be_written(
     assert again.evaluations == 60 and evaluations(tmp_path) == 60
 
 
+@pytest.mark.parametrize("every", [0.0, 1e6], ids=["after a checkpoint", "before the first one"])
 @pytest.mark.parametrize("kind", [MemoryError, KeyboardInterrupt, SystemExit])
-def test_any_error_has_the_result(kind: type[BaseException], monkeypatch: Any) -> None:
+def test_any_error_has_the_result_and_all_tables(
+    kind: type[BaseException], every: float, tmp_path: Path, monkeypatch: Any
+) -> None:
     ask, ends = FIDE.ask, Ends()
 
     def fails(self: FIDE, n: int | None = None) -> Any:
@@ -127,9 +130,16 @@ def test_any_error_has_the_result(kind: type[BaseException], monkeypatch: Any) -
 
     monkeypatch.setattr(FIDE, "ask", fails)
     with pytest.raises(kind, match="of the optimizer") as caught:
-        fit(disk(), target(), SPACE, **ARGUMENTS, callbacks=ends)
+        prepare(
+            disk(), target(), SPACE, stopping=Stopping(60), workers=0, seed=5, callbacks=ends,
+            out=tmp_path, checkpoint_every=every,
+        ).execute()  # fmt: skip
     result = caught.value.result  # type: ignore[attr-defined]
     assert result.evaluations == 20 and result.best is not None and ends.results == [result]
+    assert not any("written" in note for note in caught.value.__notes__)
+    assert len((tmp_path / "curve.csv").read_text().splitlines()) == 21
+    last = (tmp_path / "improvements.csv").read_text().splitlines()[-1]
+    assert last.split(",")[3] == repr(result.best.loss)
 
 
 # -- a second signal -------------------------------------------------------------------------------
@@ -272,10 +282,10 @@ def test_a_second_process_is_refused_until_the_first_one_has_ended(tmp_path: Pat
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None and process.stdout.readline() == b"started\n"
-            before = contents(out)
-            with pytest.raises(RunDirectoryError, match="another process is running this fit in"):
+            before = (out / "run.json").read_bytes()  # the first one goes on to write the rest
+            with pytest.raises(RunDirectoryError, match="is under way, in another process"):
                 fit(render, np.full((8, 8), 0.7), 3, budget=20, **arguments)
-            assert contents(out) == before and read_run(out) is not None
+            assert (out / "run.json").read_bytes() == before and read_run(out) is not None
         finally:
             process.kill()
     result = fit(render, np.full((8, 8), 0.7), 3, budget=20, **arguments)

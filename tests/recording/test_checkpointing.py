@@ -78,4 +78,6 @@ def test_one_that_cannot_be_written_does_not_count(clock: Clock) -> None:
 def test_what_is_lost_is_noted_on_the_first_error() -> None:
     error = ValueError("the renderer fails")
     note_unsaved(error, OSError("the disk is full"))
-    assert error.__notes__ == ["what was told since the last checkpoint is lost: the disk is full"]
+    assert error.__notes__ == [
+        "not everything could be written, perhaps no checkpoint: the disk is full"
+    ]

@@ -307,6 +307,8 @@ class FIDESampler(BaseSampler):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._lock = threading.RLock()
+        if "_states" not in state:  # of an earlier version; the study is read again
+            self._states = StudyStates(self._settings)
 
 
 def image_objective(

@@ -158,8 +158,8 @@ class History:
         if len(dead) >= many:
             self.warnings.warn(
                 "dead",
-                f"{len(dead)} trials that began long ago still run, trial {dead[0]} first. Others "
-                "waited a while for each of them before the sampler learned from them. If they are "
+                f"{len(dead)} trials that began long ago still run, trial {dead[0]} first. The "
+                "sampler waited for each of them before it learned from later ones. If they are "
                 f"dead, say so: study.tell({dead[0]}, state=TrialState.FAIL)",
             )
 

@@ -143,6 +143,17 @@ def test_a_pickled_sampler_goes_on_in_its_database(
     assert counts_of(later) == {"injected": 1, "member": 19, "image": 20}
 
 
+def test_a_sampler_that_an_earlier_version_has_pickled_reads_the_study_again(bench: Bench) -> None:
+    study = demo(bench.sampler())
+    bench.run(study, 20)
+    assert isinstance(study.sampler, FIDESampler)
+    state = study.sampler.__getstate__()
+    del state["_states"]
+    earlier = FIDESampler.__new__(FIDESampler)
+    earlier.__setstate__(state)
+    assert earlier.counts(study)["image"] == 20
+
+
 # -- several studies in turn -----------------------------------------------------------------------
 
 

@@ -200,7 +200,7 @@ def test_a_second_process_is_refused_and_a_refused_one_holds_no_lock(tmp_path: P
 
     def again(progress: harness.Progress) -> None:
         before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-        with pytest.raises(RunDirectoryError, match="another process is running this fit in"):
+        with pytest.raises(RunDirectoryError, match="is under way, in another process"):
             harness.run(Tint(), **settings, out=tmp_path, resume=True)
         refused.append({p.name: p.read_bytes() for p in tmp_path.iterdir()} == before)
 
