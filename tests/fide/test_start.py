@@ -91,7 +91,7 @@ def test_physical_values_that_are_none(target: Float32) -> None:
         FIDE(SPACE, target, x0={**GUESS, "angle": 90})
     with pytest.raises(SpaceError, match="x0: missing parameter 'columns', 'dots'"):
         FIDE(SPACE, target, x0={"angle": 0})
-    with pytest.raises(PointsError, match="of values of the parameters give a dictionary"):
+    with pytest.raises(PointsError, match="to give values, pass a dictionary of them"):
         FIDE(SPACE, target, x0=[30, 4, 0.5])
 
 
