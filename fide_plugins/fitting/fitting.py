@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -77,7 +76,7 @@ class Fitting:
         as that can be done, and is the attribute `result` of whatever is raised.
         """
         with (
-            self._released(),
+            nullcontext() if self.saved is None else closing(self.saved),
             Interrupts(once=True) as interrupts,
             reporting(self._progress) as report,
         ):
@@ -100,15 +99,6 @@ class Fitting:
             finally:
                 self._stop_workers(interrupts)
             return self._end(stopped, interrupts, None)
-
-    @contextmanager
-    def _released(self) -> Iterator[None]:
-        """At the end of this block others may work on the run directory."""
-        try:
-            yield
-        finally:
-            if self.saved is not None:
-                self.saved.release()
 
     def _run(self, interrupts: Interrupts, report: Report | None) -> str:
         """The loop; returns why it has ended."""

@@ -55,7 +55,7 @@ class SavedRun:
     def begin(self, optimizer: FIDE) -> Record | None:
         """As `restore`, and write what is known before the first render."""
         with ExitStack() as refused:
-            refused.callback(self.release)
+            refused.callback(self.close)
             record = self.restore(optimizer)
             self._directory.write_target(picture(optimizer, optimizer.evaluator.target))
             self._directory.write_run()
@@ -94,9 +94,9 @@ class SavedRun:
                 f"image, and is {here:.6g} now; give the same one, or name another directory"
             )
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Let other processes go on with the run; nothing is to be written after this."""
-        self._directory.release()
+        self._directory.close()
 
     def save(self, record: Record, optimizer: FIDE) -> None:
         """Write a checkpoint, the tables and the best image, each also where another fails.

@@ -72,7 +72,7 @@ class RunDirectoryError(FideError, FileExistsError):
 class RunDirectory:
     """Directory of one run; made and checked before anything is rendered.
 
-    It is locked until `release`, or until the process ends: two that write would overwrite each
+    It is locked until `close`, or until the process ends: two that write would overwrite each
     other's results.  Who only reads takes no lock.
 
     path: folder, made if it is missing.
@@ -120,7 +120,7 @@ class RunDirectory:
             files.remove_leftovers(self.path)
             self._lock = lock.pop_all()
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Let other processes work on the run; nothing is to be written after this."""
         self._lock.close()
 

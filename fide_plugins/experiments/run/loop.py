@@ -17,8 +17,8 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,7 +108,8 @@ class Run:
         """
         self._clock = time.perf_counter()
         self._checkpoints = CheckpointTimer(self._checkpoint_every)
-        with self._released(), Interrupts(once=True) as interrupts:
+        held = nullcontext() if self._directory is None else closing(self._directory)
+        with held, Interrupts(once=True) as interrupts:
             try:
                 if on_progress is not None:
                     on_progress(self.progress)
@@ -137,15 +138,6 @@ class Run:
                 raise
             interrupts.hold()
             return self._finish(verdict)
-
-    @contextmanager
-    def _released(self) -> Iterator[None]:
-        """At the end of this block others may work on the run directory."""
-        try:
-            yield
-        finally:
-            if self._directory is not None:
-                self._directory.release()
 
     def _learn(self, rounds: Rounds, interrupts: Interrupts, on_progress: Report | None) -> None:
         """Learn before the search, which then begins with the model."""

@@ -193,7 +193,7 @@ def _started(
 ) -> tuple[Record, Optimizer]:
     """As `_restored`, and the run is written down; where it is refused the lock ends."""
     with ExitStack() as refused:
-        refused.callback(directory.release)
+        refused.callback(directory.close)
         record, searcher = _restored(directory, record, searcher, fidelity)
         _check_budget(budget, record, directory)
         directory.write_run()
