@@ -120,6 +120,8 @@ def run_one(
             return Outcome(key, "kept", totals=_totals(folder))
         if state.kind == "damaged":
             _clear(folder)
+        # of an earlier attempt: from here on the run counts as unfinished, not as failed
+        (folder / ERROR).unlink(missing_ok=True)
         try:
             run, note = _prepare(plan, key, folder, command)
             run.execute(on_progress)
@@ -128,7 +130,6 @@ def run_one(
         except (Exception, SystemExit) as error:
             files.write_text(folder / ERROR, traceback.format_exc())
             return Outcome(key, "failed", f"{type(error).__name__}: {error}")
-        (folder / ERROR).unlink(missing_ok=True)
         note = f"repeated, because it was damaged: {state.why}" if state.why else note
         return Outcome(key, "done", note, _totals(folder))
 

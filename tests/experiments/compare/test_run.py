@@ -225,6 +225,26 @@ def test_a_failure_is_recorded_and_the_others_go_on(
     ] == "finished"
 
 
+def test_a_failure_that_is_repeated_and_interrupted_is_one_no_more(
+    misbehaving: type[Raises], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An earlier attempt's failure would count as an infinite loss."""
+
+    class Killed(BaseException):
+        pass
+
+    def kill(*_: object) -> None:
+        raise Killed
+
+    plan = small("raises", seeds=1)
+    compare.run(plan, tmp_path)
+    assert [run.status for run in compare.read(tmp_path).runs] == ["failed"]
+    monkeypatch.setattr(misbehaving, "tell", kill)
+    with pytest.raises(Killed):
+        compare.run(plan, tmp_path, resume=True)
+    assert [run.status for run in compare.read(tmp_path).runs] == ["unfinished"]
+
+
 def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / RunKey("voronoi", "mse", "cma", 0).folder
     comparison = prepare(small(), tmp_path)
