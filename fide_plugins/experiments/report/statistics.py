@@ -50,9 +50,11 @@ class Paired:
     """Paired comparison of the runs of two configurations.
 
     n: number of pairs; worse: number of pairs in which the first has the higher loss.
-    p: p-value of the two-sided Wilcoxon signed-rank test, exact for few pairs.
+    p: p-value of the two-sided Wilcoxon signed-rank test, exact for few pairs.  Pairs without a
+        difference have ranks, too (Pratt 1959).
     effect: matched-pairs rank-biserial correlation, from -1 (lower in every pair) to 1 (higher).
-    ratio: median of the ratios of losses.
+    ratio: median of the ratios of losses, without pairs of two infinite ones; may be infinite.
+        NaN if there is no such pair, or a loss is zero or negative.
     adjusted: p adjusted for multiple tests.
     """
 
@@ -84,21 +86,24 @@ def quantiles(values: npt.ArrayLike, q: Sequence[float] = QUANTILES) -> Float64:
 _HUGE = 1e300
 
 
-def bands(curves: Sequence[Curve], axis: str) -> Bands:
-    """Quantiles of `curves` at geometrically spaced points along an axis.
+def bands(curves: Sequence[Curve], axis: str, failed: int = 0) -> Bands:
+    """Quantiles of `curves` and of `failed` runs at geometrically spaced points along an axis.
 
-    The band starts where all runs have a loss, and ends at the end of the median run.  A run that
-    has ended keeps its last loss.
+    A failed run, and one that never had a finite loss, counts as infinite.  The band starts where
+    all others have a loss, and ends at the end of the median run of `curves`.  A run that has
+    ended keeps its last loss.
     """
-    begin = max(float(curve.at[axis][0]) if len(curve.loss) else np.inf for curve in curves)
-    end = float(np.median([curve.ends[axis] for curve in curves]))
-    if not np.isfinite(begin):
+    begun = [curve for curve in curves if len(curve.loss)]
+    if not begun:
         return Bands(np.zeros(0), np.zeros((len(QUANTILES), 0)))
+    begin = max(float(curve.at[axis][0]) for curve in begun)
+    end = float(np.median([curve.ends[axis] for curve in curves]))
     begin, end = max(begin, end * 1e-6), max(begin, end)
     x = np.geomspace(begin, end, _POINTS) if end > begin else np.array([begin])
     x = np.unique(np.floor(x)) if axis != "seconds" else x
     x[0], x[-1] = begin, end  # exact, without rounding errors
-    return Bands(x, quantiles([curve.value(axis, x) for curve in curves]))
+    never = np.full((len(curves) - len(begun) + failed, len(x)), np.inf)
+    return Bands(x, quantiles([*(curve.value(axis, x) for curve in begun), *never]))
 
 
 def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
@@ -106,13 +111,14 @@ def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
 
     The test ranks differences of logarithms, so that 0.001 against 0.002 counts as much as 0.1
     against 0.2.  If a loss is zero or negative, it ranks differences of losses.  An infinite loss
-    is worse than any other.
+    is worse than any finite one by more than any other difference, and equal to an infinite one.
     """
-    a, b = _finite(np.array([losses, others], np.float64))
+    values = np.array([losses, others], np.float64)
+    a, b = np.where(np.isfinite(values), values, np.inf)
     positive = min(a.min(), b.min()) > 0
-    differences = np.log(a) - np.log(b) if positive else a - b
+    differences = _differences(np.log(a), np.log(b)) if positive else _differences(a, b)
     worse = int((differences > 0).sum())
-    ratio = float(np.median(a / b)) if positive else np.nan
+    ratio = _median_ratio(a, b) if positive else np.nan
     if not differences.any():
         return Paired(len(a), worse, 1.0, 0.0, ratio)
     ranks = stats.rankdata(np.abs(differences))
@@ -121,11 +127,14 @@ def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
 
 
 def _signed_rank(differences: Float64) -> float:
-    """Two-sided p-value; with ties or zeros and few pairs, exact over all sign changes."""
+    """Two-sided p-value; with ties or zeros and few pairs, exact over all sign changes.
+
+    SciPy's test leaves out zeros unless it is told otherwise; both ways must rank them.
+    """
     sizes = np.abs(differences)
     regular = sizes.all() and len(np.unique(sizes)) == len(sizes)
     if regular or len(sizes) > 12:
-        return float(stats.wilcoxon(differences).pvalue)
+        return float(stats.wilcoxon(differences, zero_method="pratt").pvalue)
     ranks = stats.rankdata(sizes)
 
     def statistic(signed: Float64, axis: int) -> Float64:
@@ -146,8 +155,15 @@ def adjusted(p: Sequence[float]) -> list[float]:
     return values
 
 
-def _finite(values: Float64) -> Float64:
-    """Replace infinite losses by a finite one that is worse than all others."""
-    finite = values[np.isfinite(values)]
-    worst = 10.0 * np.abs(finite).max(initial=1.0)
-    return np.where(np.isfinite(values), values, worst)
+def _differences(a: Float64, b: Float64) -> Float64:
+    """Differences a - b (n,), finite: an infinite difference becomes larger than all others."""
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
+        found = np.where(a == b, 0.0, a - b)
+    largest = np.abs(found[np.isfinite(found)]).max(initial=0.0)
+    return np.where(np.isinf(found), np.copysign(2.0 * largest + 1.0, found), found)
+
+
+def _median_ratio(a: Float64, b: Float64) -> float:
+    """Median of a / b > 0 (n,) without pairs of two infinite values; NaN if none is left."""
+    told = np.isfinite(a) | np.isfinite(b)
+    return float(np.median(a[told] / b[told])) if told.any() else np.nan

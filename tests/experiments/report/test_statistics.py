@@ -45,8 +45,16 @@ def test_a_band_begins_where_all_have_begun_and_ends_with_the_median_run() -> No
     found = bands([early, late, late], "seconds")
     assert found.x[0] == pytest.approx(0.4) and found.x[-1] == pytest.approx(3.0)
     assert found.values[2].tolist() == [0.7] * len(found.x)
-    never = curve([], [], 10)
-    assert len(bands([early, never], "renders").x) == 0
+    assert len(bands([curve([], [], 10)], "renders").x) == 0
+
+
+def test_a_run_without_a_loss_is_an_infinite_one_of_a_band() -> None:
+    runs, never = [curve([1, 3], [1.0, 0.5], 10)] * 4, curve([], [], 10)
+    found = bands([*runs, never], "renders")
+    assert found.x[0] == 1 and found.x[-1] == 10
+    for values in (found.values, bands(runs, "renders", failed=1).values):
+        assert values[2, -1] == 0.5 and values[3, -1] == 0.5 and values[4, -1] == np.inf
+    assert np.isinf(bands(runs[:1], "renders", failed=2).values[2]).all()
 
 
 def test_quantiles_take_infinity_for_the_highest_value() -> None:
@@ -112,6 +120,26 @@ def test_zero_and_infinite_losses() -> None:
     assert found.effect == -1.0 and np.isnan(found.ratio)
     assert paired([np.inf, 5.0, np.inf], [1.0, 2.0, 3.0]).effect == 1.0
     assert paired([np.inf], [np.inf]).p == 1.0
+
+
+def test_the_ratio_to_an_infinite_loss_is_no_invented_number() -> None:
+    assert paired([np.inf] * 3, [0.1, 0.2, 0.3]).ratio == np.inf
+    assert np.isnan(paired([np.inf, np.inf], [np.inf, np.inf]).ratio)
+    mixed = paired([np.inf, 0.4, 0.4], [np.inf, 0.1, 0.2])
+    assert mixed.ratio == pytest.approx(3.0) and mixed.worse == 2
+
+
+def test_no_finite_difference_is_larger_than_an_infinite_one() -> None:
+    found = paired([np.inf, 1e-9, 2e-9], [0.1, 0.9, 0.8])  # ranks 3, -2, -1
+    assert found.effect == 0.0 and found.worse == 1
+
+
+def test_pairs_without_a_difference_have_ranks_whatever_their_number() -> None:
+    a = np.array([1.0] * 6 + [1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 0.55, 1.9])
+    exact = by_all_signs(np.log(a))
+    assert paired(a, np.ones(14)).p == pytest.approx(exact, abs=0.01)
+    assert abs(stats.wilcoxon(np.log(a)).pvalue - exact) > 0.05, "which leaves zeros out"
+    assert paired(a[4:], np.ones(10)).p == pytest.approx(by_all_signs(np.log(a[4:])))
 
 
 def test_adjusting_is_benjamini_and_hochberg_s() -> None:
