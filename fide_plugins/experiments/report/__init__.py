@@ -86,7 +86,8 @@ def write(
     files.write_text(companion(path, "curves.csv"), export.curves_csv(results))
     files.write_text(path.with_suffix(".md"), _markdown(results, found, figures.name))
     files.write_text(path, page_module.render(results, found, charts))
-    return Written(path, "\n\n".join(_section(panel) for panel in found) + "\n")
+    parts = [*map(_section, found), *sentences.without_results(results)]
+    return Written(path, "\n\n".join(parts) + "\n")
 
 
 def page_path(page: str | os.PathLike[str]) -> Path:
@@ -139,18 +140,19 @@ def _markdown(results: Results, found: list[Panel], figures: str) -> str:
             tables.markdown(tables.times(panel)),
             tables.markdown(tables.losses(panel)),
         ]
+    parts += map(tables.escaped, sentences.without_results(results))
     parts += ["## How to read it", *sentences.METHOD]
     return "\n\n".join(parts) + "\n"
 
 
 def _section(panel: Panel) -> str:
     """A panel for a terminal."""
-    return f"{panel.name}: {_summary(panel)}\n\n{tables.markdown(tables.ranking(panel))}"
+    return f"{panel.name}: {_summary(panel)}\n\n{tables.plain(tables.ranking(panel))}"
 
 
 def _summary(panel: Panel) -> str:
-    parts = sentences.verdict(panel), sentences.threshold(panel), sentences.abbreviations(panel)
-    return " ".join(filter(None, parts))
+    said = sentences.verdict, sentences.threshold, sentences.failures, sentences.abbreviations
+    return " ".join(filter(None, (say(panel) for say in said)))
 
 
 def _file_name(panel: Panel) -> str:

@@ -41,7 +41,7 @@ def render(results: Results, panels: Sequence[Panel], charts: Sequence[dict[str,
         _section(results, panel, files, i)
         for i, (panel, files) in enumerate(zip(panels, charts, strict=True))
     ]
-    settings = results.settings
+    settings = results.settings | {"size": _sizes(results)}
     tasks = ", ".join(dict.fromkeys(panel.task for panel in panels))
     html: str = env.get_template("comparison.html").render(
         title=f"Comparison: {tasks}",
@@ -98,6 +98,7 @@ def _section(
         "panel": panel,
         "anchor": f"panel-{number}",
         "verdict": sentences.verdict(panel),
+        "failures": sentences.failures(panel),
         "threshold": sentences.threshold(panel),
         "abbreviations": sentences.abbreviations(panel),
         "shorter": len({row.budget for row in panel.rows}) > 1,
@@ -139,6 +140,13 @@ def _renders(panels: Sequence[Panel]) -> str:
     """Renders of a run, or those of the shortest and of the longest run."""
     budgets = sorted({row.budget for panel in panels for row in panel.rows})
     return " to ".join(map(tables.number, dict.fromkeys((budgets[0], budgets[-1]))))
+
+
+def _sizes(results: Results) -> str:
+    """Width and height of the pictures in pixels; a renderer of the user has a size of its own."""
+    recorded = (run.run["settings"]["size"] for run in results.runs if run.curve is not None)
+    sizes = dict.fromkeys((width, height) for height, width in recorded)
+    return ", ".join(f"{width} \N{MULTIPLICATION SIGN} {height}" for width, height in sizes)
 
 
 def _load(runs: Sequence[StoredRun]) -> dict[str, float] | None:

@@ -1,8 +1,12 @@
-"""A panel: the results of all configurations for one task and one loss."""
+"""A panel: the results of all configurations for one task and one loss.
+
+A run that failed has an infinite loss: its optimizer must not gain by failing.  A missing or
+unfinished run is left out, since it says nothing of its optimizer.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,45 +31,56 @@ class Row:
     """One configuration.
 
     label: its label; name: its short name; index: its position in the plan.
-    runs: finished runs by seed, at least one; planned: number of runs in the plan.
+    runs: finished runs by seed; failed: runs that failed, by seed; planned: number of runs in the
+        plan.
     """
 
     label: str
     name: str
     index: int
     runs: tuple[StoredRun, ...]
+    failed: tuple[StoredRun, ...]
     planned: int
 
     @cached_property
     def finals(self) -> list[float]:
-        """Final loss of each run."""
-        return [run.final for run in self.runs]
+        """Final loss of each run, infinite if it failed."""
+        return self.with_failed([run.final for run in self.runs])
 
     @property
     def median(self) -> float:
-        """Median of the final losses."""
-        return float(statistics.quantiles(self.finals)[2])
+        """Median of the final losses; infinite if there are none."""
+        return float(statistics.quantiles(self.finals)[2]) if self.finals else np.inf
 
     @property
     def budget(self) -> int:
-        """Renders of each run."""
+        """Renders of each finished run."""
         return int(self.runs[0].totals["evaluations"])
 
     @property
     def ranked(self) -> list[StoredRun]:
-        """Runs from best to worst."""
+        """Finished runs from best to worst."""
         return sorted(self.runs, key=lambda run: run.final)
 
     @property
     def typical(self) -> StoredRun:
-        """The median run; of two middle runs the better one."""
+        """The median of the finished runs; of two middle runs the better one."""
         return self.ranked[(len(self.runs) - 1) // 2]
+
+    def losses(self, renders: int | None = None) -> dict[int, float]:
+        """Final loss of each run by seed, or its best loss after that many renders."""
+        found = {run.key.seed: _loss(run, renders) for run in self.runs}
+        return found | {run.key.seed: np.inf for run in self.failed}
 
     def judged(self, metric: str) -> float:
         """Median of another loss of the images that the runs found."""
         values = [run.totals["judged"].get(metric) for run in self.runs]
         numbers = [np.inf if value is None else value for value in values]
-        return float(statistics.quantiles(numbers)[2])
+        return float(statistics.quantiles(self.with_failed(numbers))[2])
+
+    def with_failed(self, values: Sequence[float]) -> list[float]:
+        """Values of the finished runs, and infinity for each that failed."""
+        return [*values, *[np.inf] * len(self.failed)]
 
     def milliseconds(self) -> dict[str, float]:
         """Median time of one evaluation, by `PARTS` and "other"."""
@@ -92,16 +107,16 @@ class Row:
 class Panel:
     """Results for one task and one loss.
 
-    rows: configurations with a finished run, in the order of the plan.
-    unfinished: runs that are not finished.
-    threshold: loss that counts as success; stated: whether the user gave it.
+    rows: configurations with a finished run, in the order of the plan; empty: those without one.
+    threshold: loss that counts as success, infinite if any finite one does; stated: whether the
+        user gave it.
     """
 
     task: str
     loss: str
     dim: int
     rows: tuple[Row, ...]
-    unfinished: tuple[StoredRun, ...]
+    empty: tuple[Row, ...]
     threshold: float
     stated: bool
 
@@ -111,14 +126,28 @@ class Panel:
         return f"{self.task}, {self.loss}"
 
     @cached_property
-    def winner(self) -> Row:
-        """The row with the lowest median."""
-        return min(self.rows, key=lambda row: row.median)
+    def every(self) -> tuple[Row, ...]:
+        """All configurations, in the order of the plan."""
+        return tuple(sorted((*self.rows, *self.empty), key=lambda row: row.index))
+
+    @cached_property
+    def lowest(self) -> tuple[Row, ...]:
+        """The rows with the lowest median, in the order of the plan; empty if none is finite."""
+        least = min(row.median for row in self.rows)
+        return tuple(row for row in self.rows if row.median == least < np.inf)
+
+    @property
+    def winner(self) -> Row | None:
+        """The first of `lowest`, with which all others are compared; None if there is none."""
+        return self.lowest[0] if self.lowest else None
 
     @cached_property
     def against_winner(self) -> dict[str, Paired]:
         """Paired test against each other row that shares a seed, p adjusted for all tests."""
-        tests = {row.label: self._pairs(row) for row in self.rows if row is not self.winner}
+        winner = self.winner
+        if winner is None:
+            return {}
+        tests = {row.label: _pairs(row, winner) for row in self.every if row is not winner}
         found = {label: test for label, test in tests.items() if test is not None}
         adjusted = statistics.adjusted([test.p for test in found.values()])
         return {
@@ -126,28 +155,18 @@ class Panel:
             for (label, test), p in zip(found.items(), adjusted, strict=True)
         }
 
-    def _pairs(self, row: Row) -> Paired | None:
-        """Compare runs of the same seed; if budgets differ, at the end of the smaller one."""
-        mine, theirs = ({run.key.seed: run for run in r.runs} for r in (row, self.winner))
-        seeds = sorted(set(mine) & set(theirs))
-        if not seeds:
-            return None
-        ends = min(row.budget, self.winner.budget)
-        same = row.budget == self.winner.budget
-        a, b = ([_loss(runs[s], None if same else ends) for s in seeds] for runs in (mine, theirs))
-        return statistics.paired(a, b)
-
     def success(self, row: Row) -> Success:
-        """Number of runs whose final loss is at most the threshold."""
-        return Success.of(sum(map(self.succeeded, row.runs)), len(row.runs))
+        """Number of runs, finished or failed, whose final loss is at most the threshold."""
+        return Success.of(sum(map(self.succeeded, row.runs)), len(row.finals))
 
     def succeeded(self, run: StoredRun) -> bool:
-        """Whether the final loss of a run is at most the threshold."""
+        """Whether the final loss of a run is finite and at most the threshold."""
         return bool(np.isfinite(run.final)) and run.final <= self.threshold
 
     def to_target(self, row: Row) -> float:
         """Median number of renders to the threshold; infinity if half never reach it."""
-        return float(statistics.quantiles([self.renders_to_target(run) for run in row.runs])[2])
+        numbers = row.with_failed([self.renders_to_target(run) for run in row.runs])
+        return float(statistics.quantiles(numbers)[2])
 
     def renders_to_target(self, run: StoredRun) -> float:
         """Renders after which a run reached the threshold; infinity if it is no success.
@@ -173,27 +192,40 @@ def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
     made = []
     for task, loss in dict.fromkeys((r.key.task, r.key.loss) for r in results.runs):
         mine = [r for r in results.runs if (r.key.task, r.key.loss) == (task, loss)]
-        rows = []
+        every = []
         for index, label in enumerate(order):
-            planned = [r for r in mine if r.key.configuration == label]
-            runs = sorted((r for r in planned if r.curve is not None), key=lambda r: r.key.seed)
-            if runs:
-                rows.append(Row(label, names[label], index, tuple(runs), len(planned)))
+            planned = sorted(
+                (r for r in mine if r.key.configuration == label), key=lambda r: r.key.seed
+            )
+            runs = tuple(r for r in planned if r.curve is not None)
+            failed = tuple(r for r in planned if r.status == "failed")
+            if planned:
+                every.append(Row(label, names[label], index, runs, failed, len(planned)))
+        rows = tuple(row for row in every if row.runs)
+        empty = tuple(row for row in every if not row.runs)
         if rows:
             stated = thresholds.get(f"{task}/{loss}", thresholds.get(loss))
-            threshold = _second_best(rows) if stated is None else stated
-            unfinished = tuple(r for r in mine if r.curve is None)
+            threshold = _second_best(every) if stated is None else stated
             dim = int(rows[0].runs[0].totals["dim"])
-            made.append(
-                Panel(task, loss, dim, tuple(rows), unfinished, threshold, stated is not None)
-            )
+            made.append(Panel(task, loss, dim, rows, empty, threshold, stated is not None))
     return made
 
 
 def _second_best(rows: list[Row]) -> float:
-    """The second lowest median."""
-    medians = sorted(row.median for row in rows)
+    """The second lowest median, of rows with a run that is finished or failed."""
+    medians = sorted(row.median for row in rows if row.finals)
     return medians[min(1, len(medians) - 1)]
+
+
+def _pairs(row: Row, winner: Row) -> Paired | None:
+    """Compare runs of the same seed; if budgets differ, at the end of the smaller one."""
+    budgets = {each.budget for each in (row, winner) if each.runs}
+    end = min(budgets) if len(budgets) > 1 else None
+    mine, theirs = row.losses(end), winner.losses(end)
+    seeds = sorted(set(mine) & set(theirs))
+    if not seeds:
+        return None
+    return statistics.paired([mine[s] for s in seeds], [theirs[s] for s in seeds])
 
 
 def _loss(run: StoredRun, renders: int | None) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from fide_plugins.experiments.report import statistics
 from fide_plugins.experiments.report.labels import fitted
 from fide_plugins.experiments.report.panel import Panel, Row
+from fide_plugins.experiments.report.tables import number
 from fide_plugins.recording.figures import plain
 from fide_plugins.recording.record import PARTS
 from fide_plugins.types import Float64
@@ -83,13 +84,15 @@ def convergence(panel: Panel, axis: str, legend: bool = True) -> Figure:
     figure, axes = _canvas(5.1 + room, 3.6, left=0.62, top=0.26, right=room)
     drawn = []
     for row in panel.rows:
-        found = statistics.bands([run.curve for run in row.runs if run.curve], axis)
+        curves = [run.curve for run in row.runs if run.curve]
+        found = statistics.bands(curves, axis, len(row.failed))
         if len(found.x) and np.isfinite(found.values).any():
-            _series(axes, row, found)
-            drawn.append(found)
+            drawn.append((row, found))
     if drawn:
-        _scale(axes, "x", np.concatenate([found.x for found in drawn]))
-        _scale(axes, "y", np.concatenate([found.values.ravel() for found in drawn]))
+        _scale(axes, "x", np.concatenate([found.x for _, found in drawn]))
+        _scale(axes, "y", np.concatenate([found.values.ravel() for _, found in drawn]))
+    for row, found in drawn:
+        _series(axes, row, found)
     axes.set_xlabel(AXIS_NAMES[axis], fontsize=10, color=INK)
     _title(axes, panel.loss)
     if drawn and beside:
@@ -97,7 +100,7 @@ def convergence(panel: Panel, axis: str, legend: bool = True) -> Figure:
     elif drawn and legend:
         _legend(axes, loc="lower left")
     if not drawn:
-        axes.text(0.5, 0.5, "no run had a finite loss", color=MUTED, ha="center",
+        axes.text(0.5, 0.5, "no optimizer has a finite median", color=MUTED, ha="center",
                   transform=axes.transAxes)  # fmt: skip
     return figure
 
@@ -201,7 +204,7 @@ def profile(
 
 def describe(panel: Panel) -> str:
     """Text alternative of a convergence plot."""
-    ends = ", ".join(f"{row.name} {row.median:.3g}" for row in _from_best(panel.rows))
+    ends = ", ".join(f"{row.name} {number(row.median)}" for row in _from_best(panel.rows))
     return f"Best {panel.loss} so far on {panel.task}; medians at the end: {ends}."
 
 
@@ -212,12 +215,16 @@ def describe_times(panel: Panel) -> str:
 
 
 def _series(axes: Any, row: Row, found: statistics.Bands) -> None:
-    """Line and two bands of one configuration, each with an id by which the page can hide it."""
-    look, q = style(row.index), found.values
+    """Line and two bands of one configuration, each with an id by which the page can hide it.
+
+    A band that reaches infinity reaches the top; the line has a gap where it is infinite.
+    """
+    look, median = style(row.index), found.values[2]
+    q = np.minimum(found.values, axes.get_ylim()[1])
     wide, mid = {"alpha": 0.10, "linewidth": 0}, {"alpha": 0.20, "linewidth": 0}
     axes.fill_between(found.x, q[0], q[4], color=look.color, **wide).set_gid(f"s{row.index} wide")
     axes.fill_between(found.x, q[1], q[3], color=look.color, **mid).set_gid(f"s{row.index} mid")
-    (line,) = axes.plot(found.x, q[2], color=look.color, linestyle=look.dash, linewidth=1.8,
+    (line,) = axes.plot(found.x, median, color=look.color, linestyle=look.dash, linewidth=1.8,
                         label=plain(_label(row)))  # fmt: skip
     line.set_gid(f"s{row.index} line")
 

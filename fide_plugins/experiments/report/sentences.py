@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel
+from fide_plugins.experiments.compare.results import Results, StoredRun
+from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
 from fide_plugins.experiments.report.tables import number
 
-__all__ = ["METHOD", "abbreviations", "command", "threshold", "verdict"]
+__all__ = [
+    "METHOD",
+    "abbreviations",
+    "command",
+    "failures",
+    "threshold",
+    "verdict",
+    "without_results",
+]
+
+_ENOUGH = 6
+"""Least number of pairs that can show a significant difference."""
 
 METHOD = (
     "All optimizers have the same target, the same box and, unless the table says otherwise, the "
@@ -18,13 +31,15 @@ METHOD = (
     "The loss of a run is the loss of its best candidate, rendered without noise. The curves show "
     "the lowest loss so far that the optimizer received.",
     "Lines and bands are medians and quantiles (25 to 75 %, 5 to 95 %) over seeds. A run that "
-    "never had a finite loss counts as infinite.",
+    "failed, or never had a finite loss, counts as infinite: no optimizer gains by failing. "
+    "Missing and unfinished runs are left out. Pictures and times are of finished runs.",
     "A run succeeds if its noise-free final loss is at most the threshold. The success rate has "
     "Wilson's 95 % interval. Renders to the threshold are a median in which a run that does not "
     "succeed counts as infinite.",
     "The winner has the lowest median. A two-sided Wilcoxon signed-rank test compares each rival "
     "with the winner, pair by pair. It uses logarithms of the losses, or the losses if one of them "
-    "is 0; if budgets differ, it uses the curves at the end of the smaller budget. The p shown are "
+    "is 0; if budgets differ, it uses the curves at the end of the smaller budget. Pairs without a "
+    "difference have ranks, too (Pratt). With ties it is exact for up to 12 pairs. The p shown are "
     "adjusted for all rivals of a panel (Benjamini and Hochberg); † marks p below "
     f"{SIGNIFICANT}. The same numbers choose the winner, so a p near that limit is weak evidence. "
     "The effect is the matched-pairs rank-biserial correlation.",
@@ -45,17 +60,38 @@ def command(call: dict[str, Any]) -> str:
 def verdict(panel: Panel) -> str:
     """The winner, and which differences to it are significant."""
     winner, tests = panel.winner, panel.against_winner
-    text = f"{winner.name} has the lowest median, {number(winner.median)}."
-    if not tests:
+    if winner is None:
+        return "No optimizer has a finite median."
+    rivals = [row for row in panel.every if row.label in tests and row not in panel.lowest]
+    shared = len(panel.lowest) > 1
+    has = "share" if shared else "has"
+    text = f"{_list(row.name for row in panel.lowest)} {has} the lowest median, "
+    text += f"{number(winner.median)}."
+    if not rivals:
         return text
-    pairs = max(test.n for test in tests.values())
-    smallest = max(test.smallest_p for test in tests.values() if test.n == pairs)
-    if smallest >= SIGNIFICANT:
+    if shared:
+        text += f" The others are compared with {winner.name}."
+    most = max((tests[row.label] for row in rivals), key=lambda test: test.n)
+    if most.smallest_p >= SIGNIFICANT:
         return (
-            f"{text} With {pairs} pair{'s' * (pairs > 1)} no difference can be significant: "
-            f"p cannot be below {smallest:.2g}; use at least 6 seeds."
+            f"{text} With {most.n} pair{'s' * (most.n > 1)} no difference can be significant: "
+            f"p cannot be below {most.smallest_p:.2g}; {_more_pairs(panel)}."
         )
-    rivals = [row for row in panel.rows if row.label in tests]
+    return text + _differences(panel, rivals)
+
+
+def _more_pairs(panel: Panel) -> str:
+    """How to come to enough pairs."""
+    planned = sum(row.planned for row in panel.every)
+    open_ = planned - sum(len(row.finals) for row in panel.every)
+    if open_ and min(row.planned for row in panel.every) >= _ENOUGH:
+        return f"{open_} of {planned} runs are not finished, continue with --resume"
+    return f"use at least {_ENOUGH} seeds"
+
+
+def _differences(panel: Panel, rivals: Sequence[Row]) -> str:
+    """Which differences between the winner and its rivals are significant."""
+    tests, text = panel.against_winner, ""
     beaten = [row.name for row in rivals if panel.significant(row)]
     level = [row for row in rivals if not panel.significant(row)]
     always = [row.name for row in level if tests[row.label].effect == 1.0]
@@ -72,15 +108,40 @@ def verdict(panel: Panel) -> str:
     return text
 
 
+def failures(panel: Panel) -> str:
+    """How many runs of which configuration failed; empty if none did."""
+    rows = [row for row in panel.every if row.failed]
+    if not rows:
+        return ""
+    failed, planned = sum(len(row.failed) for row in rows), sum(r.planned for r in panel.every)
+    each = ", ".join(f"{row.name} {len(row.failed)} of {row.planned}" for row in rows)
+    return f"{failed} of {planned} runs failed and count as infinite: {each}."
+
+
+def without_results(results: Results) -> list[str]:
+    """A sentence for each task and loss without a finished run, which have no panel."""
+    groups: dict[str, list[StoredRun]] = {}
+    for run in results.runs:
+        groups.setdefault(f"{run.key.task}, {run.key.loss}", []).append(run)
+    said = []
+    for name, runs in groups.items():
+        if not any(run.status == "finished" for run in runs):
+            failed = sum(run.status == "failed" for run in runs)
+            said.append(f"{name}: no run is finished, {failed} of {len(runs)} failed.")
+    return said
+
+
 def threshold(panel: Panel) -> str:
     """The loss that counts as success, and its origin."""
+    if not math.isfinite(panel.threshold):
+        return f"Success is any finite {panel.loss}, since no second median is finite."
     value = f"Success is {panel.loss} of {number(panel.threshold)} or less"
     return f"{value}." if panel.stated else f"{value}, the second best median."
 
 
 def abbreviations(panel: Panel) -> str:
     """Full labels of the configurations whose names are shortened; empty if there are none."""
-    full = [f"{row.name} is {row.label}" for row in panel.rows if row.name != row.label]
+    full = [f"{row.name} is {row.label}" for row in panel.every if row.name != row.label]
     return f"Here {_list(full)}." if full else ""
 
 

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
 from fide_plugins.recording.parallel import WORKERS
 from fide_plugins.recording.record import PARTS
 
-__all__ = ["Entry", "Table", "escaped", "losses", "markdown", "number", "ranking", "times"]
+__all__ = [
+    "Entry",
+    "Table",
+    "escaped",
+    "losses",
+    "markdown",
+    "number",
+    "plain",
+    "ranking",
+    "times",
+]
 
 LARGEST_RATIO = 1000
 """Of two losses, that a table writes out."""
@@ -37,7 +47,7 @@ class Table:
 
 
 def ranking(panel: Panel) -> Table:
-    """Losses, success, significance and cost of each configuration."""
+    """Losses, success, significance and cost of each configuration, also without a finished run."""
     budgets = len({row.budget for row in panel.rows}) > 1
     at_the_end = "; if budgets differ, at the end of the smaller one" if budgets else ""
     others = [m for m in _metrics(panel) if m != panel.loss]
@@ -45,12 +55,19 @@ def ranking(panel: Panel) -> Table:
         ("optimizer", "name and options"),
         ("runs", "finished runs of those planned"),
         *([("renders", "renders of each run")] if budgets else []),
-        (f"median {panel.loss}", "median over runs of the noise-free final loss"),
+        (
+            f"median {panel.loss}",
+            "median over runs of the noise-free final loss; a failed run's is infinite",
+        ),
         ("25 to 75 %", "quantiles over runs"),
         *((f"median {name}", "median over runs of the same images") for name in others),
-        ("success", f"runs with a final loss of {number(panel.threshold)} or less"),
+        ("success", f"runs with {_solved(panel)}"),
         ("renders to it", "median over runs; none unless more than half of the runs succeed"),
-        ("times winner", f"median ratio of the losses of pairs{at_the_end}"),
+        (
+            "times winner",
+            "median ratio of the losses of pairs, without pairs of two infinite losses"
+            f"{at_the_end}",
+        ),
         (
             "p",
             f"p of the Wilcoxon signed-rank test against the winner, adjusted for all rivals; "
@@ -61,20 +78,27 @@ def ranking(panel: Panel) -> Table:
     ]
     rows = tuple(
         (
-            _name(row, row is panel.winner),
+            _name(row, row in panel.lowest),
             _runs(row),
-            *([_number(row.budget)] if budgets else []),
-            _number(row.median, strong=row is panel.winner),
-            _range(row),
-            *(_number(row.judged(name)) for name in others),
-            _success(panel, row),
-            _number(panel.to_target(row)),
+            *([_number(row.budget) if row.runs else _NONE] if budgets else []),
+            *(_results(panel, row, others) if row.finals else [_NONE] * (len(others) + 4)),
             *_against_winner(panel, row),
-            _number(row.seconds),
+            _number(row.seconds) if row.runs else _NONE,
         )
-        for row in sorted(panel.rows, key=lambda row: row.median)
+        for row in sorted(panel.every, key=lambda row: (row.median, not row.finals))
     )
     return Table(f"{panel.name}: results", tuple(columns), rows)
+
+
+def _results(panel: Panel, row: Row, others: Iterable[str]) -> tuple[Entry, ...]:
+    """Losses and success of a configuration; others: losses beside the one that is minimized."""
+    return (
+        _number(row.median, strong=row in panel.lowest),
+        _range(row),
+        *(_number(row.judged(name)) for name in others),
+        _success(panel, row),
+        _number(panel.to_target(row)),
+    )
 
 
 def times(panel: Panel) -> Table:
@@ -101,22 +125,34 @@ def times(panel: Panel) -> Table:
 
 def losses(panel: Panel) -> Table:
     """Final loss of every run, one row for each seed."""
-    seeds = sorted({run.key.seed for row in panel.rows for run in row.runs})
+    found = [row.losses() for row in panel.every]
+    failed = [{run.key.seed for run in row.failed} for row in panel.every]
     columns = [("seed", "seed of the optimizer; runs with the same seed form a pair")]
-    columns += [(row.name, f"final {panel.loss} of the run") for row in panel.rows]
+    columns += [(row.name, f"final {panel.loss} of the run") for row in panel.every]
     rows = []
-    for seed in seeds:
-        found = [{run.key.seed: run.final for run in row.runs} for row in panel.rows]
-        lowest = min((f[seed] for f in found if seed in f), default=math.inf)
-        entries = [_number(f[seed], f[seed] == lowest) if seed in f else _NONE for f in found]
+    for seed in sorted({seed for finals in found for seed in finals}):
+        lowest = min(finals.get(seed, math.inf) for finals in found)
+        entries = [
+            _FAILED if seed in without else _final(finals.get(seed), lowest)
+            for finals, without in zip(found, failed, strict=True)
+        ]
         rows.append((_number(seed), *entries))
     return Table(f"{panel.name}: every run", tuple(columns), tuple(rows))
 
 
 def markdown(table: Table) -> str:
     """The table in Markdown, with aligned columns."""
-    texts = [[escaped(title) for title, _ in table.columns]]
-    texts += [[escaped(e.text, e.strong) for e in row] for row in table.rows]
+    return _aligned(table, escaped)
+
+
+def plain(table: Table) -> str:
+    """The table for a terminal: as in Markdown, but names without escapes."""
+    return _aligned(table, _bold)
+
+
+def _aligned(table: Table, written: Callable[[str, bool], str]) -> str:
+    texts = [[written(title, False) for title, _ in table.columns]]
+    texts += [[written(e.text, e.strong) for e in row] for row in table.rows]
     widths = [max(3, *(len(row[i]) for row in texts)) for i in range(len(table.columns))]
     lines = [_line(row, widths) for row in texts]
     rule = [f"{'-' * widths[0]}", *(f"{'-' * (width - 1)}:" for width in widths[1:])]
@@ -127,7 +163,16 @@ def escaped(text: str, strong: bool = False) -> str:
     """Escape `text` for Markdown; strong: in bold."""
     for sign in "\\`*_[]<>|":
         text = text.replace(sign, f"\\{sign}" if sign != "|" else "\\|")
+    return _bold(text, strong)
+
+
+def _bold(text: str, strong: bool) -> str:
     return f"**{text}**" if strong and text else text
+
+
+def _solved(panel: Panel) -> str:
+    finite = math.isfinite(panel.threshold)
+    return f"a final loss of {number(panel.threshold)} or less" if finite else "a finite final loss"
 
 
 def number(value: float) -> str:
@@ -142,6 +187,7 @@ def number(value: float) -> str:
 
 
 _NONE = Entry("", math.inf)
+_FAILED = Entry("failed", math.inf)
 
 
 def _name(row: Row, strong: bool = False) -> Entry:
@@ -150,12 +196,17 @@ def _name(row: Row, strong: bool = False) -> Entry:
         row.name,
         strong,
         "" if row.name == row.label else row.label,
-        row.index,
+        row.index if row.runs else None,  # without one it is in no chart
     )
 
 
 def _number(value: float, strong: bool = False) -> Entry:
     return Entry(number(value), value if math.isfinite(value) else math.inf, strong)
+
+
+def _final(loss: float | None, lowest: float) -> Entry:
+    """Final loss of a run, if it is finished; lowest: of the runs with this seed."""
+    return _NONE if loss is None else _number(loss, strong=loss == lowest < math.inf)
 
 
 def _runs(row: Row) -> Entry:
@@ -168,6 +219,8 @@ def _range(row: Row) -> Entry:
     from fide_plugins.experiments.report.statistics import quantiles
 
     low, high = quantiles(row.finals)[[1, 3]].tolist()
+    if not math.isfinite(low):
+        return _number(low)
     return Entry(f"{number(low)} to {number(high)}", high - low if math.isfinite(high) else high)
 
 
@@ -180,7 +233,8 @@ def _success(panel: Panel, row: Row) -> Entry:
 def _against_winner(panel: Panel, row: Row) -> tuple[Entry, Entry, Entry]:
     """Ratio, p and effect."""
     if row is panel.winner:
-        return Entry("winner", 1.0), Entry("", -1.0), Entry("", -2.0)
+        name = "winner" if len(panel.lowest) == 1 else ""
+        return Entry(name, 1.0), Entry("", -1.0), Entry("", -2.0)
     test = panel.against_winner.get(row.label)
     if test is None:
         return _NONE, _NONE, _NONE

@@ -52,7 +52,17 @@ def result(
     known = [] if final is None else [final]
     found = curve([1, 10][: 1 + len(known)], [1.0, *known], end)
     return StoredRun(RunKey(task, loss, label, seed), Path("nowhere"), "finished", "",
-                      {"totals": totals}, found)  # fmt: skip
+                      {"totals": totals, "settings": {"size": [24, 24]}}, found)  # fmt: skip
+
+
+def failed(label: str, seed: int, *, task: str = "t") -> StoredRun:
+    """A run that failed."""
+    return StoredRun(RunKey(task, "mse", label, seed), Path("nowhere"), "failed", "ValueError")
+
+
+def missing(label: str, seed: int) -> StoredRun:
+    """A run that has not begun."""
+    return StoredRun(RunKey("t", "mse", label, seed), Path("nowhere"), "missing")
 
 
 def results(runs: Sequence[StoredRun]) -> Results:

@@ -24,7 +24,7 @@ from fide_plugins.experiments.report import pictures, plots, sentences, svg, tab
 from fide_plugins.experiments.report.labels import short_names
 from fide_plugins.experiments.report.panel import panels
 
-from .conftest import NASTY, result, results
+from .conftest import NASTY, failed, missing, result, results
 
 pytestmark = pytest.mark.figures
 
@@ -300,7 +300,7 @@ def test_pairs_that_are_too_few_for_many_rivals_are_said_to_be_so() -> None:
     for name in ("like", "alike"):
         runs += [result(name, s, 0.101 * 1.1 ** (s + (-1) ** s)) for s in range(6)]
     (panel,) = panels(results(runs), {})
-    assert panel.winner.label == "best"
+    assert [row.label for row in panel.lowest] == ["best"]
     said = sentences.verdict(panel)
     assert "better in every pair than worse, but with 3 rivals there are too few pairs" in said
     assert said.endswith("The difference to like and alike may be chance.")
@@ -353,5 +353,94 @@ def test_losses_that_never_were_finite_can_be_drawn(tmp_path: Path) -> None:
     assert stored.curve is not None
     (panel,) = panels(results([replace(stored, curve=curve([], [], 100))]), {})
     text = svg.in_page(svg.as_file(plots.convergence(panel, "seconds")), "p", "nothing")
-    assert "no run had a finite loss" in text
+    assert "no optimizer has a finite median" in text
     assert tables.ranking(panel).rows[0][2].text == "none"
+
+
+def test_failures_are_said_and_optimizers_without_a_finished_run_listed() -> None:
+    runs = [result("a", s, 0.1 + s / 100) for s in range(6)]
+    runs += [result("b", 0, 0.05), *(failed("b", s) for s in range(1, 6))]
+    runs += [*(failed("c", s) for s in range(6)), *(missing("d", s) for s in range(6))]
+    (panel,) = panels(results(runs), {})
+    said = sentences.failures(panel)
+    assert said == "11 of 24 runs failed and count as infinite: b 5 of 6, c 6 of 6."
+    table = tables.ranking(panel)
+    shown = {row[0].text: [entry.text for entry in row] for row in table.rows}
+    titles = [title for title, _ in table.columns]
+    assert list(shown) == ["a", "b", "c", "d"]
+    assert shown["b"][:2] == ["b", "1 of 6"] and shown["c"][:2] == ["c", "0 of 6"]
+    assert shown["d"][1] == "0 of 6" and set(shown["d"][2:]) == {""}
+    at = {title: titles.index(title) for title in ("median mse", "success", "times winner")}
+    assert [shown["c"][i] for i in at.values()] == ["none", "0 of 6", "over 1,000"]
+    assert shown["b"][at["success"]] == "1 of 6"
+    each = {row[0].text: [entry.text for entry in row[1:]] for row in tables.losses(panel).rows}
+    assert each["0"] == ["0.1", "0.05", "failed", ""]
+    assert "It is better in every pair than c" in sentences.verdict(panel)
+    assert "use at least 6 seeds" not in sentences.verdict(panel)
+
+
+def test_seeds_that_are_missing_are_not_said_to_be_few() -> None:
+    runs = [result(n, s, v + s) for n, v in (("a", 0.1), ("b", 0.2)) for s in range(3)]
+    (panel,) = panels(results([*runs, *(missing(n, s) for n in "ab" for s in range(3, 6))]), {})
+    assert "6 of 12 runs are not finished, continue with --resume" in sentences.verdict(panel)
+
+
+def test_failures_reach_the_page_the_markdown_and_the_terminal(study: Path, written: Path) -> None:
+    overview = report.write(compare.read(study), study / "report.html").overview
+    said = f"1 of 6 runs failed and count as infinite: {NASTY['configuration']} 1 of 3."
+    assert said in overview and said in Page(written).text
+    assert tables.escaped(said) in written.with_suffix(".md").read_text()
+    assert "\\" not in overview.replace("\\1", ""), "a terminal shows names without escapes"
+
+
+def test_a_task_of_which_every_run_failed_is_named(study: Path, tmp_path: Path) -> None:
+    there = compare.read(study)
+    runs = [*there.runs, *(failed("cma", s, task="b_2") for s in range(2))]
+    written = report.write(replace(there, runs=runs), tmp_path / "report.html")
+    said = "b_2, mse: no run is finished, 2 of 2 failed."
+    assert said in written.overview
+    assert tables.escaped(said) in written.page.with_suffix(".md").read_text()
+
+
+def test_equal_and_infinite_medians_are_no_victory() -> None:
+    runs = [result(n, s, v) for n, v in (("a", 0.0), ("b", 0.0), ("c", 0.2)) for s in range(8)]
+    (panel,) = panels(results(runs), {})
+    said = sentences.verdict(panel)
+    assert said.startswith("a and b share the lowest median, 0. The others are compared with a.")
+    assert said.endswith("It is significantly better than c.")
+    rows = tables.ranking(panel).rows
+    assert [row[0].strong for row in rows] == [True, True, False]
+    assert not any(entry.text == "winner" for row in rows for entry in row)
+    (panel,) = panels(results([result(n, s, None) for n in "ab" for s in range(6)]), {})
+    assert sentences.verdict(panel) == "No optimizer has a finite median."
+    assert sentences.threshold(panel).startswith("Success is any finite mse, since no second")
+    rows = tables.ranking(panel).rows
+    assert not any(entry.strong or entry.text == "winner" for row in rows for entry in row)
+    assert not any(e.strong for row in tables.losses(panel).rows for e in row)
+    (panel,) = panels(results([result("a", 0, 0.1), result("b", 0, None)]), {})
+    assert panel.success(panel.rows[0]).reached == 1 and panel.threshold == np.inf
+
+
+def test_a_median_that_is_infinite_leaves_a_gap_and_its_band_reaches_the_top() -> None:
+    runs = [result("a", s, 0.1) for s in range(4)] + [failed("a", s) for s in range(4, 9)]
+    (panel,) = panels(results([*runs, *(result("b", s, 0.2) for s in range(9))]), {})
+    figure = plots.convergence(panel, "renders")
+    ends = [float(np.asarray(line.get_ydata())[-1]) for line in figure.axes[0].lines]
+    assert ends == [np.inf, 0.2]
+    assert np.isfinite(figure.axes[0].get_ylim()).all()
+    text = svg.in_page(svg.as_file(figure), "p", "x").lower()
+    assert "inf" not in text.replace("infinit", "") and "nan" not in text
+    assert plots.describe(panel).endswith("medians at the end: b 0.2, a none.")
+
+
+def test_the_page_states_the_size_of_the_pictures_as_they_are(study: Path, tmp_path: Path) -> None:
+    there = compare.read(study)
+    assert there.settings["size"] == 24
+    runs = [r for r in there.runs if r.key.configuration == "cma"]
+    for run in runs:
+        run.run["settings"]["size"] = [18, 32]
+    settings = there.settings | {"size": 224}  # as where the user's renderer has another one
+    written = report.write(replace(there, settings=settings, runs=runs), tmp_path / "a.html")
+    text = Page(written.page).text
+    assert "1 optimizer, 3 seeds, 40 renders per run, 32 \N{MULTIPLICATION SIGN} 18 pixels" in text
+    assert "224" not in text.split("Origin")[-1]

@@ -13,7 +13,7 @@ from fide_plugins.experiments.report import statistics
 from fide_plugins.experiments.report.panel import panels
 from fide_plugins.experiments.report.statistics import Success, adjusted, bands, paired, quantiles
 
-from .conftest import curve, result, results
+from .conftest import curve, failed, missing, result, results
 
 pytestmark = pytest.mark.figures
 
@@ -153,7 +153,7 @@ def test_a_panel_says_who_won_and_how_surely() -> None:
     runs += [result("bad", s, v) for s, v in enumerate(bad)]
     runs += [result("same", s, v * (1.001 if s % 2 else 1 / 1.0015)) for s, v in enumerate(good)]
     (panel,) = panels(results(runs), {})
-    assert panel.winner.label == "same"
+    assert [row.label for row in panel.lowest] == ["same"]
     rows = {row.label: row for row in panel.rows}
     assert panel.significant(rows["bad"]) and not panel.significant(rows["good"])
     tests = panel.against_winner
@@ -198,7 +198,7 @@ def test_runs_of_other_budgets_are_compared_where_the_shorter_ends() -> None:
         assert run.curve is not None
         run.curve.loss[:] = run.curve.loss[0] * 0.9
     (panel,) = panels(results([*long, *short]), {})
-    assert panel.winner.label == "long"
+    assert [row.label for row in panel.lowest] == ["long"]
     assert panel.against_winner["short"].effect == -1.0, "at 8 renders the short one was ahead"
 
 
@@ -212,3 +212,49 @@ def test_a_run_without_a_finite_loss_counts_as_infinite() -> None:
     runs = [result("a", s, v) for s, v in enumerate([0.1, 0.2, None])]
     (panel,) = panels(results(runs), {})
     assert panel.rows[0].median == 0.2 and panel.rows[0].ranked[-1].final == np.inf
+
+
+def test_no_optimizer_gains_by_failing() -> None:
+    """One that fails wherever it would be bad is no better than the same one without failures."""
+    finals = [0.1 + s / 100 for s in range(10)]
+    runs = [result("plain", s, v) for s, v in enumerate(finals)]
+    lucky = [result("lucky", s, v) if v < 0.135 else failed("lucky", s)
+             for s, v in enumerate(finals)]  # fmt: skip
+    (panel,) = panels(results([*runs, *lucky]), {})
+    rows = {row.label: row for row in panel.rows}
+    assert [row.label for row in panel.lowest] == ["plain"]
+    assert rows["lucky"].median == np.inf and rows["lucky"].planned == 10
+    assert panel.threshold == np.inf, "no second median is finite"
+    (panel,) = panels(results([*runs, *lucky]), {"mse": 0.125})
+    good, bad = (panel.success(rows[name]) for name in ("plain", "lucky"))
+    assert (bad.reached, bad.n) == (good.reached, good.n) == (3, 10)
+    assert panel.to_target(rows["lucky"]) == np.inf
+    test = panel.against_winner["lucky"]
+    assert test.n == 10 and test.worse == 6 and test.effect > 0
+
+
+def test_missing_runs_are_no_failures() -> None:
+    runs = [result("a", s, 0.1) for s in range(4)] + [result("b", s, 0.2) for s in range(2)]
+    (panel,) = panels(results([*runs, missing("b", 2), missing("b", 3)]), {})
+    rows = {row.label: row for row in panel.rows}
+    assert rows["b"].median == 0.2 and panel.success(rows["b"]).n == 2
+    assert panel.against_winner["b"].n == 2
+
+
+def test_an_optimizer_without_a_finished_run_is_listed_and_compared() -> None:
+    runs = [result("a", s, 0.1 + s / 100) for s in range(6)]
+    runs += [*(failed("b", s) for s in range(6)), *(missing("c", s) for s in range(6))]
+    (panel,) = panels(results(runs), {})
+    assert [row.label for row in panel.every] == ["a", "b", "c"]
+    assert [row.label for row in panel.rows] == ["a"]
+    assert panel.significant(panel.every[1]) and set(panel.against_winner) == {"b"}
+    assert panel.against_winner["b"].ratio == np.inf
+
+
+def test_equal_medians_have_no_single_winner_and_infinite_ones_none() -> None:
+    runs = [result(name, s, v) for name, v in (("a", 0.3), ("b", 0.1), ("c", 0.1))
+            for s in range(3)]  # fmt: skip
+    (panel,) = panels(results(runs), {})
+    assert [row.label for row in panel.lowest] == ["b", "c"]
+    (panel,) = panels(results([result("a", 0, None), result("b", 0, None)]), {})
+    assert panel.lowest == () and panel.winner is None and panel.against_winner == {}
