@@ -21,7 +21,7 @@ from fide_plugins.experiments.report import (
     sentences,
     svg,
 )
-from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number
+from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number, plain
 from fide_plugins.experiments.suite import figures
 from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores, scores
@@ -160,7 +160,8 @@ def _part(found: Scores) -> str:
     if len(found.problems) == whole and found.budgets == suite.budgets:
         return f"This is the whole suite {suite.name}."
     here, all_of_it = (", ".join(map(number, b)) for b in (found.budgets, suite.budgets))
-    budget = "" if here == all_of_it else f"; by {here} renders only, of {all_of_it}"
+    of_them = "only, of" if set(found.budgets) <= set(suite.budgets) else "in place of"
+    budget = "" if here == all_of_it else f"; by {here} renders {of_them} {all_of_it}"
     left_out = [name for name in suite.scenes if name not in found.scenes]
     without = f"; without {', '.join(left_out)}" if left_out else ""
     return (
@@ -208,7 +209,7 @@ def _html(
 def _overview(found: Scores, tables: list[Table]) -> str:
     """The page in short, for a terminal: what part it is, the remarks, and three tables."""
     said = "\n".join([_part(found), *remarks(found)])
-    shown = "\n\n".join(markdown(table) for table in tables[:3])
+    shown = "\n\n".join(plain(table) for table in tables[:3])
     return f"{said}\n\n{shown}\n"
 
 

@@ -14,7 +14,8 @@ import pytest
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.experiments import suite as suites
-from fide_plugins.experiments.suite import definition
+from fide_plugins.experiments.suite import definition, page
+from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.renderers.template import Template
 
 pytestmark = pytest.mark.figures
@@ -122,9 +123,9 @@ def test_a_part_from_the_command_line(
     assert [line.split(",")[:3] for line in lines[1:]] == [
         ["lamps-0", "1000", name] for name in ("cma", "random", "eki:popsize=20")
     ]
-    page = (out / "report.html").read_text()
-    assert page.count("<svg role=") == 2 and "1 of 110 problems" in page
-    assert "eki:popsize=20" in page and "| eki:popsize=20 |" in (out / "report.md").read_text()
+    text = (out / "report.html").read_text()
+    assert text.count("<svg role=") == 2 and "1 of 110 problems" in text
+    assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
     assert "fide compare --suite" in (out / "report.md").read_text()
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
@@ -154,6 +155,16 @@ class Breaks:
 """
 
 
+def test_a_terminal_shows_names_without_escapes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["compare", "--suite", "image-fitting-v1", "--scenes", "stick_figure", "--budget", 40]
+    assert fide(*words, "--targets", 1, "--optimizers", "random", "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr().out
+    assert "| stick_figure |" in printed and "\\" not in printed
+    assert "| stick\\_figure |" in (tmp_path / "out" / "report.md").read_text()
+
+
 def test_failed_runs_are_unsolved_and_open_ones_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,8 +181,8 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
         f"Failed runs count as unsolved, 2 problems: mine.py:Breaks failed on {', '.join(broken)}."
     )
     assert "3 of 110 problems" in printed.out and sentence in printed.out
-    for page in ("report.html", "report.md"):
-        assert sentence in Path("out", page).read_text().replace("\\", "")
+    for name in ("report.html", "report.md"):
+        assert sentence in Path("out", name).read_text().replace("\\", "")
     rows = [line.split(",") for line in Path("out/solved.csv").read_text().splitlines()]
     for problem in broken:
         assert [problem, "", "inf"] in [[r[0], *r[3:]] for r in rows if r[2] == "mine.py:Breaks"]
@@ -181,6 +192,20 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     printed = capsys.readouterr()
     assert "2 of 110 problems" in printed.out
     assert "Left out, 1 problem: random is missing on lamps-1." in printed.out
+
+
+@pytest.mark.parametrize(
+    ("budgets", "said"),
+    [
+        ((500,), "; by 500 renders only, of 500, 2,000, 10,000."),
+        ((500, 600), "; by 500, 600 renders in place of 500, 2,000, 10,000."),
+        ((500, 2000, 10_000), "; without arm."),
+    ],
+)
+def test_budgets_that_the_suite_has_not_are_said(budgets: tuple[int, ...], said: str) -> None:
+    problems = tuple(f"{scene}-0" for scene in SUITE.scenes if scene != "arm")
+    t, losses_ = np.full((10, 1), np.inf), np.ones((len(budgets), 10, 1))
+    assert page._part(Scores(SUITE, ("cma",), problems, budgets, t, losses_)).endswith(said)
 
 
 def test_nothing_but_failures_is_exit_code_1(
