@@ -20,7 +20,14 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import number_of_parameters
 
-__all__ = ["BatchRenderer", "Pixels", "Small", "as_renderer", "resized", "small_size"]
+__all__ = [
+    "BatchRenderer",
+    "Pixels",
+    "Small",
+    "as_renderer",
+    "resized",
+    "small_size",
+]
 
 Pixels = npt.NDArray[np.uint8]
 Small: TypeAlias = Pixels | Failed
@@ -31,7 +38,8 @@ Small: TypeAlias = Pixels | Failed
 class BatchRenderer:
     """What renders several points.
 
-    source: a function of one point, or an object with `render(X)` for a batch.
+    source: a function of one point, or an object with `render(X)` for a batch.  It gets arrays of
+        its own, since it may change them.
     space: names of the parameters; None: the function gets a point of the cube.
     dim: d.
     name: of the function, or of the task.
@@ -42,30 +50,37 @@ class BatchRenderer:
     dim: int
     name: str
 
-    def images(self, X: Float64, seeds: Sequence[int]) -> list[Any]:
-        """Images of the points X (n, d), as the source gives them; of one that failed a `Failed`.
+    def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
+        """Images of the points X (n, d), resized to (height, width); of one that failed a `Failed`.
 
         seeds: (n,), of the noise of each, for a source whose `render` takes them.
         A batch that fails as a whole is rendered point by point.
+
+        Each image is made small before the next one is rendered: full ones take much memory, and a
+        renderer may draw all of them into one array.
         """
         if not hasattr(self.source, "render"):
-            return [attempt(partial(self._one, x), _briefly) for x in X]
-        try:
-            return list(self._batch(X, seeds))
-        except Exception:
-            points = zip(X, seeds, strict=True)
-            return [attempt(partial(self._single, x, seed), _briefly) for x, seed in points]
+            return [self._small(attempt(partial(self._one, x), _briefly), size) for x in X]
+        batch = attempt(
+            lambda: [self._small(image, size) for image in self._batch(X, seeds)], _briefly
+        )
+        if not isinstance(batch, Failed):
+            return batch
+        return [
+            self._small(attempt(partial(self._single, x, seed), _briefly), size)
+            for x, seed in zip(X, seeds, strict=True)
+        ]
 
     def _single(self, x: Float64, seed: int) -> Any:
         return self._batch(x[None], [seed])[0]
 
     def _batch(self, X: Float64, seeds: Sequence[int]) -> Any:
         if "seed" in signature(self.source.render).parameters:
-            return self.source.render(X, seed=list(seeds))
-        return self.source.render(X)
+            return self.source.render(X.copy(), seed=list(seeds))
+        return self.source.render(X.copy())
 
     def _one(self, x: Float64) -> Any:
-        return self.source(x if self.space is None else self.space.decode(x))
+        return self.source(x.copy() if self.space is None else self.space.decode(x))
 
     def first(self) -> Float32:
         """Image (H, W, 3) of the middle of the cube, to know its shape.
@@ -81,12 +96,14 @@ class BatchRenderer:
             raise RenderError(f"{self.name} failed in the middle of the space: {why}") from error
         return as_target(image)
 
-    def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
-        """Images of the points X (n, d), resized to (height, width).
-
-        seeds: see `images`.  Of one that failed a `Failed`.
-        """
-        return [_pixels(image, size) for image in self.images(X, seeds)]
+    def _small(self, image: Any, size: tuple[int, int]) -> Small:
+        if isinstance(image, Failed):
+            return image
+        try:
+            whole = as_target(image)
+        except ImageError as error:
+            return Failed(str(error))
+        return np.rint(np.clip(resized(whole, size), 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def _briefly(error: BaseException) -> Failed:
@@ -127,13 +144,3 @@ def resized(image: Float32, size: tuple[int, int]) -> Float32:
     shrinks = image.shape[0] >= size[0] and image.shape[1] >= size[1]
     how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
-
-
-def _pixels(image: Any, size: tuple[int, int]) -> Small:
-    if isinstance(image, Failed):
-        return image
-    try:
-        small = resized(as_target(image), size)
-    except ImageError as error:
-        return Failed(str(error))
-    return np.rint(np.clip(small, 0.0, 1.0) * 255).astype(np.uint8)

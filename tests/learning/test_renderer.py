@@ -1,0 +1,111 @@
+"""What a user's function, or a task, may do while it is learned."""
+
+from __future__ import annotations
+
+import sys
+import weakref
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins.learning.renderer import Pixels, as_renderer
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.store import RenderStore
+from fide_plugins.types import Float64
+
+SIDE = 16
+
+
+def plain(x: Float64) -> Float64:
+    """Gray gradient by two numbers."""
+    return np.outer(np.linspace(0, x[0], SIDE), np.linspace(0, x[1], SIDE))
+
+
+class Task:
+    """A task that renders by a function of one point.
+
+    most: points of a batch that it can render.
+    """
+
+    dim, name = 2, "task"
+
+    def __init__(self, render: Any, most: int) -> None:
+        self._render, self._most = render, most
+
+    def render(self, X: Float64) -> Any:
+        if len(X) > self._most:
+            raise MemoryError("too many")
+        return [self._render(x) for x in X]
+
+
+ONE_BY_ONE = ["function", "points of a task"]
+WAYS = [*ONE_BY_ONE, "batches of a task"]
+
+
+def way(render: Any, how: str) -> Any:
+    """One of the ways in which a renderer may be given."""
+    if how == "function":
+        return render
+    return Task(render, 1 if how == "points of a task" else 100)
+
+
+def renders(source: Any, folder: Path) -> tuple[Float64, Pixels]:
+    """A shard, from disk."""
+    store = RenderStore(folder, {"dim": 2, "size": [SIDE, SIDE], "seed": 0})
+    fill(store, as_renderer(source, 2), 100)
+    return store.read(100)
+
+
+@pytest.mark.parametrize("how", ONE_BY_ONE)
+def test_all_images_may_be_drawn_into_one_array(how: str, tmp_path: Path) -> None:
+    buffer = np.empty((SIDE, SIDE))
+
+    def reusing(x: Float64) -> Float64:
+        buffer[:] = plain(x)
+        return buffer
+
+    found = renders(way(reusing, how), tmp_path / "found")
+    expected = renders(plain, tmp_path / "expected")
+    np.testing.assert_array_equal(found[1], expected[1])
+
+
+@pytest.mark.parametrize("how", ONE_BY_ONE)
+def test_full_images_are_not_kept(how: str, tmp_path: Path) -> None:
+    there: list[weakref.ref[Float64]] = []
+    most = 0
+
+    def large(x: Float64) -> Float64:
+        nonlocal most
+        image = np.full((4 * SIDE, 4 * SIDE), x[0])
+        there.append(weakref.ref(image))
+        most = max(most, sum(each() is not None for each in there))
+        return image
+
+    renders(way(large, how), tmp_path)
+    assert len(there) == 100 and most <= 2
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_renderer_may_change_its_argument(how: str, tmp_path: Path) -> None:
+    def careless(x: Float64) -> Float64:
+        image = plain(x)
+        x *= 0.5
+        return image
+
+    x, images = renders(way(careless, how), tmp_path / "found")
+    expected = renders(plain, tmp_path / "expected")
+    np.testing.assert_array_equal(x, expected[0])
+    np.testing.assert_array_equal(images, expected[1])
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_render_that_exits_has_failed(how: str, tmp_path: Path) -> None:
+    def fragile(x: Float64) -> Float64:
+        if x[0] < 0.2:
+            sys.exit(1)
+        return plain(x)
+
+    x, _ = renders(way(fragile, how), tmp_path)
+    assert 50 < len(x) < 100 and x[:, 0].min() >= 0.2
