@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from inspect import signature
@@ -32,6 +33,9 @@ __all__ = [
 Pixels = npt.NDArray[np.uint8]
 Small: TypeAlias = Pixels | Failed
 """An image (H, W, 3) as a store has it, or why there is none."""
+
+
+_OTHERS = 4  # points that are tried where the renderer fails in the middle of the cube
 
 
 @dataclass(frozen=True)
@@ -85,22 +89,38 @@ class BatchRenderer:
     def first(self) -> Float32:
         """Image (H, W, 3) of the middle of the cube, to know its shape.
 
-        Raises RenderError if the renderer fails, ImageError if it gives no image.
+        Where that one fails, of one of a few other points.  Raises RenderError if the renderer
+        fails for all of them, ImageError if it gives no image.
         """
-        x = np.full(self.dim, 0.5)
+        try:
+            return self._shown(np.full(self.dim, 0.5))
+        except (RenderError, ImageError):
+            for x in np.random.default_rng(0).random((_OTHERS, self.dim)):
+                with suppress(RenderError, ImageError):
+                    return self._shown(x)
+            raise
+
+    def _shown(self, x: Float64) -> Float32:
+        """Image (H, W, 3) of a point; an error speaks of the middle, the first that is tried."""
         try:
             batch = hasattr(self.source, "render")
             image = self.source.render(x[None])[0] if batch else self._one(x)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # scripts end by sys.exit
             why = f"{type(error).__name__}: {error}"
-            raise RenderError(f"{self.name} failed in the middle of the space: {why}") from error
-        return as_target(image)
+            raise RenderError(
+                f"{self.name} failed in the middle of the space, and at {_OTHERS} other points: "
+                f"{why}"
+            ) from error
+        return self._canonical(image)
+
+    def _canonical(self, image: Any) -> Float32:
+        return as_target(image, what=f"the image of {self.name}")
 
     def _small(self, image: Any, size: tuple[int, int]) -> Small:
         if isinstance(image, Failed):
             return image
         try:
-            whole = as_target(image)
+            whole = self._canonical(image)
         except ImageError as error:
             return Failed(str(error))
         return np.rint(np.clip(resized(whole, size), 0.0, 1.0) * 255).astype(np.uint8)

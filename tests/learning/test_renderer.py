@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_plugins.errors import ImageError, RenderError
+from fide_plugins.learning import learn
 from fide_plugins.learning.renderer import Pixels, as_renderer
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.store import RenderStore
@@ -101,6 +103,37 @@ def test_a_renderer_may_change_its_argument(how: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("fails", ["raises", "exits", "is no image"])
+def test_a_renderer_may_fail_in_the_middle_of_the_space(how: str, fails: str) -> None:
+    def singular(x: Float64) -> Float64:
+        if x[0] != 0.5:
+            return plain(x)
+        if fails == "raises":
+            raise ZeroDivisionError
+        if fails == "exits":
+            sys.exit("no light")
+        return np.full((SIDE, SIDE), np.nan)
+
+    assert as_renderer(way(singular, how), 2).first().shape == (SIDE, SIDE, 3)
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_a_renderer_that_fails_everywhere_says_what_happened_in_the_middle(how: str) -> None:
+    def lightless(x: Float64) -> Float64:
+        sys.exit(f"no light at {x[0]}")
+
+    def endless(x: Float64) -> Float64:
+        return np.full((SIDE, SIDE), np.inf)
+
+    why = "in the middle of the space, and at 4 other points: SystemExit: no light at 0.5$"
+    with pytest.raises(RenderError, match=why):
+        learn(way(lightless, how), 2)
+    name = "endless" if how == "function" else "task"
+    with pytest.raises(ImageError, match=f"the image of {name} .*inf"):
+        learn(way(endless, how), 2)
+
+
+@pytest.mark.parametrize("how", WAYS)
 def test_a_render_that_exits_has_failed(how: str, tmp_path: Path) -> None:
     def fragile(x: Float64) -> Float64:
         if x[0] < 0.2:
@@ -109,3 +142,11 @@ def test_a_render_that_exits_has_failed(how: str, tmp_path: Path) -> None:
 
     x, _ = renders(way(fragile, how), tmp_path)
     assert 50 < len(x) < 100 and x[:, 0].min() >= 0.2
+
+
+def test_an_image_that_is_none_is_called_the_renderers(tmp_path: Path) -> None:
+    def odd(x: Float64) -> Any:
+        return plain(x) if x[0] == 0.5 else np.zeros(3)
+
+    with pytest.raises(RenderError, match="the first one: the image of odd must have axes"):
+        learn(odd, 2, renders=500, size=SIDE)
