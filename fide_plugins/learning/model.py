@@ -19,7 +19,7 @@ from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.inversion import inverted
 from fide_plugins.learning.network import HEADS, Network, as_input
-from fide_plugins.learning.renderer import resized
+from fide_plugins.learning.renderer import resized, same_aspect
 from fide_plugins.learning.report import Distance, Report
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
@@ -47,7 +47,6 @@ from fide_plugins.validation.points import as_points, torch_seed, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
-_ASPECT = 0.02  # relative difference of height / width that is rounding
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
     "space": maybe(table(anything)),
@@ -202,9 +201,7 @@ class Model:
 
         height, width: size of the picture in pixels.
         """
-        change = (height / width) / (self.shape[0] / self.shape[1])
-        rounding = _ASPECT + 1 / min(height, width, *self.shape)
-        if abs(np.log(change)) > rounding:
+        if not same_aspect((height, width), self.shape):
             raise ImageError(
                 f"the model has learned images of {self.shape[1]} x {self.shape[0]} pixels "
                 f"(width x height), and this picture is {width} x {height}: crop it to that aspect"

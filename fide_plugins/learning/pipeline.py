@@ -7,7 +7,7 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -178,9 +178,10 @@ def learn(
     version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
     emulates = has_emulator(emulator, blocks)
     region = _region(after, picture, seed)
-    shape = renderer.first().shape[:2]
+    height, width = renderer.first().shape[:2]
+    shape = (height, width)
     plan = _Plan(
-        renderer=renderer, shape=(shape[0], shape[1]), size=small_size(shape, size),
+        renderer=replace(renderer, shape=shape), shape=shape, size=small_size(shape, size),
         renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
         version=version, head=head, blocks=blocks, seconds=seconds, start=clock.monotonic(),
         on_progress=on_progress or (lambda progress: None), augment=augment, device=trains_on,

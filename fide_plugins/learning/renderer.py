@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ __all__ = [
     "Small",
     "as_renderer",
     "resized",
+    "same_aspect",
     "small_size",
 ]
 
@@ -34,8 +36,8 @@ Pixels = npt.NDArray[np.uint8]
 Small: TypeAlias = Pixels | Failed
 """An image (H, W, 3) as a store has it, or why there is none."""
 
-
 _OTHERS = 4  # points that are tried where the renderer fails in the middle of the cube
+_ASPECT = 0.02  # relative difference of height / width that is rounding
 
 
 @dataclass(frozen=True)
@@ -47,12 +49,14 @@ class BatchRenderer:
     space: names of the parameters; None: the function gets a point of the cube.
     dim: d.
     name: of the function, or of the task.
+    shape: height and width of its images; others of that aspect are taken, too.  None: of any.
     """
 
     source: Any
     space: Space | None
     dim: int
     name: str
+    shape: tuple[int, int] | None = None
 
     def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
         """Images of the points X (n, d), resized to (height, width); of one that failed a `Failed`.
@@ -123,6 +127,12 @@ class BatchRenderer:
             whole = self._canonical(image)
         except ImageError as error:
             return Failed(str(error))
+        height, width = whole.shape[:2]
+        if self.shape is not None and not same_aspect((height, width), self.shape):
+            return Failed(
+                f"the image of {self.name} has {width} x {height} pixels (width x height), and "
+                f"the first one had {self.shape[1]} x {self.shape[0]}"
+            )
         return np.rint(np.clip(resized(whole, size), 0.0, 1.0) * 255).astype(np.uint8)
 
 
@@ -155,6 +165,12 @@ def small_size(shape: tuple[int, ...], size: int) -> tuple[int, int]:
     """Height and width of images of this shape (H, W, ...) whose longer side becomes `size`."""
     scale = size / max(shape[:2])
     return max(1, round(shape[0] * scale)), max(1, round(shape[1] * scale))
+
+
+def same_aspect(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two images (height, width) have one aspect, but for rounding."""
+    change = (one[0] / one[1]) / (other[0] / other[1])
+    return abs(math.log(change)) <= _ASPECT + 1 / min(*one, *other)
 
 
 def resized(image: Float32, size: tuple[int, int]) -> Float32:

@@ -150,3 +150,26 @@ def test_an_image_that_is_none_is_called_the_renderers(tmp_path: Path) -> None:
 
     with pytest.raises(RenderError, match="the first one: the image of odd must have axes"):
         learn(odd, 2, renders=500, size=SIDE)
+
+
+@pytest.mark.parametrize("how", WAYS)
+def test_images_of_another_aspect_have_failed(how: str) -> None:
+    """They would be stretched; those of another size alone are taken."""
+
+    def cropped(x: Float64) -> Float64:
+        if x[0] < 0.2:
+            return plain(x)[: SIDE // 2]
+        return plain(x).repeat(2, axis=0).repeat(2, axis=1) if x[0] < 0.4 else plain(x)
+
+    report = learn(way(cropped, how), 2, renders=200, size=SIDE, passes=1).report
+    x = [np.random.default_rng((0, shard)).random((100, 2)) for shard in range(2)]
+    assert report.failed == (np.concatenate(x)[:, 0] < 0.2).sum()
+
+
+def test_a_renderer_whose_images_differ_in_aspect_says_so() -> None:
+    def turned(x: Float64) -> Float64:
+        return plain(x)[: SIDE // 2] if x[0] == 0.5 else plain(x)
+
+    why = r"image of turned has 16 x 16 pixels \(width x height\), and the first one had 16 x 8"
+    with pytest.raises(RenderError, match=why):
+        learn(turned, 2, renders=500, size=SIDE)
