@@ -18,7 +18,8 @@ def kind_of(
     groups: blocks of axes; empty: nothing is exchangeable; None: the largest family of the space.
     head: name in `network.HEADS`; None: "set" where there are blocks, "autoregressive" elsewhere.
 
-    Raises OptionError for groups that are not blocks, and for the head "set" without blocks.
+    Raises OptionError for groups that are not blocks or not alike, and for the head "set" without
+    blocks.
     """
     from fide_plugins.search.scene.exchangeability import check_groups
 
@@ -26,11 +27,24 @@ def kind_of(
         groups = [] if renderer.space is None else renderer.space.largest_family
     elif not (hasattr(groups, "__len__") and len(groups) == 0):
         groups = check_groups(groups, renderer.dim).tolist()
+        _check_alike(groups, renderer.periodic)
     if head == "set" and len(groups) == 0:
         raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
     blocks = tuple(tuple(int(i) for i in block) for block in groups)
     head = head or ("set" if blocks else "autoregressive")
     return head, blocks
+
+
+def _check_alike(blocks: Sequence[Sequence[int]], periodic: Sequence[bool]) -> None:
+    """Raise OptionError if an axis is periodic in one block, and its like in another is not."""
+    for one, *others in zip(*blocks, strict=True):
+        for other in others:
+            if periodic[one] != periodic[other]:
+                around, straight = (one, other) if periodic[one] else (other, one)
+                raise OptionError(
+                    f"groups must be alike: parameter {around} is periodic, and {straight}, which "
+                    "has its place in another group, is not"
+                )
 
 
 def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]]) -> bool:

@@ -255,14 +255,6 @@ class _Plan:
             "space": None if space is None else space.to_dict(),
         }
 
-    @property
-    def periodic(self) -> tuple[bool, ...]:
-        """(d,), axes that wrap around."""
-        space = self.renderer.space
-        if space is None:
-            return (False,) * self.renderer.dim
-        return tuple(bool(each) for each in space.periodic)
-
     def model(self, store: RenderStore) -> Model:
         """Render, train and judge."""
         more = bool(store.missing(self.renders))
@@ -289,20 +281,20 @@ class _Plan:
             network, density = self._density(x, images, store.folder)
             emulator, emulated = self._emulator(x, images, store.folder)
         report = report_of(
-            network, density, Distance(np.array(self.periodic), self.blocks), self._names,
+            network, density, Distance(np.array(self.renderer.periodic), self.blocks), self._names,
             failed=sum(failed.values()), emulated=emulated,
         )  # fmt: skip
         return Model(
             network=network, space=self.renderer.space, shape=self.shape,
             renderer=self.renderer.name, version=self.version, head=self.head,
-            periodic=self.periodic, blocks=self.blocks,
+            periodic=self.renderer.periodic, blocks=self.blocks,
             familiarity=familiarity_of(network, images), report=report,
             fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
         )  # fmt: skip
 
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
         """Trained network, and its training."""
-        network = Network(self.size, self.periodic, self.head, self.blocks, self.seed)
+        network = Network(self.size, self.renderer.periodic, self.head, self.blocks, self.seed)
         left = self._left(_DENSITY if self.emulates else 1.0)
         training = Training(
             network.to(self.device), x, images, self.passes, self.seed, left, augment=self.augment
@@ -318,7 +310,7 @@ class _Plan:
         """Learned renderer, and the share of variance that it explains; None, if there is none."""
         if not self.emulates:
             return None, None
-        emulator = Emulator(self.size, self.periodic, self.blocks, self.seed)
+        emulator = Emulator(self.size, self.renderer.periodic, self.blocks, self.seed)
         training = Training(
             emulator.to(self.device), x, images, self.passes, self.seed, self._left(),
             augment="none", learning_rate=_EMULATOR_RATE,

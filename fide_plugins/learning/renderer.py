@@ -58,6 +58,13 @@ class BatchRenderer:
     name: str
     shape: tuple[int, int] | None = None
 
+    @property
+    def periodic(self) -> tuple[bool, ...]:
+        """(d,), axes that wrap around."""
+        if self.space is None:
+            return (False,) * self.dim
+        return tuple(bool(each) for each in self.space.periodic)
+
     def small(self, X: Float64, seeds: Sequence[int], size: tuple[int, int]) -> list[Small]:
         """Images of the points X (n, d), resized to (height, width); of one that failed a `Failed`.
 

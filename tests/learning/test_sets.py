@@ -7,9 +7,13 @@ import pytest
 import torch
 
 import fide_tasks
+from fide_plugins.errors import OptionError
 from fide_plugins.learning import learn
+from fide_plugins.learning.head_choice import kind_of
 from fide_plugins.learning.hypotheses import _middle
+from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.sets import Blocks
+from fide_plugins.space import Float, Space
 
 
 @pytest.mark.slow
@@ -51,3 +55,14 @@ def test_the_middle_of_sets_goes_around_circles() -> None:
     x = np.where(periodic, np.mod(x, 1.0), np.clip(x, 0.0, 1.0))
     apart = np.abs(_middle(x, periodic) - truth)
     assert np.where(periodic, np.minimum(apart, 1 - apart), apart).max() < 0.01
+
+
+def test_blocks_of_different_kinds_are_refused() -> None:
+    """A straight axis would be learned as one that wraps around."""
+    space = Space(a=Float(0, 1), b=Float(0, 360, periodic=True), c=Float(0, 1), d=Float(0, 1))
+    why = "parameter 1 is periodic, and 3, which has its place in another group, is not"
+    for groups in ([[0, 1], [2, 3]], [[2, 3], [0, 1]]):
+        with pytest.raises(OptionError, match=why):
+            learn(lambda params: np.zeros((16, 16)), space, groups=groups, renders=100)
+    alike = Space(a=Float(0, 1), b=Float(0, 360, periodic=True), c=Float(0, 360, periodic=True))
+    assert kind_of(as_renderer(len, alike), [[1], [2]], None) == ("set", ((1,), (2,)))
