@@ -165,9 +165,10 @@ class Model:
         Raises OptionError without an emulator, and what `sample` raises.
         """
         if self.emulator is None:
-            raise OptionError(
-                f"the model of {self.renderer!r} has no emulator: learn it with emulator=True"
-            )
+            remedy = "learn it with emulator=True"
+            if not self.blocks:
+                remedy = "one needs exchangeable blocks, and this model has none"
+            raise OptionError(f"the model of {self.renderer!r} has no emulator: {remedy}")
         points = torch.from_numpy(as_points(X, self.dim).astype(np.float32))
         if not len(points):
             raise OptionError("X has no points: give at least one, where descents begin")
