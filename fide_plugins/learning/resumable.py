@@ -20,6 +20,7 @@ from fide_plugins.runtime.schema import IMPOSSIBLE
 __all__ = ["Resumable"]
 
 _KIND = "training"
+_REMEDY = "delete this file, and it is trained again; the renders are kept"
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,16 @@ class Resumable:
         return isinstance(state, dict) and not state.get("over", True)
 
     def _saved(self) -> dict[str, Any] | None:
-        """Contents of the file; None where it is missing, or another plan's of no use here."""
+        """Contents of the file; None where it is missing, or another plan's of no use here.
+
+        Raises CheckpointError for a damaged file.
+        """
         if not self.file.exists():
             return None
-        saved = checkpoint.read(self.file, _KIND)
+        try:
+            saved = checkpoint.read(self.file, _KIND)
+        except CheckpointError as error:
+            raise CheckpointError(f"{self.file}: damaged, or no training; {_REMEDY}") from error
         there = saved.get("plan", {})
         passes = there.get("passes")
         if not isinstance(passes, int) or passes > self.plan["passes"]:
@@ -82,5 +89,5 @@ class Resumable:
             if is_out_of_memory(error):
                 raise
             raise CheckpointError(
-                f"{self.file}: impossible contents ({error!r}); delete it"
+                f"{self.file}: impossible contents ({error!r}); {_REMEDY}"
             ) from error

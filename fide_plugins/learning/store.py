@@ -11,6 +11,7 @@ store is the same whatever the number of workers, and whatever was interrupted.
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,6 +34,8 @@ SHARD = 100
 """Renders of a shard: what a kill loses, at most, for each worker."""
 
 _KIND = "renders"
+_NUMBER = re.compile("[0-9]{6,}")
+_DIGESTS = {"after": "they were made after another model", "picture": "they are of another picture"}
 
 
 class RenderStore:
@@ -193,7 +196,8 @@ class RenderStore:
 
     def _all(self) -> list[int]:
         """Numbers of all shards that are there."""
-        return sorted(int(path.stem) for path in self.folder.glob("*.npz"))
+        stems = [path.stem for path in self.folder.glob("*.npz")]
+        return sorted(int(stem) for stem in stems if _NUMBER.fullmatch(stem))  # others are foreign
 
     def _read(self, shard: int) -> tuple[Float64, Pixels]:
         arrays = self._load(shard, "x", "images")
@@ -265,5 +269,11 @@ def _check_same(folder: Path, there: Mapping[str, Any], asked: Mapping[str, Any]
 def _differences(there: Mapping[str, Any], asked: Mapping[str, Any]) -> Iterator[str]:
     for name in sorted({*there, *asked}):
         old, new = there.get(name), asked.get(name)
-        if old != new:
+        if old == new:
+            continue
+        if name not in _DIGESTS:
             yield f"its {name} is {old!r}, not {new!r}"
+        elif old is not None and new is not None:
+            yield _DIGESTS[name]
+        elif name == "after":  # then only one of both has a picture, too
+            yield f"they are of a {'first' if old is None else 'second'} round"

@@ -258,14 +258,26 @@ def test_a_damaged_shard_is_named(tmp_path: Path) -> None:
         store.read(200)
 
 
+def test_foreign_files_in_the_folder_are_ignored(tmp_path: Path) -> None:
+    store = RenderStore(tmp_path, settings())
+    for name in ("notes.npz", "1.npz", "000001 copy.npz"):
+        (tmp_path / name).write_bytes(b"")
+    fill(store, as_renderer(plain, 2), 200)
+    again = RenderStore(tmp_path, settings())
+    assert len(again.read_all()[0]) == 200 and len(again.examples(8)[0]) == 8
+
+
 def test_any_damaged_file_is_a_checkpoint_error(tmp_path: Path) -> None:
     options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 1}
     model, renders = tmp_path / "m", tmp_path / "m.renders"
     learn(plain, 2, out=model, **options)
-    for file in (renders / "training", renders / "000001.npz"):
+    for file, remedy in (
+        (renders / "training", "delete this file, and it is trained again; the renders are kept"),
+        (renders / "000001.npz", "delete it to render again"),
+    ):
         whole = file.read_bytes()
         file.write_bytes(whole[:-100])
-        with pytest.raises(CheckpointError, match=file.name):
+        with pytest.raises(CheckpointError, match=f"{file.name}: damaged.*; {remedy}$"):
             learn(plain, 2, out=model, **options)
         file.write_bytes(whole)
     model.write_bytes(model.read_bytes()[:-100])

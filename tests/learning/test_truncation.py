@@ -108,8 +108,16 @@ def test_what_does_not_fit_is_refused(learned: Path, tmp_path: Path) -> None:
     learn(disk, SPACE, **arguments, picture=PICTURE, out=second)
     with pytest.raises(OptionError, match="needs a model of the whole space"):
         learn(disk, SPACE, **{**arguments, "after": second}, picture=PICTURE)
-    with pytest.raises(OptionError, match="holds other renders: its picture is"):
+    with pytest.raises(OptionError, match="holds other renders: they are of another picture; name"):
         learn(disk, SPACE, **arguments, picture=1 - PICTURE, out=second)
+    first: dict[str, Any] = {**arguments, "after": None, "out": tmp_path / "first"}
+    learn(disk, SPACE, **first)
+    with pytest.raises(OptionError, match="holds other renders: they are of a first round; name"):
+        learn(disk, SPACE, **{**first, "after": learned}, picture=PICTURE)
+    with pytest.raises(OptionError, match="holds other renders: they are of a second round; name"):
+        learn(disk, SPACE, **{**first, "out": second})
+    with pytest.raises(OptionError, match="renders: they were made after another model; name"):
+        learn(disk, SPACE, **{**arguments, "after": first["out"]}, picture=PICTURE, out=second)
     shutil.copy(learned, tmp_path / "alone")
     with pytest.raises(OptionError, match="the renders of the model .*alone are missing"):
         learn(disk, SPACE, **{**arguments, "after": tmp_path / "alone"}, picture=PICTURE)
