@@ -40,7 +40,6 @@ class Encoder(nn.Module):
         super().__init__()
         self.register_buffer("mean", torch.zeros(3, *size))
         self.register_buffer("std", torch.ones(()))
-        self.width = width
         steps = _steps(max(size))
         channels = [3, *(_CHANNELS[min(i, len(_CHANNELS) - 1)] for i in range(len(steps)))]
         self.down = nn.ModuleList(

@@ -35,8 +35,8 @@ def fill(
     executor: object = None,
     seconds: float | None = None,
     on_progress: Callable[[int], None] | None = None,
-) -> int:
-    """Render what is missing of `renders`; returns how many renders failed in this call.
+) -> None:
+    """Render what is missing of `renders`.
 
     workers: processes, 0 and 1: this one; with more than one the renderer must be picklable, and a
         render that ends its process (for lack of memory, say) is one that failed.
@@ -72,7 +72,6 @@ def fill(
     except RenderError:
         store.remove([shard for shard, number in failed.items() if number])
         raise
-    return sum(failed.values())
 
 
 def given_up(name: str, failed: int, tried: int, why: str) -> str:
