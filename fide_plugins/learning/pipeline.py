@@ -171,6 +171,8 @@ def learn(
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
     _check(renders, size, passes, workers, head, augment)
+    if not (on_progress is None or callable(on_progress)):
+        raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")
     seed, store_limit = torch_seed(seed), not_negative("store_limit", store_limit)
     seconds = None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)

@@ -304,6 +304,11 @@ def test_time_is_kept(time: float | str) -> None:
         ({"head": "set"}, OptionError, "needs exchangeable blocks"),
         ({"groups": [[0], [0]]}, OptionError, "must not overlap"),
         ({"groups": [], "head": "set"}, OptionError, "needs exchangeable blocks"),
+        (
+            {"on_progress": 3},
+            OptionError,
+            "on_progress must be a function of a LearnProgress, not 3",
+        ),
         ({"groups": 3}, OptionError, "groups must be at least two lists of parameter numbers"),
     ],
 )
