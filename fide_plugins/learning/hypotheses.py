@@ -17,7 +17,7 @@ from fide_plugins.types import Float64, Mask, Posterior
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
 
-__all__ = ["model_for", "posterior_of", "with_model"]
+__all__ = ["model_for", "posterior_of", "unlike_all", "with_model"]
 
 _DRAWN = 512
 _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
@@ -31,7 +31,8 @@ def posterior_of(
 ) -> Posterior | None:
     """Draw hypotheses of a target's parameters, and refine some where there is a good emulator.
 
-    It is None without a model, and, with a warning, for a picture unlike all renders.
+    It is None without a model, and, with a warning, for a picture unlike all renders.  Warns of a
+    model that a second round has made for another picture.
 
     learned: model, or its file.
     target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
@@ -51,17 +52,27 @@ def posterior_of(
     target = _only(target)
     far = learned.unfamiliarity(target)
     if far > 1:
-        warn_user(
-            f"the model of {learned.renderer!r} has learned nothing like this picture (its "
-            f"features are {far:.2f} times as far from those of renders as the furthest that count "
-            "as familiar): the search goes on without the model"
-        )
+        warn_user(f"{unlike_all(learned, far)}: the search goes on without the model")
         return None
+    if learned.is_of_another(target):
+        warn_user(
+            f"the model of {learned.renderer!r} is one of a second round, for another picture: its "
+            "hypotheses of this one are less exact; learn a second round for it, or take the model "
+            "of the first"
+        )
     x = learned.sample(target, _DRAWN, seed % 2**32)
     if learned.head == "set":
         x[0] = _middle(x, np.array(learned.periodic))
     refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
     return Posterior(x, refined)
+
+
+def unlike_all(model: Model, far: float) -> str:
+    """Beginning of a warning of a picture; far: its `Model.unfamiliarity`."""
+    return (
+        f"the model of {model.renderer!r} has learned nothing like this picture (its features are "
+        f"{far:.2f} times as far from those of renders as the furthest that count as familiar)"
+    )
 
 
 def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:

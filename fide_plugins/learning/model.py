@@ -19,7 +19,7 @@ from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.inversion import inverted
 from fide_plugins.learning.network import HEADS, Network, as_input
-from fide_plugins.learning.renderer import resized, same_aspect
+from fide_plugins.learning.renderer import Pixels, pixels_of, same_aspect
 from fide_plugins.learning.report import Distance, Report
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
@@ -47,6 +47,7 @@ from fide_plugins.validation.points import as_points, torch_seed, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
+_ROUNDING = 1.0  # of 255, on average
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
     "space": maybe(table(anything)),
@@ -67,6 +68,7 @@ _SCHEMA: Schema = {
         "threshold": real(0.0),
     },
     "report": table(anything),
+    "picture": maybe(array("height", "width", 3, kind="u")),
 }
 
 
@@ -90,6 +92,8 @@ class Model:
     familiarity: of features.
     report: how good it is.
     emulator: learned renderer; None: there is none.
+    picture: (h, w, 3) as the network sees it, of which a second round has learned; None: there was
+        no second round.
     """
 
     network: Network
@@ -104,6 +108,7 @@ class Model:
     report: Report
     fingerprint: str | None = None
     emulator: Emulator | None = None
+    picture: Pixels | None = None
 
     def __repr__(self) -> str:
         height, width = self.size
@@ -185,6 +190,16 @@ class Model:
         distance = self.familiarity.distances(self._vector(picture)[None])[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
 
+    def is_of_another(self, picture: object) -> bool:
+        """Whether a second round has learned another picture than this one.
+
+        Rounding makes no other picture, and neither does another size of the same one.
+        """
+        if self.picture is None:
+            return False
+        here = 255 * self._input(picture)[0].permute(1, 2, 0).numpy()
+        return bool(np.abs(here - self.picture).mean() > _ROUNDING)
+
     @_full_precision()
     def _vector(self, picture: object) -> Float64:
         vector: Float64 = self.network.vectors(self._input(picture))[0].numpy().astype(np.float64)
@@ -194,8 +209,7 @@ class Model:
         """Return the picture as the network takes it; ImageError for another aspect."""
         image = as_target(picture)
         self.check_aspect(*image.shape[:2])
-        pixels = np.rint(resized(image, self.size) * 255).astype(np.uint8)
-        return as_input(pixels[None])
+        return as_input(pixels_of(image, self.size)[None])
 
     def check_aspect(self, height: int, width: int) -> None:
         """Raise ImageError unless a picture has the aspect of the renders.
@@ -251,6 +265,7 @@ class Model:
             "scale": self.network.scale,
             "familiarity": self.familiarity.state_dict(),
             "report": self.report.state_dict(),
+            "picture": self.picture,
         }
         checkpoint.write(path, _KIND, state)
 
@@ -275,12 +290,15 @@ class Model:
 
     @classmethod
     def _of(cls, state: Mapping[str, Any]) -> Self:
+        state = {"picture": None, **state}  # models of earlier versions have none
         check(state, _SCHEMA, {}, "model")
         check(state["report"]["emulated"], maybe(real()), {}, "model['report']['emulated']")
         blocks = tuple(tuple(block) for block in state["blocks"])
         if state["head"] not in HEADS or len(state["periodic"]) != state["dim"]:
             raise ValueError("its head or its axes are none")
         (height, width), (h, w) = state["shape"], state["size"]
+        if state["picture"] is not None and state["picture"].shape[:2] != (h, w):
+            raise ValueError("its picture has another size than the renders")
         network = Network((h, w), state["periodic"], state["head"], blocks)
         network.load(state["weights"])
         network.scale = float(state["scale"])
@@ -302,4 +320,5 @@ class Model:
             Report.from_state(state["report"]),
             state["fingerprint"],
             emulator,
+            state["picture"],
         )

@@ -23,7 +23,13 @@ from fide_plugins.learning.head_choice import has_emulator, kind_of
 from fide_plugins.learning.identity import check_images, version_for
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import HEADS, Network
-from fide_plugins.learning.renderer import BatchRenderer, Pixels, as_renderer, small_size
+from fide_plugins.learning.renderer import (
+    BatchRenderer,
+    Pixels,
+    as_renderer,
+    pixels_of,
+    small_size,
+)
 from fide_plugins.learning.rendering import check_workers, fill, too_few
 from fide_plugins.learning.report import Distance
 from fide_plugins.learning.resumable import Resumable
@@ -292,6 +298,7 @@ class _Plan:
             periodic=self.renderer.periodic, blocks=self.blocks,
             familiarity=familiarity_of(network, images), report=report,
             fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
+            picture=None if self.region is None else pixels_of(self.region.picture, self.size),
         )  # fmt: skip
 
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:

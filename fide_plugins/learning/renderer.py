@@ -27,6 +27,7 @@ __all__ = [
     "Pixels",
     "Small",
     "as_renderer",
+    "pixels_of",
     "resized",
     "same_aspect",
     "small_size",
@@ -140,7 +141,7 @@ class BatchRenderer:
                 f"the image of {self.name} has {width} x {height} pixels (width x height), and "
                 f"the first one had {self.shape[1]} x {self.shape[0]}"
             )
-        return np.rint(np.clip(resized(whole, size), 0.0, 1.0) * 255).astype(np.uint8)
+        return pixels_of(whole, size)
 
 
 def _briefly(error: BaseException) -> Failed:
@@ -187,3 +188,8 @@ def resized(image: Float32, size: tuple[int, int]) -> Float32:
     shrinks = image.shape[0] >= size[0] and image.shape[1] >= size[1]
     how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
+
+
+def pixels_of(image: Float32, size: tuple[int, int]) -> Pixels:
+    """Image (H, W, 3) resized to (height, width), as a store has it."""
+    return np.rint(np.clip(resized(image, size), 0.0, 1.0) * 255).astype(np.uint8)

@@ -21,10 +21,12 @@ from typing import Any, Self
 import numpy as np
 
 from fide_plugins.errors import OptionError
+from fide_plugins.learning.hypotheses import unlike_all
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.runtime.digest import digest
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
 
@@ -52,8 +54,8 @@ class Truncated:
     def read(cls, after: str | os.PathLike[str], picture: object, seed: int) -> Self:
         """Region of a model's file, with its renders beside it.
 
-        Raises OSError, CheckpointError, ImageError; OptionError without the renders, or where the
-        model is one of a second round.
+        Warns of a picture unlike all renders.  Raises OSError, CheckpointError, ImageError;
+        OptionError without the renders, or where the model is one of a second round.
         """
         model, folder = Model.load(after), Path(f"{os.fspath(after)}.renders")
         if not (folder / "settings").exists():
@@ -64,6 +66,9 @@ class Truncated:
                 f"{os.fspath(after)} has learned the region of one picture; after=MODEL needs a "
                 "model of the whole space"
             )
+        far = model.unfamiliarity(picture)
+        if far > 1:
+            warn_user(f"{unlike_all(model, far)}: a second round renders where that model guesses")
         return cls(model, picture, store, seed)
 
     @property

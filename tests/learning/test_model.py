@@ -99,6 +99,18 @@ def test_a_file_holds_all_of_it(model: Model, learned: Path, tmp_path: Path) -> 
     assert (tmp_path / "again").read_bytes() == learned.read_bytes()
 
 
+def test_a_model_of_a_version_that_kept_no_picture_is_loaded(
+    model: Model, learned: Path, tmp_path: Path
+) -> None:
+    state = checkpoint.read(learned, "learned model")
+    del state["picture"]
+    checkpoint.write(tmp_path / "old", "learned model", state)
+    picture = np.zeros((SIDE, SIDE))
+    np.testing.assert_array_equal(
+        Model.load(tmp_path / "old").sample(picture, 4), model.sample(picture, 4)
+    )
+
+
 def test_damaged_and_other_files_are_refused(learned: Path, tmp_path: Path) -> None:
     data = bytearray(learned.read_bytes())
     data[len(data) // 2] ^= 1
@@ -120,6 +132,7 @@ def test_damaged_and_other_files_are_refused(learned: Path, tmp_path: Path) -> N
         {"weights": {}},
         {"report": {}},
         {"space": {"x": 1}},
+        {"picture": np.zeros((8, 8, 3), np.uint8)},
     ],
     ids=lambda change: next(iter(change)),
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from fide_plugins import FIDE
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import Model, learn
 from fide_plugins.learning.truncation import Truncated, choose_evenly
@@ -19,6 +20,7 @@ from .conftest import SIDE, SPACE, disk
 
 TRUTH = np.array([0.3, 0.65, 0.5, 0.5])
 PICTURE = disk(SPACE.decode(TRUTH))
+OTHER = disk(SPACE.decode(np.array([0.6, 0.4, 0.9, 0.5])))
 
 
 def test_a_choice_is_as_if_drawn_uniformly() -> None:
@@ -66,6 +68,27 @@ def test_two_rounds_know_their_picture_better_than_one(
     assert after < 0.8 * before
 
 
+def test_a_search_for_another_picture_than_that_of_the_second_round_is_warned(
+    learned: Path, tmp_path: Path
+) -> None:
+    """The same one in another size, or after rounding, is no other."""
+    file = tmp_path / "s"
+    learn(disk, SPACE, renders=200, size=SIDE, passes=1, out=file, after=learned, picture=PICTURE)
+    large = PICTURE.repeat(2, axis=0).repeat(2, axis=1)
+    for same in (PICTURE, np.rint(255 * PICTURE).astype(np.uint8), large):
+        FIDE(SPACE, same, learned=file)
+    FIDE(SPACE, OTHER, learned=learned)  # of the first round
+    with pytest.warns(RuntimeWarning, match="one of a second round, for another picture: its hyp"):
+        FIDE(SPACE, OTHER, learned=file)
+
+
+def test_a_second_round_for_an_unknown_picture_is_warned(learned: Path, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).random((SIDE, SIDE, 3))
+    why = "learned nothing like this picture .*: a second round renders where that model guesses"
+    with pytest.warns(RuntimeWarning, match=why):
+        learn(disk, SPACE, renders=100, size=SIDE, passes=1, after=learned, picture=noise)
+
+
 class Noisy:
     """Gray images whose level is 0.2 + 0.6 x, with noise of 0.06 that all pixels share."""
 
@@ -109,7 +132,7 @@ def test_what_does_not_fit_is_refused(learned: Path, tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="needs a model of the whole space"):
         learn(disk, SPACE, **{**arguments, "after": second}, picture=PICTURE)
     with pytest.raises(OptionError, match="holds other renders: they are of another picture; name"):
-        learn(disk, SPACE, **arguments, picture=1 - PICTURE, out=second)
+        learn(disk, SPACE, **arguments, picture=OTHER, out=second)
     first: dict[str, Any] = {**arguments, "after": None, "out": tmp_path / "first"}
     learn(disk, SPACE, **first)
     with pytest.raises(OptionError, match="holds other renders: they are of a first round; name"):
