@@ -176,9 +176,7 @@ def learn(
     """
     if workers is None:
         workers = 1 if executor is None else _AT_A_TIME
-    _check(renders, size, passes, workers, head, augment)
-    if not (on_progress is None or callable(on_progress)):
-        raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")
+    _check(renders, size, passes, workers, head, augment, on_progress)
     seed, store_limit = torch_seed(seed), not_negative("store_limit", store_limit)
     seconds = None if time is None else seconds_of("time", time)
     trains_on = resolve_device(device)
@@ -186,8 +184,7 @@ def learn(
     version, (head, blocks) = version_for(renderer, version), kind_of(renderer, groups, head)
     emulates = has_emulator(emulator, blocks)
     region = _region(after, picture, seed)
-    height, width = renderer.first().shape[:2]
-    shape = (height, width)
+    shape = renderer.first_shape()
     plan = _Plan(
         renderer=replace(renderer, shape=shape), shape=shape, size=small_size(shape, size),
         renders=renders, passes=passes, workers=workers, executor=executor, seed=seed,
@@ -385,8 +382,9 @@ def _region(after: str | os.PathLike[str] | None, picture: object, seed: int) ->
 
 
 def _check(
-    renders: object, size: object, passes: object, workers: object, head: object, augment: object
-) -> None:
+    renders: object, size: object, passes: object, workers: object, head: object, augment: object,
+    on_progress: object,
+) -> None:  # fmt: skip
     whole_number("renders", renders, _FEWEST)
     if not 16 <= whole_number("size", size, 1) <= 256:
         raise OptionError(f"size is 16 to 256 pixels, not {size}")
@@ -396,3 +394,5 @@ def _check(
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:
         raise UnknownNameError.of("augment", augment, AUGMENT)
+    if not (on_progress is None or callable(on_progress)):
+        raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")

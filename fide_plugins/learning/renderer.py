@@ -98,22 +98,22 @@ class BatchRenderer:
     def _one(self, x: Float64) -> Any:
         return self.source(x.copy() if self.space is None else self.space.decode(x))
 
-    def first(self) -> Float32:
-        """Image (H, W, 3) of the middle of the cube, to know its shape.
+    def first_shape(self) -> tuple[int, int]:
+        """Height and width of the image of the middle of the cube.
 
-        Where that one fails, of one of a few other points.  Raises RenderError if the renderer
-        fails for all of them, ImageError if it gives no image.
+        Where that one fails, of the image of one of a few other points.  Raises RenderError if the
+        renderer fails for all of them, ImageError if it gives no image.
         """
         try:
-            return self._shown(np.full(self.dim, 0.5))
+            return self._shape_at(np.full(self.dim, 0.5))
         except (RenderError, ImageError):
             for x in np.random.default_rng(0).random((_OTHERS, self.dim)):
                 with suppress(RenderError, ImageError):
-                    return self._shown(x)
+                    return self._shape_at(x)
             raise
 
-    def _shown(self, x: Float64) -> Float32:
-        """Image (H, W, 3) of a point; an error speaks of the middle, the first that is tried."""
+    def _shape_at(self, x: Float64) -> tuple[int, int]:
+        """Height and width of the image of a point; errors are those of the first, the middle."""
         try:
             batch = hasattr(self.source, "render")
             image = self.source.render(x[None])[0] if batch else self._one(x)
@@ -123,7 +123,8 @@ class BatchRenderer:
                 f"{self.name} failed in the middle of the space, and at {_OTHERS} other points: "
                 f"{why}"
             ) from error
-        return self._canonical(image)
+        height, width, _ = self._canonical(image).shape
+        return height, width
 
     def _canonical(self, image: Any) -> Float32:
         return as_target(image, what=f"the image of {self.name}")
