@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,6 +25,7 @@ except ImportError:  # Windows
 __all__ = [
     "atomic_writer",
     "check_writable",
+    "is_locked",
     "locked",
     "remove_leftovers",
     "write_bytes",
@@ -33,6 +35,9 @@ __all__ = [
 _SUFFIX = ".tmp"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
 """Errors of a file system that has no locks; the last one of NFS, for a file opened to be read."""
+_OF_ANOTHER = (errno.EWOULDBLOCK, errno.EACCES)
+"""Errors where another process has the lock."""
+_MOMENT = 0.005  # seconds; `is_locked` has a lock for some microseconds
 
 
 @contextmanager
@@ -138,6 +143,26 @@ def locked(
             held.release(path if remove else None)
 
 
+def is_locked(path: str | os.PathLike[str]) -> bool | None:
+    """Whether a process, this one included, holds the lock of the file `path`.
+
+    None where that cannot be known: there is no such file, or there are no locks.
+    """
+    if fcntl is None:
+        return None
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # until it is closed, at once
+        return False
+    except OSError as error:
+        return True if error.errno in _OF_ANOTHER else None
+    finally:
+        os.close(descriptor)
+
+
 class _Held:
     """An open file with its lock."""
 
@@ -186,6 +211,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
 def _lock(path: str | os.PathLike[str], wait: bool) -> _Held | None:
     """The locked file; None where another process holds the lock."""
     assert fcntl is not None
+    again = True
     while True:
         held = _Held(path)
         assert held.descriptor is not None
@@ -196,9 +222,13 @@ def _lock(path: str | os.PathLike[str], wait: bool) -> _Held | None:
             if number in _NO_LOCKS:
                 return held
             held.close()
-            if number in (errno.EWOULDBLOCK, errno.EACCES):
+            if number not in _OF_ANOTHER:
+                raise
+            if not again:
                 return None
-            raise
+            again = False
+            time.sleep(_MOMENT)
+            continue
         if held.is_at(path):
             return held
         held.close()  # who held the lock before has removed the file

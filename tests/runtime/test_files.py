@@ -8,6 +8,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,32 @@ def test_a_lock_ends_with_its_process_also_where_a_forked_one_lives_on(tmp_path:
             assert not path.exists()
         finally:
             os.kill(child, signal.SIGKILL)
+
+
+@needs_locks
+def test_whether_a_lock_is_held_is_told_without_making_or_keeping_one(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    assert files.is_locked(path) is None and not path.exists()
+    with files.locked(path):
+        assert files.is_locked(path) is True
+    assert files.is_locked(path) is False
+    with files.locked(path) as mine:
+        assert mine
+
+
+@needs_locks
+def test_who_asks_for_a_lock_waits_for_one_that_only_looks(tmp_path: Path) -> None:
+    import fcntl
+
+    path = tmp_path / "lock"
+    path.touch()
+    descriptor = os.open(path, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_SH)
+    looking = threading.Timer(0.0005, os.close, [descriptor])
+    looking.start()
+    with files.locked(path) as mine:
+        assert mine
+    looking.join()
 
 
 @needs_locks
