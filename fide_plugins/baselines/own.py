@@ -19,7 +19,8 @@ wrong one does not cost the budget.  NumPy's and Python's global generators are 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,7 +29,13 @@ from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.images_needed import needed_images
 from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import CheckpointError, OptionError, PointsError
-from fide_plugins.runtime.reference import Referent, attribute, load, split
+from fide_plugins.runtime.reference import (
+    Referent,
+    attribute,
+    load,
+    shown_traceback,
+    split,
+)
 from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
@@ -56,7 +63,8 @@ class Own(Replayed):
     budget is told: loading raises CheckpointError (a ValueError), as it does if the replay asks for
     other candidates.
 
-    Raises OptionError (a ValueError) if what the constructor makes breaks the protocol.
+    Raises OptionError (a ValueError), with the traceback, if the constructor raises an exception,
+    or if what it makes breaks the protocol.
     """
 
     keeps_features: ClassVar[bool] = False
@@ -78,8 +86,7 @@ class Own(Replayed):
         taken = inspect.signature(self.made_by).parameters
         given = {name: getattr(self, name) for name in _GIVEN if name in taken}
         self._global_random = GlobalRandom(self.seed)
-        with self._global_random.lent():
-            self._user = self.made_by(**given, **options)
+        self._user = self._made({**given, **options})
         _check_methods(self.name, self._user)
         self.popsize = whole_number("popsize", getattr(self._user, "popsize", self.popsize), 1)
         names = list(inspect.signature(self._user.tell).parameters)
@@ -87,6 +94,29 @@ class Own(Replayed):
         self._recommends, self._tried = callable(getattr(self._user, "recommend", None)), False
         self._asked: Float64 | None = None  # last generation
         self._last_word: Float64 | None = None  # recommended, where that is all that was loaded
+
+    def _made(self, arguments: dict[str, Any]) -> Any:
+        """What the user's constructor makes."""
+        try:
+            with self._global_random.lent():
+                return self.made_by(**arguments)
+        except Exception as error:
+            raise OptionError(
+                f"{self.name} cannot be made; mend this error in it:\n"
+                f"{shown_traceback(error, __file__)}"
+            ) from error
+
+    @contextmanager
+    def _called(self) -> Iterator[None]:
+        """Around calls of the user's methods.
+
+        An OSError of theirs would be taken for one of the run directory, which needs no traceback.
+        """
+        try:
+            with self._global_random.lent():
+                yield
+        except OSError as error:
+            raise RuntimeError(f"{self.name} raised {error!r}") from error
 
     @property
     def resumable(self) -> bool:
@@ -111,7 +141,7 @@ class Own(Replayed):
             return self._last_word.copy()
         if not self._recommends or self._best is None:
             return super().recommend()
-        with self._global_random.lent():
+        with self._called():
             return self._recommended()
 
     def _recommended(self) -> Float64:
@@ -141,7 +171,7 @@ class Own(Replayed):
     def _sample(self) -> Float64:
         if self._last_word is not None:
             raise CheckpointError(self._cannot_go_on())
-        with self._global_random.lent():
+        with self._called():
             asked = self._user.ask(self.popsize)
         try:
             X = as_points(asked, self.dim)
@@ -156,7 +186,7 @@ class Own(Replayed):
         return X
 
     def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
-        with self._global_random.lent():
+        with self._called():
             told: list[Any] = [X, losses]
             if self._images_at is not None:
                 told.insert(self._images_at, features)

@@ -62,6 +62,40 @@ def test_errors_come_before_any_render(
     assert error.count("\n") == 1 and not Path("out").exists()
 
 
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("error", ["ValueError", "RuntimeError", "OSError"])
+def test_an_error_of_the_constructor_has_its_place(
+    command: str, error: str, mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mine / "raises.py").write_text(
+        "from search import Elitist\n\n\nclass Raises(Elitist):\n"
+        f"    def __init__(self, dim):\n        raise {error}('of mine')\n"
+    )
+    flag = "--optimizer" if command == "run" else "--optimizers"
+    assert fide(command, "voronoi", *SMALL, flag, "raises.py:Raises", "--out", "out") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for words in (
+        "raises.py:Raises cannot be made; mend",
+        'raises.py", line 6',
+        f"{error}: of min",
+    ):
+        assert words in line
+
+
+@pytest.mark.parametrize("method", ["ask", "tell", "recommend"])
+def test_an_oserror_of_the_optimizer_has_its_traceback(
+    method: str, mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (mine / "opens.py").write_text(
+        "from search import Elitist\n\n\nclass Opens(Elitist):\n"
+        f"    def {method}(self, *args): open('nowhere')\n"
+    )
+    assert fide("run", "voronoi", *SMALL, "--optimizer", "opens.py:Opens", "--out", "out") == 1
+    err = capsys.readouterr().err
+    assert 'opens.py", line 5' in err and "FileNotFoundError" in err
+    assert "fide run: the run failed; its results so far are in out" in err
+
+
 @pytest.mark.parametrize("method", ["__init__", "ask", "tell"])
 def test_sys_exit_is_a_failed_run(
     method: str, mine: Path, capsys: pytest.CaptureFixture[str]
