@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fide_plugins.space import Space
     from fide_plugins.types import Optimizer
 
-__all__ = ["load", "make", "names", "options", "register"]
+__all__ = ["load", "make", "names", "options", "register", "source_of"]
 
 PLACES: Mapping[str, str] = {
     "bipop-cma-es": "fide_plugins.baselines.bipop:BIPOP",
@@ -132,6 +132,12 @@ def options(name: str) -> list[str]:
         if all(p.kind is not p.VAR_KEYWORD for p in parameters):
             return sorted(known)
     return []
+
+
+def source_of(name: str) -> str | None:
+    """Fingerprint of the file of the user's class `name`; None for any other optimizer."""
+    found = getattr(_resolve(name), "source", None)
+    return found if isinstance(found, str) else None
 
 
 def _resolve(name: str) -> Any:

@@ -32,6 +32,7 @@ from fide_plugins.errors import CheckpointError, OptionError, PointsError
 from fide_plugins.runtime.reference import (
     Referent,
     attribute,
+    fingerprint,
     load,
     shown_traceback,
     split,
@@ -63,12 +64,15 @@ class Own(Replayed):
     budget is told: loading raises CheckpointError (a ValueError), as it does if the replay asks for
     other candidates.
 
+    source: fingerprint of the file that `made_by`, the user's class, was loaded from.
+
     Raises OptionError (a ValueError), with the traceback, if the constructor raises an exception,
     or if what it makes breaks the protocol.
     """
 
     keeps_features: ClassVar[bool] = False
     made_by: ClassVar[Callable[..., Any]]
+    source: ClassVar[str | None] = None
 
     def __init__(
         self,
@@ -241,11 +245,13 @@ def own(reference: str) -> type[Own]:
     Raises OptionError (a ValueError), with the remedy, if there is none or it breaks the protocol.
     """
     place, name = split(reference, _REFERENT)
-    found = attribute(load(place, _REFERENT), place, name, _REFERENT)
+    module = load(place, _REFERENT)
+    found = attribute(module, place, name, _REFERENT)
     _check_constructor(reference, found)
     if isinstance(found, type):
         _check_methods(reference, found)
-    return type("Own", (Own,), {"name": reference, "made_by": staticmethod(found)})
+    about = {"name": reference, "made_by": staticmethod(found), "source": fingerprint(module)}
+    return type("Own", (Own,), about)
 
 
 def _check_constructor(reference: str, found: Callable[..., Any]) -> None:

@@ -124,6 +124,8 @@ def _execute(comparison: Any) -> int:
     for key, state in comparison.states.items():
         if state.kind == "damaged":
             note(f"{key} is damaged and will be repeated: {plain(state.why)}")
+        elif state.kind == "outdated":
+            note(f"{key} will be repeated: {plain(state.why)}")
         elif state.kind == "started":
             note(f"{key} will be continued")
     kept = sum(state.kind == "finished" for state in comparison.states.values())

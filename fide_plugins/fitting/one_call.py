@@ -19,6 +19,8 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.recording.directory import is_saved
+from fide_plugins.recording.sources import of_files
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
 from fide_plugins.validation.option_rules import check_names, switch
@@ -223,10 +225,14 @@ def _saved_run(
     command: Sequence[str] | None,
 ) -> SavedRun:
     """The run directory `out`, checked; nothing is read or written of the search yet."""
-    settings = settings_of(own_name(render), optimizer, options)
+    name = own_name(render)
+    settings = settings_of(name, optimizer, options)
     own = callable(options.get("encoder"))  # others are known by name and version
     facts = {"features": features_of(optimizer)} if own else None
-    return SavedRun(out, settings, stopping.record(), facts, resume=resume, command=command)
+    files = of_files({name: fingerprint_of(render)})
+    return SavedRun(
+        out, settings, stopping.record(), facts, resume=resume, command=command, sources=files
+    )
 
 
 def _given(**options: Any) -> dict[str, Any]:

@@ -44,10 +44,11 @@ class SavedRun:
         *,
         resume: bool,
         command: Sequence[str] | None,
+        sources: Mapping[str, str] | None = None,
     ) -> None:
         words = None if command is None else list(command)
         self._directory = RunDirectory(
-            out, settings, resume=resume, command=words, limits=limits, facts=facts
+            out, settings, resume=resume, command=words, limits=limits, facts=facts, sources=sources
         )
         self.path = self._directory.path
         self._budget: int | None = limits.get("budget")

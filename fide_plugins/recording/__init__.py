@@ -5,6 +5,7 @@
 `record_schema`  schema of the history in a checkpoint
 `outcome`        the result, from record and noise-free evaluation
 `directory`      files of the run directory
+`sources`        files of the user on which a run depends
 `tables`         its two tables, as text
 `checkpointing`  when to write the next checkpoint; each file where one fails
 `signals`        Ctrl-C and SIGTERM

@@ -26,7 +26,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
-from fide_plugins.recording import tables
+from fide_plugins.recording import sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.record_schema import check_record
@@ -82,6 +82,7 @@ class RunDirectory:
     limits: when the run stops, where that is no setting: to be recorded, and changed by resuming.
     may_change: names of settings that may be others when the run is resumed.
     facts: what else is known at the first call, recorded once: `facts` has what is recorded.
+    sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
     Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
     """
@@ -96,6 +97,7 @@ class RunDirectory:
         limits: dict[str, Any] | None = None,
         may_change: Collection[str] = (),
         facts: dict[str, Any] | None = None,
+        sources: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
         self.settings: dict[str, Any] = json.loads(json.dumps(settings))  # as it is read back
@@ -117,6 +119,10 @@ class RunDirectory:
                 self._run["resumed"] = [*before.get("resumed", []), now()]
             if limits is not None:
                 self._run["limits"] = limits
+            if sources:
+                self._run["sources"] = sources_module.versions_with(
+                    sources, before, self.path, begun=is_saved(self.path)
+                )
             files.remove_leftovers(self.path)
             self._lock = lock.pop_all()
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers.fingerprint import digest, version_of
+from fide_plugins.renderers.fingerprint import version_of
 from fide_plugins.renderers.naming import described
-from fide_plugins.runtime.reference import Referent, attribute, load, shown_traceback, split
+from fide_plugins.runtime.reference import (
+    Referent,
+    attribute,
+    fingerprint,
+    load,
+    shown_traceback,
+    split,
+)
 from fide_plugins.space import Space
 from fide_plugins.validation.points import whole_number
 
@@ -66,12 +72,8 @@ class FunctionRenderer:
 
     @property
     def fingerprint(self) -> str | None:
-        """Of the file of the function; None where it has none that can be read."""
-        file = getattr(self._module, "__file__", None)
-        try:
-            return None if file is None else digest("file", Path(file).read_bytes())
-        except OSError:
-            return None
+        """Of the file of the function, as it was loaded; None where there is none to read."""
+        return fingerprint(self._module)
 
     @property
     def version(self) -> str | None:

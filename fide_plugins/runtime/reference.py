@@ -12,10 +12,21 @@ from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 from fide_plugins.errors import OptionError, UnknownNameError, did_you_mean
 
-__all__ = ["Referent", "attribute", "is_reference", "load", "shown_traceback", "split"]
+__all__ = [
+    "Referent",
+    "attribute",
+    "fingerprint",
+    "is_reference",
+    "load",
+    "shown_traceback",
+    "split",
+]
+
+_FINGERPRINTS: WeakKeyDictionary[ModuleType, str | None] = WeakKeyDictionary()
 
 
 class Referent(NamedTuple):
@@ -58,8 +69,28 @@ def load(place: str, referent: Referent) -> ModuleType:
     Raises OptionError (a ValueError) if there is none, or if it raises an exception, whose
     traceback the error shows.
     """
-    if not place.endswith(".py"):
-        return _import(place, referent)
+    module = _import(place, referent) if not place.endswith(".py") else _execute(place, referent)
+    if module not in _FINGERPRINTS:  # at once: the file may be edited while this process goes on
+        _FINGERPRINTS[module] = _fingerprint(module)
+    return module
+
+
+def fingerprint(module: ModuleType) -> str | None:
+    """Kind and digest of the file of a module, as it was when `load` loaded it; None without."""
+    return _FINGERPRINTS[module]
+
+
+def _fingerprint(module: ModuleType) -> str | None:
+    file = getattr(module, "__file__", None)
+    try:
+        data = None if file is None else Path(file).read_bytes()
+    except OSError:
+        return None
+    return None if data is None else f"file:{hashlib.sha256(data).hexdigest()[:16]}"
+
+
+def _execute(place: str, referent: Referent) -> ModuleType:
+    """Module in a file."""
     path = os.path.abspath(place)
     name = f"{Path(path).stem}_{hashlib.sha256(path.encode()).hexdigest()[:8]}"
     if name in sys.modules:

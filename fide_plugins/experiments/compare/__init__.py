@@ -17,6 +17,7 @@ The package `fide_plugins.experiments.report` reports the results.
 `processes`       runs in several processes of this machine
 `cluster`         runs on a Dask cluster
 `directory`       the directory of a comparison, and its record `study.json`
+`versions`        results of a file of the user that was edited since
 `results`         reads a comparison back
 ================  ===============================================================
 """

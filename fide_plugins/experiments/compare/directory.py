@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.experiments.compare.configuration import as_file_name
-from fide_plugins.experiments.compare.one_run import State, examine
+from fide_plugins.experiments.compare.one_run import State, examine, is_busy
 from fide_plugins.experiments.compare.plan import Checked, Plan, RunKey
+from fide_plugins.experiments.compare.versions import check_versions
 from fide_plugins.recording.directory import (
     FORMAT,
     RunDirectoryError,
@@ -39,7 +40,8 @@ class ComparisonDirectory:
     checked: result of `Plan.check`.
     resume: whether an existing comparison may be continued.
 
-    Raises RunDirectoryError (a FileExistsError) for a directory that holds something else, or a
+    Warns of, or raises RunDirectoryError (a FileExistsError) for, results of another version of a
+    user's file, see `versions`.  Raises it also for a directory that holds something else, or a
     comparison with other settings; OSError if it cannot be written.
     """
 
@@ -61,9 +63,12 @@ class ComparisonDirectory:
             _check_empty(self.path)
         else:
             self._check(before["settings"], resume)
+        sources = plan.sources()
         self.states: dict[RunKey, State] = {
-            key: examine(self.path / key.folder, settings[key]) for key in settings
+            key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
         }
+        there = [] if before is None else [key for key, _ in runs_of(before)]
+        check_versions(self.path, plan, sources, self.states, there)
         files.check_writable(self.path)
         files.remove_leftovers(self.path)
 
@@ -174,6 +179,11 @@ def _comparable(plan: Plan, settings: dict[RunKey, dict[str, Any]]) -> dict[str,
     }
     result: dict[str, Any] = json.loads(json.dumps(common))  # as it is read back
     return result
+
+
+def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> State:
+    state = examine(folder, settings, sources)
+    return State("busy") if state.kind != "finished" and is_busy(folder) else state
 
 
 def _check_empty(path: Path) -> None:

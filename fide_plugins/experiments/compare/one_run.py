@@ -1,7 +1,8 @@
 """One run of a comparison: the state of its directory, and its execution.
 
 A run is finished when `run.json` says so and the tables have the checksums that it names.  A
-damaged run is deleted and repeated.  A run that fails leaves its traceback in `error.txt`; the
+damaged run is deleted and repeated, and so is one that was begun with another version of a file of
+the user.  A run that fails leaves its traceback in `error.txt`; the
 next call tries it again.
 """
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,9 +26,10 @@ from fide_plugins.recording.directory import (
     read_run,
 )
 from fide_plugins.recording.record import PARTS
+from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.runtime import files
 
-__all__ = ["ERROR", "Outcome", "State", "examine", "run_one"]
+__all__ = ["ERROR", "Outcome", "State", "examine", "is_busy", "run_one"]
 
 ERROR = "error.txt"
 _LOCK = ".lock"
@@ -39,11 +41,12 @@ _LOSSES = ("best_loss", "reference_loss", "recommended_loss")  # None where ther
 class State:
     """State of a run's directory.
 
-    kind: "finished"; "started", to be continued; "missing"; "damaged", to be repeated.
-    why: what is wrong with a damaged run.
+    kind: "finished"; "started", to be continued; "missing"; "damaged" or "outdated", to be
+        repeated; "busy", executed by another process.
+    why: what is wrong with a damaged run, or which file has changed since an outdated one.
     """
 
-    kind: Literal["finished", "started", "missing", "damaged"]
+    kind: Literal["finished", "started", "missing", "damaged", "outdated", "busy"]
     why: str = ""
 
 
@@ -66,8 +69,17 @@ class Outcome:
     signum: int = 0
 
 
-def examine(folder: Path, settings: dict[str, Any]) -> State:
-    """State of the run in `folder`.
+def is_busy(folder: Path) -> bool:
+    """Whether another process executes the run in `folder`, as far as its lock tells."""
+    return files.is_locked(folder / _LOCK) is True
+
+
+def examine(
+    folder: Path, settings: dict[str, Any], sources: Mapping[str, str] | None = None
+) -> State:
+    """State of the run in `folder`, whoever executes it.
+
+    sources: fingerprints of the user's files now, see `Plan.sources`; None: as those of the run.
 
     Raises RunDirectoryError (a FileExistsError), naming the setting that differs, if the folder
     holds a run with other settings.
@@ -82,6 +94,9 @@ def examine(folder: Path, settings: dict[str, Any]) -> State:
         return State("missing")
     check_settings(run["settings"], settings, f"{folder} holds a run")
     if run.get("status") != "finished":
+        changed = edited(versions_there(run), sources or {})
+        if changed:
+            return State("outdated", f"{file_of(changed[0])} has changed since it was begun")
         return State("started")
     for name in TABLES:
         try:
@@ -115,10 +130,10 @@ def run_one(
     with files.locked(folder / _LOCK) as mine:
         if not mine:
             return Outcome(key, "busy", "another process executes it")
-        state = examine(folder, settings)
+        state = examine(folder, settings, plan.sources())
         if state.kind == "finished":
             return Outcome(key, "kept", totals=_totals(folder))
-        if state.kind == "damaged":
+        if state.why:
             _clear(folder)
         # of an earlier attempt: from here on the run counts as unfinished, not as failed
         (folder / ERROR).unlink(missing_ok=True)
@@ -130,7 +145,9 @@ def run_one(
         except (Exception, SystemExit) as error:
             files.write_text(folder / ERROR, traceback.format_exc())
             return Outcome(key, "failed", f"{type(error).__name__}: {error}")
-        note = f"repeated, because it was damaged: {state.why}" if state.why else note
+        if state.why:
+            damaged = "it was damaged: " if state.kind == "damaged" else ""
+            note = f"repeated, because {damaged}{state.why}"
         return Outcome(key, "done", note, _totals(folder))
 
 

@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
-from fide_plugins.experiments.run import Keep
+from fide_plugins.experiments.run import Keep, renderer_task
 from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.recording.sources import of_files
+from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
@@ -114,6 +116,15 @@ class Plan:
     def options_of(self, configuration: Configuration) -> dict[str, Any]:
         """Options of the plan, overridden by those of the configuration."""
         return {**self.options, **configuration.options}
+
+    def sources(self) -> dict[str, str]:
+        """Fingerprints of the user's files that it names, by reference, as they were loaded."""
+        names = {configuration.name for configuration in self.configurations}
+        found = {name: optimizers.source_of(name) for name in sorted(names)}
+        for task in self.tasks:
+            if renderer_task.is_function(task, self.task_options):
+                found[task] = FunctionRenderer(task).fingerprint
+        return of_files(found)
 
     def check(self) -> Checked:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.

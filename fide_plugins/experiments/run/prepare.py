@@ -19,6 +19,8 @@ from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording.directory import RunDirectory, is_saved
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.sources import of_files
+from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
@@ -129,9 +131,11 @@ def prepare(
     if out is not None:
         _check_reloads(optimizer, searcher)
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
+        files = of_files({settings["task"]: fingerprint_of(task), **_source_of(optimizer)})
         directory = RunDirectory(
-            out, settings, resume=resume, command=_words(command), may_change=may_change
-        )
+            out, settings, resume=resume, command=_words(command), may_change=may_change,
+            sources=files,
+        )  # fmt: skip
         record, searcher = _started(directory, record, searcher, fidelity, budget)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
@@ -155,6 +159,10 @@ def _options_of(
     if optimizer == "fide":
         return search_options(options, task, resumed=resumed)
     return with_model(options, task)
+
+
+def _source_of(optimizer: str | Callable[..., AskTell]) -> dict[str, str | None]:
+    return {optimizer: optimizers.source_of(optimizer)} if isinstance(optimizer, str) else {}
 
 
 def _rounds(

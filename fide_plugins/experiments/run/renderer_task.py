@@ -20,7 +20,7 @@ from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch, as_target
 
-__all__ = ["RendererTask", "is_own", "make"]
+__all__ = ["RendererTask", "is_function", "is_own", "make"]
 
 _OF_BOTH = ("space", "target")
 _OF_COMMAND = (*_OF_BOTH, "command", "timeout")
@@ -109,6 +109,11 @@ class RendererTask:
 def is_own(name: str, options: Mapping[str, Any]) -> bool:
     """Whether a task of this name and these options is a user's renderer."""
     return "command" in options or is_reference(name)
+
+
+def is_function(name: str, options: Mapping[str, Any]) -> bool:
+    """Whether it is a function of a file or a module of the user's."""
+    return is_own(name, options) and not {"command", "suite"} & set(options)
 
 
 def make(name: str, seed: int, options: Mapping[str, Any]) -> RendererTask:

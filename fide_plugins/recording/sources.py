@@ -1,0 +1,85 @@
+"""The user's files on which a run depends: their versions are recorded, so that an edit is noticed.
+
+A reference such as ``mine.py:Search`` is all that the settings of a run have of them.  `run.json`
+has the digest of each file beside it, one for each version that calls of the run have had.  What a
+file imports is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.renderers.fingerprint import changed
+from fide_plugins.runtime.warn import warn_user
+
+__all__ = ["edited", "file_of", "of_files", "versions_there", "versions_with"]
+
+
+def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
+    """Those fingerprints, by reference, that are of a file."""
+    found = {name: one for name, one in fingerprints.items() if one is not None}
+    return {name: one for name, one in found.items() if one.startswith("file:")}
+
+
+def file_of(reference: str) -> str:
+    """File or module of a reference.
+
+    >>> file_of("mine.py:Search")
+    'mine.py'
+    """
+    return reference.rpartition(":")[0] or reference
+
+
+def versions_there(run: Mapping[str, Any] | None) -> dict[str, list[str]]:
+    """Fingerprints in the contents of `run.json`, by reference, the newest last.
+
+    Empty where there are none: without such a file, and in one of an earlier version.
+    """
+    found = None if run is None else run.get("sources")
+    if not isinstance(found, dict):
+        return {}
+    return {
+        reference: versions
+        for reference, versions in found.items()
+        if isinstance(versions, list) and versions and all(isinstance(v, str) for v in versions)
+    }
+
+
+def edited(there: Mapping[str, list[str]], here: Mapping[str, str]) -> list[str]:
+    """References to files of which a run has had another version than the present one."""
+    return [
+        reference
+        for reference, now in here.items()
+        if any(changed(before, now) for before in there.get(reference, []))
+    ]
+
+
+def versions_with(
+    here: Mapping[str, str], before: Mapping[str, Any] | None, path: Path, *, begun: bool
+) -> dict[str, list[str]]:
+    """Fingerprints to record when the run in the folder `path` is begun or resumed.
+
+    before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
+        state, which is of the versions before.
+
+    Warns, once for each edit, of a file that has changed since.
+    """
+    there = versions_there(before) if begun else {}
+    newest = {reference: versions[-1:] for reference, versions in there.items()}
+    for reference in edited(newest, here):
+        file = file_of(reference)
+        warn_user(
+            f"{file} has changed since the run in {path} was last at work: what is there was made "
+            "with the earlier version, and what follows is with this one; if they differ in more "
+            "than a mended error, undo the change, or start again in another directory"
+        )
+    return {
+        **there,
+        **{
+            reference: [*there.get(reference, []), now]
+            for reference, now in here.items()
+            if newest.get(reference) != [now]
+        },
+    }

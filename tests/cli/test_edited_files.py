@@ -1,0 +1,86 @@
+"""A file of the user that is edited before its run is resumed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from .conftest import fide
+
+SEARCH = """
+import numpy as np
+
+class Search:
+    def __init__(self, dim, seed=None):
+        self.dim, self.rng = dim, np.random.default_rng(seed)
+    def ask(self, n):
+        return self.rng.uniform(0, 1, (n, self.dim))
+    def tell(self, X, losses): ...
+"""
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    """Edit a module, as if the next process were to load it."""
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, new))
+    for name, module in list(sys.modules.items()):
+        if getattr(module, "__file__", None) == str(file):
+            del sys.modules[name]
+
+
+pytestmark = pytest.mark.filterwarnings("always:.*has changed since:RuntimeWarning")
+
+RUN = ("run", "scene.py:render", "--target", "target.png", "--optimizer", "random", "--seed", 0)
+FIT = ("fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--seed", 0)
+
+
+@pytest.mark.usefixtures("target")
+@pytest.mark.parametrize("command", [RUN, FIT])
+def test_resuming_names_a_renderer_that_was_edited_once(
+    command: tuple[object, ...], scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (*command, "--out", "out", "--budget")
+    assert fide(*words, 10) == 0
+    assert fide(*words, 20, "--resume") == 0
+    assert "has changed" not in capsys.readouterr().err
+    edit(scene, "far < 0.5", "far < 0.6")
+    assert fide(*words, 30, "--resume") == 0
+    assert (
+        f"fide {command[0]}: scene.py has changed since the run in out" in capsys.readouterr().err
+    )
+    (versions,) = json.loads(Path("out/run.json").read_text())["sources"].values()
+    assert len(versions) == 2
+    assert fide(*words, 40, "--resume") == 0
+    assert "has changed" not in capsys.readouterr().err
+
+
+def test_resuming_names_an_optimizer_that_was_edited(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = scene.parent / "mine.py"
+    mine.write_text(SEARCH)
+    words = ("run", "scene.py:render", "--optimizer", "mine.py:Search", "--out", "out")
+    assert fide(*words, "--budget", 20) == 0
+    edit(mine, "def tell(self, X, losses)", "def tell(self, points, losses)")
+    assert fide(*words, "--budget", 20, "--resume") == 0
+    assert "mine.py has changed since the run in out" in capsys.readouterr().err
+    edit(mine, "uniform(0, 1,", "uniform(0, 0.5,")
+    assert fide(*words, "--budget", 20, "--resume") == 2
+    changed, refused = capsys.readouterr().err.splitlines()
+    assert "mine.py has changed" in changed and "asks for other candidates" in refused
+
+
+def test_a_run_without_a_state_is_that_of_the_present_file(
+    scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = scene.parent / "mine.py"
+    mine.write_text(SEARCH.replace("return", "raise ArithmeticError # "))
+    words = ("run", "scene.py:render", "--optimizer", "mine.py:Search", "--out", "out")
+    assert fide(*words, "--budget", 20) == 1
+    edit(mine, "raise ArithmeticError # ", "return")
+    capsys.readouterr()
+    assert fide(*words, "--budget", 20, "--resume") == 0
+    assert "has changed" not in capsys.readouterr().err
