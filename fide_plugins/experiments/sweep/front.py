@@ -18,6 +18,7 @@ from fide_plugins import losses as losses_module
 from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
 from fide_plugins.experiments.compare.results import NoResultsError
 from fide_plugins.experiments.run.prepare import make_task, target_of
+from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.experiments.run.task import Task, TaskInfo
 
 __all__ = ["AXES", "MARKS", "Combination", "Point", "best_within", "front", "read"]
@@ -39,14 +40,15 @@ class Point(NamedTuple):
 class Combination:
     """One combination of options on one task.
 
-    name: label of the optimizer configuration; size, spp: task options.
+    name: label of the optimizer configuration; size, spp: task options, None where the task has
+        none: a user's renderer has its own size.
     runs: finished runs; finals: their final losses, (n,), comparable within the task.
     anytime: whether losses during the runs are comparable too.
     """
 
     task: str
     name: str
-    size: int
+    size: int | None
     spp: int | None
     runs: tuple[StoredRun, ...]
     finals: tuple[float, ...]
@@ -56,9 +58,8 @@ class Combination:
     def words(self) -> tuple[str, ...]:
         """The preset and the other options: "balanced", "popsize=30", "size=112"."""
         options = dict(word.split("=", 1) for word in self.name.split(":")[1:])
-        options["size"] = str(self.size)
-        if self.spp is not None:
-            options["spp"] = str(self.spp)
+        of_task = {"size": self.size, "spp": self.spp}
+        options |= {name: str(value) for name, value in of_task.items() if value is not None}
         preset = options.pop("preset")
         return (preset, *(f"{name}={value}" for name, value in options.items()))
 
@@ -136,9 +137,9 @@ def _combinations(results: Results, judge: _Judge | None) -> list[Combination]:
     for run in results.runs:
         if run.curve is not None:
             finished.setdefault((run.key.task, run.key.configuration), []).append(run)
-    size, spp = results.settings["size"], _spp(results)
-    combinations = []
+    combinations, spp = [], _spp(results)
     for (task, name), runs in finished.items():
+        size = None if is_own(task, results.settings["task_options"]) else results.settings["size"]
         finals = tuple(run.final if judge is None else judge(run) for run in runs)
         anytime = judge is None and not any(map(_is_noisy, runs))
         combinations.append(Combination(task, name, size, spp, tuple(runs), finals, anytime))

@@ -16,6 +16,7 @@ from typing import Any
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.experiments.compare import Configuration, Plan
 from fide_plugins.experiments.compare.directory import read_record
+from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.options import PRESETS
 from fide_plugins.recording.directory import check_settings
 
@@ -40,8 +41,8 @@ class Grid:
 
     options: values to sweep by name, of the names in `OPTIONS`.
 
-    Raises OptionError (a ValueError) for an unknown name, no values, a repeated value, or network
-    options if no preset has a network.
+    Raises OptionError (a ValueError) for an unknown name, no values, a repeated value, network
+    options if no preset has a network, or sizes of a user's renderer, which has its own.
     """
 
     tasks: tuple[str, ...]
@@ -66,6 +67,17 @@ class Grid:
             raise OptionError(
                 f"{of_network[0]} is an option of the network, and no preset has one "
                 f"({', '.join(self.values('preset'))}): leave it out, or add paper"
+            )
+
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        own = [task for task in self.tasks if is_own(task, self.task_options)]
+        sizes = self.options.get("size", ())
+        if own and sizes and (len(own) == len(self.tasks) or len(sizes) > 1):
+            raise OptionError(
+                f"size is for built-in tasks; {own[0]} is a renderer of your own and has its own "
+                "size: change it there"
             )
 
     def values(self, option: str) -> tuple[Any, ...]:

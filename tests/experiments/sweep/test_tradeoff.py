@@ -199,3 +199,24 @@ def test_where_sizes_differ_all_are_judged_by_the_largest(tmp_path: Path) -> Non
         image = task.render(x[None])[0]
         expected = float(np.square(np.float64(image) - task.target).mean())
         assert combination.final == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_renderer_of_one_s_own_has_no_size_to_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.py").write_text(
+        "import numpy as np\nspace = 2\ndef render(x): return np.full((8, 8), x.mean())\n"
+    )
+    words = ["tradeoff", "scene.py:render", "--seeds", 1, "--preset", "fast", "--out", "out"]
+    words += ["--budget", 20, "--popsize", 6]
+    assert fide(*words, "--size", "16") == fide(*words, "--size", "16,32") == 2
+    assert capsys.readouterr().err.count("scene.py:render is a renderer of your own") == 2
+    assert not Path("out").exists()
+    assert fide(*words) == 0
+    assert " size=" not in capsys.readouterr().out
+    (combination,) = read(Path("out"))
+    assert combination.words == ("fast", "popsize=6")
+    Grid(("voronoi", "scene.py:render"), {"size": [16]})
+    with pytest.raises(OptionError, match="has its own size"):
+        Grid(("voronoi", "scene.py:render"), {"size": [16, 32]})
