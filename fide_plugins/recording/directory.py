@@ -53,6 +53,7 @@ __all__ = [
     "check_settings",
     "checksum",
     "is_saved",
+    "is_under_way",
     "read_checkpoint",
     "read_run",
 ]
@@ -281,6 +282,11 @@ def _lock(path: Path) -> ExitStack:
                 "ends or stop it, and resume then, or name another directory"
             )
         return lock.pop_all()
+
+
+def is_under_way(path: Path) -> bool | None:
+    """Whether a process works on the run in the folder `path`; None where no lock tells."""
+    return files.is_locked(path / _LOCK)
 
 
 def is_saved(path: str | os.PathLike[str]) -> bool:

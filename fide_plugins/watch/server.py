@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
+from fide_plugins.recording.directory import RunDirectoryError
 from fide_plugins.watch.snapshot import PICTURES, RunFiles
 
 __all__ = ["Server", "serve"]
@@ -79,16 +80,31 @@ def serve(directory: str | os.PathLike[str], port: int = 0) -> tuple[Server, str
     directory: need not be there yet.  port: 0 for any that is free.
     The thread ends with the process, or with `server.close()`.
 
-    Raises OptionError (a ValueError) for what is a file or no port, OSError if the port is in use.
+    Raises OptionError (a ValueError) for what is a file or no port, RunDirectoryError (a
+    FileExistsError) for the directory of a comparison, OSError if the port is in use.
     """
-    if Path(directory).exists() and not Path(directory).is_dir():
+    path = Path(directory)
+    if path.exists() and not path.is_dir():
         raise OptionError(f"{os.fspath(directory)!r} is no directory; name that of a run")
+    _check_no_comparison(path)
     if not 0 <= port <= 65535:
         raise OptionError(f"a port is a number from 0 to 65535, not {port}")
     server = Server(directory, port)
     serving = partial(server.serve_forever, poll_interval=_POLL)
     threading.Thread(target=serving, name="fide-watch", daemon=True).start()
     return server, server.url
+
+
+def _check_no_comparison(path: Path) -> None:
+    """Raise RunDirectoryError for the directory of a comparison, naming one of a run in it."""
+    if not (path / "study.json").exists():
+        return
+    runs = sorted(path.glob("cells/*/*/*/seed-*"))
+    run = runs[0] if runs else path / "cells/TASK/LOSS/OPTIMIZER/seed-0"
+    raise RunDirectoryError(
+        f"{path} holds a comparison, and the page is of one run: name that, such as {run}; "
+        f"of all of them there is a report: fide report {path}"
+    )
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import stat
+import time
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ PICTURES = ("target.png", "best.png", "difference.png")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_BYTES = 2**28
 _MOST_POINTS = 1000
+_QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
+_WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
 _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
     **dict.fromkeys(("evaluations", "budget", "workers", "busy", "failures"), (int,)),
     **dict.fromkeys(("seconds", "best_loss"), (int, float)),
@@ -66,9 +69,22 @@ class RunFiles:
         shown |= _checked(curve) | _checked(live) | _checked(newest)
         shown["improvements"] = _joined(curve, newest)
         shown["parameters"] = _rows(live.get("parameters")) or self._parameters(settings)
+        if shown["status"] == "running" and self._has_stopped():
+            shown["status"] = "stopped without an end; continue with --resume"
         if shown["status"] != "running":
             shown.pop("busy", None)
         return shown
+
+    def _has_stopped(self) -> bool:
+        """Whether the process of a run was killed: its lock is free, and nothing is written.
+
+        The lock alone does not tell: that of another machine may not be seen here.
+        """
+        from fide_plugins.recording.directory import is_under_way
+
+        marks = (self._mark(name) for name in _WRITTEN)
+        newest = max((mark[0] for mark in marks if mark), default=0) / 1e9
+        return time.time() - newest > _QUIET and is_under_way(self.path) is False
 
     # -- files -------------------------------------------------------------------------------------
 

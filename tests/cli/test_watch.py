@@ -45,3 +45,16 @@ def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixtu
 
     assert main(["watch", *words, "--no-browser"]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_of_a_comparison_it_names_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["compare", "voronoi", "--optimizers", "random", "--seeds", "1", "--budget", "10"]
+    assert main([*words, "--size", "8", "--task-set", "cells=2", "--out", "both"]) == 0
+    capsys.readouterr()
+    assert main(["watch", "both", "--no-browser"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    run = str(Path("both/cells/voronoi/mse/random/seed-0"))
+    assert f"such as {run};" in line and "fide report both" in line and "cannot serve" not in line

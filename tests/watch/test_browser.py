@@ -49,6 +49,22 @@ def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, direc
     assert all(url.startswith((server.url, "data:")) for url in fetched)
 
 
+@pytest.mark.parametrize(("best", "ticks"), [(0.0, ("0", "0.5")), (-1.5, ("-1.5", "0.5"))])
+def test_losses_of_zero_and_below_have_a_curve(
+    best: float, ticks: tuple[str, str], browser: Any, server: Server, directory: Path
+) -> None:
+    (directory / "curve.csv").unlink()
+    write_live(directory, 120, best)
+    page = browser.new_page()
+    page.goto(server.url)
+    titled(page, f"{best:g} ·")
+    line = page.locator("#line").get_attribute("d")
+    assert line.count("V") == 2 and "V225" in line, "down to the lower end of the axis"
+    texts = page.locator("#ticks text").all_text_contents()
+    assert set(ticks) <= set(texts)
+    page.close()
+
+
 def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
     from fide_plugins.watch import serve
 

@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime import files
 from fide_plugins.watch import Server, serve
 
 from .conftest import write_live
@@ -56,6 +58,31 @@ def test_the_state_is_that_of_the_files(server: Server, directory: Path) -> None
     state = json.loads(ask(server, "/state.json")[1])
     assert (state["evaluations"], state["best_loss"], state["seconds"]) == (3, 0.1, 0.3)
     assert state["improvements"] == [[1, 0.5], [3, 0.1]]
+
+
+def age(directory: Path, seconds: float) -> None:
+    """As if its files had been written so many seconds ago."""
+    then = time.time() - seconds
+    for path in directory.iterdir():
+        os.utime(path, (then, then))
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no such locks on Windows")
+def test_a_run_whose_process_was_killed_is_not_shown_as_running(
+    server: Server, directory: Path
+) -> None:
+    def shown() -> Any:
+        return json.loads(ask(server, "/state.json")[1])
+
+    age(directory, 3600)
+    assert shown()["status"] == "running", "without a lock nothing is known"
+    with files.locked(directory / ".run.lock"):
+        assert (shown()["status"], shown()["busy"]) == ("running", 7)
+    state = shown()
+    assert state["status"] == "stopped without an end; continue with --resume"
+    assert "busy" not in state
+    write_live(directory, 121, 0.002)
+    assert shown()["status"] == "running", "the lock of another machine may not be seen here"
 
 
 def test_the_difference_is_that_of_the_pictures(server: Server) -> None:

@@ -5,6 +5,7 @@ const byId = (id) => document.getElementById(id);
 const shown = {};
 
 function short(value) {
+  if (value === 0) return "0";
   return Math.abs(value) >= 1e-3 && Math.abs(value) < 1e5 ? String(+value.toPrecision(4)) : value.toExponential(2);
 }
 
@@ -54,20 +55,34 @@ function tick(x1, y1, x2, y2, text, x, y, anchor) {
   return [line, label];
 }
 
+function decades(losses) {
+  const values = losses.map(Math.log10);
+  const low = Math.floor(Math.min(...values)), high = Math.max(Math.ceil(Math.max(...values)), low + 1);
+  const step = Math.ceil((high - low) / 5), marks = [];
+  for (let log = low; log <= high; log += step) marks.push([log, `1e${log}`]);
+  return { values, low, high, marks };
+}
+
+// Of losses that are zero or negative, which have no logarithm.
+function linear(losses) {
+  const low = Math.min(...losses), most = Math.max(...losses);
+  const high = most > low ? most : low + Math.max(Math.abs(low), 1);
+  const marks = [0, 1, 2, 3, 4].map((i) => low + (i * (high - low)) / 4);
+  return { values: losses, low, high, marks: marks.map((value) => [value, short(value)]) };
+}
+
 function curve(points, last) {
-  points = points.filter(([, loss]) => loss > 0);
   if (!points.length) return;
-  const logs = points.map(([, loss]) => Math.log10(loss));
-  const low = Math.floor(Math.min(...logs)), high = Math.max(Math.ceil(Math.max(...logs)), low + 1);
+  const losses = points.map(([, loss]) => loss);
+  const { values, low, high, marks } = losses.every((loss) => loss > 0) ? decades(losses) : linear(losses);
   const end = Math.max(last || 0, points[points.length - 1][0], 1);
   const x = (n) => 70 + (560 * n) / end;
-  const y = (log) => 15 + (210 * (high - log)) / (high - low);
-  let path = `M${x(points[0][0])} ${y(logs[0])}`;
-  for (let i = 1; i < points.length; i += 1) path += `H${x(points[i][0])}V${y(logs[i])}`;
+  const y = (value) => 15 + (210 * (high - value)) / (high - low);
+  let path = `M${x(points[0][0])} ${y(values[0])}`;
+  for (let i = 1; i < points.length; i += 1) path += `H${x(points[i][0])}V${y(values[i])}`;
   byId("line").setAttribute("d", `${path}H${x(end)}`);
   const ticks = [];
-  const step = Math.ceil((high - low) / 5);
-  for (let log = low; log <= high; log += step) ticks.push(...tick(70, y(log), 630, y(log), `1e${log}`, 62, y(log) + 5, "end"));
+  for (const [value, text] of marks) ticks.push(...tick(70, y(value), 630, y(value), text, 62, y(value) + 5, "end"));
   ticks.push(...tick(630, 225, 630, 231, `${end} renders`, 630, 250, "end"));
   byId("ticks").replaceChildren(...ticks);
 }
