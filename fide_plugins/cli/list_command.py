@@ -1,10 +1,14 @@
-"""List names, one per line; encoders and losses that cannot be used here with the reason."""
+"""List names, one per line; encoders and losses that cannot be used here with the reason.
+
+The heading of the scenes that are not of the paper goes to standard error.
+"""
 
 from __future__ import annotations
 
 import argparse
 
 from fide_plugins.cli.availability import KINDS, names, problems
+from fide_plugins.cli.messages import note
 
 __all__ = ["add_arguments", "execute"]
 
@@ -19,9 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     if args.kind not in _WITH_WEIGHTS:
-        print("\n".join(names(args.kind)))
+        print("\n".join(names(args.kind)), flush=True)
         if args.kind == "tasks":
-            print("\n".join(["", "more scenes, not of the paper:", *_more_tasks()]))
+            note(
+                "\nmore scenes, not of the paper:"
+            )  # no name, so not for a program that reads them
+            print("\n".join(_more_tasks()))
         return 0
     found = problems(args.kind)
     width = max(map(len, found))
