@@ -72,8 +72,8 @@ def versions_with(
         file = file_of(reference)
         warn_user(
             f"{file} has changed since the run in {path} was last at work: what is there was made "
-            "with the earlier version, and what follows is with this one; if they differ in more "
-            "than a mended error, undo the change, or start again in another directory"
+            "with the earlier version, and what follows is with this one; unless the change only "
+            "mends an error, undo it, or start again in another directory"
         )
     return {
         **there,
