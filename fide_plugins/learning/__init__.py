@@ -29,6 +29,7 @@ file               idea
 `finishing`        a trained network is calibrated and judged
 `calibration`      one scale for all standard deviations of a density, by held-out renders
 `report`           how good a model is: likelihood, hypotheses, calibration
+`seen`             which parameters images show
 `familiarity`      how much a picture is like those that were learned
 `hypotheses`       what the search is given
 `truncation`       where a second round renders: the region of one picture's posterior

@@ -52,7 +52,7 @@ def report_of(
         augment=training.augment,
         scale=network.scale,
         fitted=int(fit.sum()),
-        parameters=len(set(names)),
+        parameters=judgment.parameters,
         emulated=emulated,
     )
 

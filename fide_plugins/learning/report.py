@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from fide_plugins.learning.calibration import DRAWS, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
+from fide_plugins.learning.seen import are_shown, of_any_block, scores
 from fide_plugins.search.boundary import distance
 from fide_plugins.types import Float64, Mask
 
@@ -21,10 +22,8 @@ __all__ = ["Distance", "Report", "against_prior", "judge"]
 
 _HYPOTHESES = 64
 _PICTURES = 300
-_BINS = 4
 _BATCH = 500
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
-_UNSEEN = 0.05  # nats: what 99 samples of a uniform density seem to say is a third of it
 
 
 @dataclass(frozen=True)
@@ -37,15 +36,17 @@ class Report:
     seconds: of training the density, in all calls together.
     nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
     within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
-        cube in every parameter that the images show.
+        cube in every parameter that the images show; in all where they show none.
     coverage: share of pictures whose parameters are in the 90 % region of highest density.
     ranks: (d,), share of pictures whose parameter is between the 5 % and the 95 % quantile of its
         samples; simulation-based calibration (Talts et al. 2018, arXiv:1804.06788) has 0.9.  Not
         for exchangeable blocks, whose order means nothing: NaN.
-    unseen: parameters of which the images tell nothing, as far as was learned.
+    unseen: parameters of which the images tell nothing, as far as was learned, see `seen`;
+        "lamps.x" is that of every block where blocks are exchangeable.
     curve: of each pass, see `training.Curve`.
     augment: how much its renders were changed, see `augmentation`.
-    parameters: how many there are; axes are more where a choice has several.
+    parameters: how many there are, as `unseen` names them; axes are more where a choice has
+        several, or blocks are exchangeable.
     emulated: share of the variance of held-out renders that the emulator explains; None without
         an emulator.
     """
@@ -197,6 +198,7 @@ class Judgment:
     coverage: float
     ranks: tuple[float, ...]
     unseen: tuple[str, ...]
+    parameters: int
 
 
 @torch.no_grad()
@@ -224,10 +226,11 @@ def judge(
         drawings.append(samples[:_HYPOTHESES])
         inside.append(in_region(network, image, drawn, u[i]))
         ranks.append((samples < x[i]).mean(axis=0))
-        told.append(_information(samples))
-    seen = np.mean(told, axis=0) >= _UNSEEN
+        told.append(scores(samples, x[i], distance.periodic, distance.blocks))
+    names = of_any_block(names, distance.blocks)
+    shown = are_shown(np.array(told), names)
     near = [
-        _nearest(samples, truth, seen, distance)
+        _nearest(samples, truth, shown if shown.any() else ~shown, distance)
         for samples, truth in zip(drawings, x, strict=False)
     ]
     return Judgment(
@@ -235,7 +238,8 @@ def judge(
         within=(float(np.mean(np.array(near) <= 0.05)), float(np.mean(np.array(near) <= 0.1))),
         coverage=float(np.mean(inside)),
         ranks=tuple(_calibration(np.array(ranks), distance)),
-        unseen=tuple(dict.fromkeys(n for n, s in zip(names, seen, strict=True) if not s)),
+        unseen=tuple(dict.fromkeys(n for n, s in zip(names, shown, strict=True) if not s)),
+        parameters=len(set(names)),
     )
 
 
@@ -244,16 +248,12 @@ def _batches(images: Pixels, u: torch.Tensor) -> Iterator[tuple[Pixels, torch.Te
         yield images[first : first + _BATCH], u[first : first + _BATCH]
 
 
-def _nearest(samples: Float64, truth: Float64, seen: Mask, distance: Distance) -> float:
-    """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show."""
-    return float(distance(np.where(seen, samples, truth), truth).min())
+def _nearest(samples: Float64, truth: Float64, shown: Mask, distance: Distance) -> float:
+    """Distance of the truth (d,) from the nearest of the samples (n, d), in what images show.
 
-
-def _information(samples: Float64) -> Float64:
-    """Nats (d,) by which the samples (n, d) of each axis differ from the uniform density."""
-    cells = np.minimum((samples * _BINS).astype(np.intp), _BINS - 1)
-    p = np.stack([(cells == k).mean(axis=0) for k in range(_BINS)])  # (bins, d)
-    return np.asarray((p * np.log(np.maximum(p, 1e-12) * _BINS)).sum(axis=0), np.float64)
+    The other axes are the same everywhere, so that they say nothing of which block is which.
+    """
+    return float(distance(np.where(shown, samples, 0.5), np.where(shown, truth, 0.5)).min())
 
 
 def _calibration(ranks: Float64, distance: Distance) -> list[float]:
