@@ -23,6 +23,7 @@ __all__ = ["Distance", "Report", "against_prior", "judge"]
 _HYPOTHESES = 64
 _PICTURES = 300
 _BATCH = 500
+_CALIBRATED = 5000  # renders: of every 50th, which is held out, half choose the scale, at least 50
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 
 
@@ -71,17 +72,15 @@ class Report:
         lines = [
             f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s, "
             f"augment={self.augment!r}",
-            f"{against_prior(self.nll)} on {self.held_out - self.fitted:,} held-out renders",
+            *self._failed,
+            f"{against_prior(self.nll)} on {self._judges:,} held-out renders{self._chosen}",
             *self._passes,
             *self._found,
-            f"90 % regions hold the truth in {self.coverage:.0%}",
+            f"90 % regions hold the truth in {self._share(self.coverage)} of "
+            f"{self._pictures} pictures",
             *self._single,
+            self._calibrated,
         ]
-        if self.fitted:
-            lines.append(
-                f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
-                f"{self.scale:.2f}"
-            )
         if self.emulated is not None:
             used = "it refines hypotheses" if self.emulates else "too little to be used"
             lines.append(
@@ -101,6 +100,45 @@ class Report:
         return round(max(0.0, self.emulated or 0.0), 3)
 
     @property
+    def _judges(self) -> int:
+        """Held-out renders that did not choose the scale."""
+        return self.held_out - self.fitted
+
+    @property
+    def _pictures(self) -> int:
+        """The first of them, of which shares are."""
+        return min(self._judges, _PICTURES)
+
+    def _share(self, share: float) -> str:
+        """Share of pictures with its standard error, as if there were one more of either kind."""
+        n = self._pictures
+        near = (share * n + 1) / (n + 2)
+        return f"{share:.0%} +- {math.sqrt(near * (1 - near) / max(n, 1)):.0%}"
+
+    @property
+    def _failed(self) -> list[str]:
+        """Line on renders that failed."""
+        if not self.failed:
+            return []
+        what = "render failed and was" if self.failed == 1 else "renders failed and were"
+        return [f"{self.failed:,} {what} left out: the model knows nothing there"]
+
+    @property
+    def _chosen(self) -> str:
+        """What else the judges were used for: others are a little worse."""
+        return "" if len(self.curve) < 2 else ", which also chose the pass"
+
+    @property
+    def _calibrated(self) -> str:
+        """Line on the scale."""
+        if not self.fitted:
+            return f"not calibrated: that takes {_CALIBRATED:,} renders"
+        return (
+            f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
+            f"{self.scale:.2f}"
+        )
+
+    @property
     def _passes(self) -> list[str]:
         """Line of the training curve: held-out nats after each pass; it says whether more help."""
         if len(self.curve) < 2:
@@ -117,15 +155,17 @@ class Report:
         low, high = f"{min(known):.0%}", f"{max(known):.0%}"
         return [
             "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
-            f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right)"
+            f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right, "
+            f"+- {_right(self._pictures):.0%} by chance)"
         ]
 
     @property
     def _found(self) -> list[str]:
         """Lines on how near hypotheses are; they say nothing of what was not learned."""
         near = (
-            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in {self.within[0]:.0%}, "
-            f"within 0.1 in {self.within[1]:.0%} of pictures"
+            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in "
+            f"{self._share(self.within[0])}, within 0.1 in {self._share(self.within[1])} of "
+            f"{self._pictures} pictures"
         )
         if not self.unseen:
             return [near]
@@ -150,6 +190,11 @@ class Report:
         plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
         plain["curve"] = tuple(tuple(row) for row in state["curve"])
         return cls(**plain)
+
+
+def _right(n: int) -> float:
+    """Standard error of a share of nine tenths of n pictures."""
+    return math.sqrt(0.09 / max(n, 1))
 
 
 def against_prior(nll: float) -> str:

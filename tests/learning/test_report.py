@@ -6,14 +6,20 @@ from dataclasses import replace
 
 import pytest
 
+from fide_plugins.learning.calibration import split_held_out
 from fide_plugins.learning.report import Report
+from fide_plugins.learning.training import held_out
 
 REPORT = Report(
     renders=980, failed=0, held_out=20, seconds=3.0, nll=-1.25, within=(0.4, 0.75), coverage=0.9,
     ranks=(0.9,) * 4, unseen=(), curve=((1.0, -1.0, -1.0),), augment="photograph", scale=1.0,
     fitted=0, parameters=4, emulated=None,
 )  # fmt: skip
-NEAR = "one of 64 hypotheses is within 0.05 of the box in 40%, within 0.1 in 75% of pictures"
+NEAR = (
+    "one of 64 hypotheses is within 0.05 of the box in 40% +- 11%, within 0.1 in 75% +- 10% of "
+    "20 pictures"
+)
+RIGHT = "of pictures (90 % is right, +- 7% by chance)"
 SINGLE = "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
 WHY = "the images do not show them, or it takes more renders or passes"
 
@@ -26,21 +32,47 @@ def test_all_parameters_are_shown() -> None:
     assert lines(REPORT)[1:] == [
         "1.25 nats better than the uniform prior on 20 held-out renders",
         NEAR,
-        "90 % regions hold the truth in 90%",
-        f"{SINGLE}90% of pictures (90 % is right)",
+        "90 % regions hold the truth in 90% +- 8% of 20 pictures",
+        f"{SINGLE}90% {RIGHT}",
+        "not calibrated: that takes 5,000 renders",
     ]
+
+
+def test_shares_are_of_the_pictures_that_judged() -> None:
+    """Others chose the scale, and more than 300 are not drawn from."""
+    report = replace(REPORT, held_out=2000, fitted=300, coverage=1.0)
+    assert "on 1,700 held-out renders" in str(report)
+    assert "hold the truth in 100% +- 0% of 300 pictures" in str(report)
+    assert "calibrated by 300 other held-out renders: standard deviations times 1.00" in str(report)
+    few = replace(REPORT, held_out=6, coverage=1.0)
+    assert "hold the truth in 100% +- 14% of 6 pictures" in str(few)  # 0 % would seem to be sure
+
+
+def test_so_many_renders_are_calibrated() -> None:
+    for renders, fitted in ((4900, 0), (5000, 50)):
+        fit, judges = split_held_out(held_out(renders))
+        assert fit.sum() == fitted and fit.sum() + judges.sum() == renders // 50
+
+
+def test_renders_that_failed_are_told() -> None:
+    line = "289 renders failed and were left out: the model knows nothing there"
+    assert lines(replace(REPORT, failed=289))[1] == line
+    assert "1 render failed and was left out" in str(replace(REPORT, failed=1))
+    assert "failed" not in str(REPORT)
 
 
 def test_calibration_of_parameters_is_said_but_for_blocks() -> None:
     some = replace(REPORT, ranks=(0.82, 0.95, float("nan"), 0.9))
-    assert f"{SINGLE}82% to 95% of pictures (90 % is right)" in lines(some)
+    assert f"{SINGLE}82% to 95% {RIGHT}" in lines(some)
     blocks = replace(REPORT, ranks=(float("nan"),) * 4)
     assert "quantile" not in str(blocks)
 
 
 def test_several_passes_are_a_curve() -> None:
     curve = ((98.0, -1.0, -0.5), (196.0, -2.0, -1.25))
-    assert "nats after each pass: 0.50, 1.25" in lines(replace(REPORT, curve=curve))
+    report = lines(replace(REPORT, curve=curve))
+    assert "nats after each pass: 0.50, 1.25" in report
+    assert report[1].endswith("on 20 held-out renders, which also chose the pass")
     assert "after each pass" not in str(REPORT)
 
 
