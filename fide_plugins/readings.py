@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -145,6 +145,17 @@ class Readings(Saved):
                 for one, p in zip(found, probability.tolist(), strict=True)
             ]
         return found[:k]
+
+    @one_at_a_time
+    def elsewhere(self, solutions: Sequence[Solution]) -> float | None:
+        """Share of a model's hypotheses that are far from all these solutions of this optimizer.
+
+        Probabilities of `solutions` are relative to each other: one alone has 1.  A large share
+        here says that the model takes other answers for possible, which no search has reached, or
+        which were rendered and excluded.  None where no model knows the picture.
+        """
+        points = np.array([one.x for one in solutions]).reshape(len(solutions), self.dim)
+        return self.state.moves.elsewhere(points)
 
     @property
     def evaluations(self) -> int:

@@ -23,6 +23,8 @@ from fide_plugins.cli.messages import complain, number, plain
 
 __all__ = ["add_arguments", "execute"]
 
+_FEW = 0.01  # of a model's hypotheses: tails of its density
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide solutions``."""
@@ -71,6 +73,11 @@ def _table(found: Any, rows: Any) -> list[str]:
         "  ".join([f"{name:{first}}", *(f"{v:>{w}}" for v, w in zip(values, widths, strict=True))])
         for name, values in cells
     ]
+    if found.elsewhere is not None and found.elsewhere >= _FEW:
+        lines.append(
+            f"{found.elsewhere:.0%} of the model's hypotheses are near none of these: "
+            "probabilities are relative"
+        )
     open_ones = [plain(row.name) for row in rows if not row.determined]
     if open_ones:
         lines.append(f"not determined by the picture: {', '.join(open_ones)}")

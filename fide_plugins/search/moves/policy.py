@@ -45,7 +45,7 @@ from fide_plugins.search.moves.split import Split
 from fide_plugins.search.moves.swap import Swap
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.modes import probabilities
+from fide_plugins.search.scene.modes import elsewhere, probabilities
 from fide_plugins.search.scene.optima import Optima
 from fide_plugins.search.scene.removal import Removal, changed
 from fide_plugins.search.scene.sensitivity import Sensitivity
@@ -150,6 +150,13 @@ class MovePolicy:
             exchangeability=self.known.exchangeability,
             axes=self.known.axes,
         )
+
+    def elsewhere(self, X: Float64) -> float | None:
+        """Share of hypotheses far from all answers X (m, d); None without hypotheses."""
+        if not self.hypotheses.available or not len(X):
+            return None
+        known = self.known
+        return elsewhere(X, self.hypotheses.x, known.exchangeability, known.axes)
 
     # -- after a search ----------------------------------------------------------------------------
 

@@ -10,6 +10,9 @@ where L are the losses at the answers, and T is the noise of a loss, or a hundre
 loss of rendered draws above that of the best answer, if this is larger.  (Hypotheses that were
 refined through an emulator are optima, and no measure.)  Answers that the second factor excludes
 take no hypotheses from the others.
+
+So one answer that was found has probability 1, wherever the other hypotheses are.  `elsewhere` says
+how many of them are near no answer: a mode that no search has reached, perhaps.
 """
 
 from __future__ import annotations
@@ -22,12 +25,14 @@ from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.types import Float64
 
-__all__ = ["nearest_shares", "probabilities", "relative_likelihoods"]
+__all__ = ["elsewhere", "nearest_shares", "probabilities", "relative_likelihoods"]
 
 _TYPICAL = 0.01  # of the median loss above the best: a difference of it divides a likelihood by e
 _EXCLUDED = 0.01  # relative likelihood below which an answer takes no hypotheses
 _NEAREST = 0.1  # of all hypotheses, whose spread says how far "near" is on each axis
 _NARROWEST = 1e-3  # standard deviation
+_DECILE = 0.1257  # of the absolute value of a standard normal variable
+_FAR = 4.0  # standard deviations on any axis, of a normal density that hardly a sample exceeds
 
 
 def probabilities(
@@ -82,6 +87,23 @@ def nearest_shares(
     variance = np.maximum(np.mean(near, axis=0), _NARROWEST**2)  # (d,)
     nearest = (apart / variance).sum(axis=2).argmin(axis=0)
     return np.bincount(nearest, minlength=len(X)) / len(hypotheses)
+
+
+def elsewhere(
+    X: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
+) -> float:
+    """Share of the hypotheses (n, d) that are far from each of the answers X (m, d).
+
+    Far is more than four standard deviations on any axis, as the tenth of all hypotheses that is
+    nearest to an answer there tells them.  They seem the wider the fewer hypotheses are around an
+    answer: four times as wide with a quarter.  So this may be too little, and 0 for a rare answer.
+    """
+    far = np.ones(len(hypotheses), bool)
+    for x in X:
+        apart = np.sqrt(_squares(x, hypotheses, exchangeability, axes))  # (n, d)
+        std = np.maximum(np.quantile(apart, _NEAREST, axis=0) / _DECILE, _NARROWEST)
+        far &= (apart > _FAR * std).any(axis=1)
+    return float(far.mean())
 
 
 def _squares(

@@ -10,7 +10,12 @@ from fide_plugins.fide import FIDE
 from fide_plugins.search.moves.policy import MovePolicy
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.modes import nearest_shares, probabilities, relative_likelihoods
+from fide_plugins.search.scene.modes import (
+    elsewhere,
+    nearest_shares,
+    probabilities,
+    relative_likelihoods,
+)
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 
@@ -100,6 +105,23 @@ def test_a_circle_has_no_ends() -> None:
     np.testing.assert_allclose(shares, [0.75, 0.25])
 
 
+@pytest.mark.parametrize("first", [490, 250, 150])
+def test_hypotheses_near_no_answer_are_told(first: int) -> None:
+    """In probabilities the only answer that was found has 1."""
+    tools, hypotheses = (Exchangeability(4, None, []), Axes(4)), posterior(first, 500 - first)
+    assert elsewhere(A[None], hypotheses, *tools) == pytest.approx(1 - first / 500, abs=0.01)
+    assert elsewhere(np.stack([A, B]), hypotheses, *tools) < 0.01
+    both = Exchangeability(4, None, [[0, 1], [2, 3]]), Axes(4)
+    assert elsewhere(A[None], hypotheses, *both) < 0.01  # one answer, in either order
+
+
+def test_what_the_picture_does_not_show_is_near_every_answer() -> None:
+    rng = np.random.default_rng(0)
+    hypotheses = np.stack([0.3 + 0.02 * rng.standard_normal(500), rng.random(500)], axis=1)
+    answer = np.array([[0.33, 0.02]])
+    assert elsewhere(answer, hypotheses, Exchangeability(2, None, []), Axes(2)) == 0
+
+
 def searched(opt: FIDE, renders: int) -> FIDE:
     while opt.evaluations < renders:
         X = opt.ask()
@@ -116,6 +138,8 @@ def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPat
     assert {bool(one.x[0] < 0.5) for one in likely} == {True, False} and len(likely) == 2
     assert [one.probability for one in likely] == pytest.approx([0.5, 0.5], abs=0.1)
     assert sum(one.probability or 0.0 for one in found) == pytest.approx(1.0)
+    assert opt.elsewhere(found) == pytest.approx(0.0, abs=0.02)
+    assert opt.elsewhere(likely[:1]) == pytest.approx(0.5, abs=0.02)
 
     other = FIDE(4, two_cells(A), seed=0, groups=[])
     other.load_state_dict(opt.state_dict())  # which has all that is needed
@@ -146,3 +170,4 @@ def test_probabilities_are_shares_of_draws_not_of_refined_points() -> None:
 def test_without_a_model_nothing_is_said() -> None:
     found = searched(FIDE(4, two_cells(A), seed=0), 100).solutions()
     assert found and all(one.probability is None for one in found)
+    assert FIDE(4, two_cells(A), seed=0).elsewhere(found) is None
