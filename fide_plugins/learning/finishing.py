@@ -12,7 +12,7 @@ from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.report import Distance, Report, judge
-from fide_plugins.learning.training import Training, held_out
+from fide_plugins.learning.training import Training, is_held_out
 from fide_plugins.types import Float64
 
 __all__ = ["familiarity_of", "report_of"]
@@ -34,7 +34,7 @@ def report_of(
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
     """
     x, images, seed = training.x, training.images, training.seed
-    aside = held_out(len(x))
+    aside = is_held_out(len(x))
     fit, judges = split_held_out(aside)
     network.scale = fitted_scale(network, x[fit], images[fit], seed)
     judgment = judge(network, x[judges], images[judges], names, distance, seed)
@@ -59,7 +59,7 @@ def report_of(
 
 def familiarity_of(network: Network, images: Pixels) -> Familiarity:
     """Familiarity of the renders (n, H, W, 3) of a training, the held-out ones among them."""
-    aside = held_out(len(images))
+    aside = is_held_out(len(images))
     learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
     return Familiarity.of(_features(network, images[learned]), _features(network, images[aside]))
 

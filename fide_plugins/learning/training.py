@@ -26,7 +26,7 @@ from fide_plugins.learning.trainable import Trainable
 from fide_plugins.runtime.devices import repeatable
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Curve", "Progress", "Training", "held_out"]
+__all__ = ["Curve", "Progress", "Training", "is_held_out"]
 
 _HELD_OUT, _MOST_HELD_OUT = 50, 2000  # every 50th render, and as many at most
 _WARM_UP = 100  # steps
@@ -53,7 +53,7 @@ class Progress:
     held_out: float
 
 
-def held_out(n: int) -> Mask:
+def is_held_out(n: int) -> Mask:
     """Which of n renders judge, and are never learned from: (n,), at least one."""
     every: Mask = np.arange(n) % _HELD_OUT == 0
     every[np.flatnonzero(every)[_MOST_HELD_OUT:]] = False
@@ -90,7 +90,7 @@ class Training:
     extended: bool = False
 
     def __post_init__(self) -> None:
-        aside = held_out(len(self.x))
+        aside = is_held_out(len(self.x))
         self._train, self._test = np.flatnonzero(~aside), np.flatnonzero(aside)
         self._optimizer = torch.optim.AdamW(
             self.network.parameters(), lr=self.learning_rate, weight_decay=0.01, fused=True

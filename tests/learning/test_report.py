@@ -8,7 +8,7 @@ import pytest
 
 from fide_plugins.learning.calibration import split_held_out
 from fide_plugins.learning.report import Report
-from fide_plugins.learning.training import held_out
+from fide_plugins.learning.training import is_held_out
 
 REPORT = Report(
     renders=980, failed=0, held_out=20, seconds=3.0, nll=-1.25, within=(0.4, 0.75), coverage=0.9,
@@ -50,7 +50,7 @@ def test_shares_are_of_the_pictures_that_judged() -> None:
 
 def test_so_many_renders_are_calibrated() -> None:
     for renders, fitted in ((4900, 0), (5000, 50)):
-        fit, judges = split_held_out(held_out(renders))
+        fit, judges = split_held_out(is_held_out(renders))
         assert fit.sum() == fitted and fit.sum() + judges.sum() == renders // 50
 
 
