@@ -1,6 +1,7 @@
 """One render: from a point of the cube to an image, or to what went wrong.
 
-Nothing is imported here but NumPy and the space: a worker process loads this file, and no PyTorch.
+Only NumPy, the space and what reads files are imported here: a worker process loads this file, and
+no PyTorch.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, TypeAlias, TypeVar
 
-from fide_plugins.errors import RenderError
+from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
+from fide_plugins.validation.image_sources import is_path, is_pil, read_pixels
 
 __all__ = [
     "Failed",
@@ -34,7 +36,10 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """An image as the user's function returned it.  seconds: duration of the render."""
+    """An image as the user's function returned it, or read from the file that it named.
+
+    seconds: duration of the render.
+    """
 
     image: Any
     seconds: float
@@ -93,10 +98,38 @@ class Renderer:
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube."""
         start = time.perf_counter()
-        image = attempt(lambda: self.render(self.params(x)))
+        image = attempt(lambda: self._image(x))
         if isinstance(image, Failed):
             return image
         return Rendered(image, time.perf_counter() - start)
+
+    def _image(self, x: Float64) -> Any:
+        image = self.render(self.params(x))
+        try:
+            return _in_memory(image)
+        except ImageError as error:
+            return Failed(f"render returned no image that fits: {error}")
+
+
+def _in_memory(image: Any) -> Any:
+    """The image, or the list of images, with the pixels of those that are still in a file.
+
+    They are read where they were rendered and before that worker gets another candidate, whose
+    image may be written to the same file.
+
+    Raises ImageError for a file that is missing or no whole image.
+    """
+    if isinstance(image, list | tuple) and any(is_path(one) or is_pil(one) for one in image):
+        return [_in_memory(one) for one in image]
+    if is_path(image):
+        return read_pixels(image, None)
+    if is_pil(image):  # of an opened file Pillow has read no pixel yet
+        try:
+            image.load()
+        except Exception as error:  # decoders of untrusted bytes raise nearly anything
+            image.close()
+            raise ImageError(f"cannot read the image that Pillow has opened: {error}") from error
+    return image
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from fide_plugins.fitting.rendering import Failed, Outcome, Portable, unpack
 from fide_plugins.fitting.workers.base import Task
 from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.validation.image_sources import is_pil, is_torch_tensor
 
 __all__ = ["OfExecutor"]
 
@@ -109,4 +113,16 @@ class _Clock:
 
 def _noting(clock: _Clock, render: Callable[[Any], Outcome], x: Any) -> Outcome:
     clock.began = time.monotonic()
-    return render(x)
+    outcome = render(x)
+    if isinstance(outcome, Failed):
+        return outcome
+    # the thread gets another candidate before this image is told, and may draw into the same array
+    return replace(outcome, image=_copied(outcome.image))
+
+
+def _copied(image: Any) -> Any:
+    if isinstance(image, list | tuple):
+        return [_copied(one) for one in image]
+    if is_torch_tensor(image):
+        return image.detach().clone()
+    return image.copy() if isinstance(image, np.ndarray) or is_pil(image) else image
