@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +20,8 @@ __all__ = ["Ended", "run", "tail_of"]
 
 _SHOWN = 20  # last lines of the output that an error shows
 _MOST = 4000  # characters of them
+_LONGEST = 2**24  # bytes of output, beyond which the file of it begins anew
+_LOOK = 0.1  # seconds between two looks at its length
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class Ended:
 
 
 def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
-    """Run a program in the current folder, its output in the file `log`.
+    """Run a program in the current folder, the end of its output in the file `log`.
 
     The program gets no standard input.  All it has started is stopped with it: after `timeout`
     seconds, or when this process is interrupted.  To know what that is, the program gets a process
@@ -42,18 +46,44 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
 
     Raises OSError if it cannot be started.
     """
-    with log.open("wb") as output:
+    log.unlink(missing_ok=True)
+    with log.open("a+b", buffering=0) as output:  # "a": after `_shorten`, too, it goes to the end
         child = None
         try:
             with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
                 child = _start(command, output)
-            code: int | None = child.wait(timeout)
-        except subprocess.TimeoutExpired:
-            code = None
+            code = _wait(child, output, timeout)
         finally:
             if child is not None and child.returncode is None:
                 _stop(child)
     return Ended(code, tail_of(log))
+
+
+def _wait(child: subprocess.Popen[bytes], output: IO[bytes], timeout: float | None) -> int | None:
+    """Exit code; None after `timeout` seconds.
+
+    Meanwhile the file of the output is kept short: a program that prints in a loop would fill the
+    disk.
+    """
+    until = math.inf if timeout is None else time.monotonic() + timeout
+    while True:
+        left = until - time.monotonic()
+        try:
+            return child.wait(max(0.0, min(left, _LOOK)))
+        except subprocess.TimeoutExpired:
+            _shorten(output)
+            if left <= _LOOK:
+                return None
+
+
+def _shorten(output: IO[bytes]) -> None:
+    """Keep only the end of a file that has grown too long."""
+    length = os.fstat(output.fileno()).st_size
+    if length > _LONGEST:
+        output.seek(length - _MOST)
+        end = output.read(_MOST)
+        output.truncate(0)
+        output.write(end)
 
 
 @contextmanager
