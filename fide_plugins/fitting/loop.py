@@ -192,8 +192,10 @@ class Loop:
     def _outcome(self, task: Task) -> Outcome:
         if task.done():
             return self.workers.outcome(task)
-        self.workers.abandon(task)
-        return Failed(f"the render took longer than timeout={self._timeout:g} seconds")
+        limit = f"timeout={self._timeout:g} seconds"
+        if self.workers.abandon(task):
+            return Failed(f"the render took longer than {limit}")
+        return Failed(f"no result within {limit}; it may have waited for a worker all the time")
 
     # -- telling -----------------------------------------------------------------------------------
 

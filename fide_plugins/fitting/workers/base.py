@@ -35,8 +35,11 @@ class Workers(Protocol):
         Waiting in a queue is no time of a render.
         """
 
-    def abandon(self, task: Task) -> None:
-        """Stop a render that takes too long; where that is impossible, forget it."""
+    def abandon(self, task: Task) -> bool:
+        """Stop a render that takes too long; where that is impossible, forget it.
+
+        Returns whether it is known to have begun.
+        """
 
     def close(self) -> None:
         """Stop all renders, and give back what was taken for them."""

@@ -25,7 +25,7 @@ class OfExecutor:
     own: whether the executor is closed with these workers.
 
     A render in a thread cannot be stopped: after its time-out it is forgotten, and its worker is
-    missing until it ends.
+    missing until it ends.  So it is with one in a worker of Dask, which renders in a thread, too.
     """
 
     def __init__(
@@ -89,15 +89,21 @@ class OfExecutor:
             return clock.began
         return max(clock.asked, self._alive) if self._tells else clock.asked
 
-    def abandon(self, task: Task) -> None:
-        """Cancel it, which helps if it has not begun."""
-        self._clocks.pop(task, None)
-        if not task.cancel():
+    def abandon(self, task: Task) -> bool:
+        """Cancel it, which helps if it has not begun; returns whether it is known to have begun.
+
+        Dask cancels a render that has begun, too, so far as its future goes: that is done at once,
+        and the render goes on in its worker.  Left alone, the future is done when the worker is
+        free again.
+        """
+        clock = self._clocks.pop(task, None)
+        if not (self._tells and task.cancel()):
             self._hanging.append(task)
+        return clock is not None and clock.began is not None
 
     def close(self) -> None:
         """Cancel what has not begun; do not wait for what has."""
-        for task in self._clocks:
+        for task in (*self._clocks, *self._hanging):
             task.cancel()
         if self._own:
             self._executor.shutdown(wait=False, cancel_futures=True)

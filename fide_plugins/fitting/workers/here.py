@@ -36,8 +36,9 @@ class Here:
         """Time at which it was asked: it is over by then."""
         return time.monotonic()
 
-    def abandon(self, task: Task) -> None:
+    def abandon(self, task: Task) -> bool:
         """Nothing to be done: each render is over."""
+        return True
 
     def close(self) -> None:
         """Nothing was taken."""

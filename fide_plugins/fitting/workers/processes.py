@@ -82,11 +82,12 @@ class Processes:
         """Time at which its worker was there, at the latest a minute after it was asked."""
         return self._of[task].began()
 
-    def abandon(self, task: Task) -> None:
+    def abandon(self, task: Task) -> bool:
         """Kill its worker; another one takes its place."""
         worker = self._of.pop(task)
         self._workers.remove(worker)
         worker.kill()
+        return True
 
     def close(self) -> None:
         """Kill all workers."""
