@@ -177,6 +177,12 @@ def test_the_code_of_the_page_runs(page: Path, folder: Path) -> None:
     assert check is None or check(names)
 
 
+def test_a_page_that_starts_workers_of_dask_is_a_script() -> None:
+    """They import it; without the guard each of them would start workers in turn, and fails."""
+    found = [b.code for page in PAGES for b in blocks_of(page) if "n_workers=" in b.code]
+    assert found and all('if __name__ == "__main__":\n    client = ' in code for code in found)
+
+
 @pytest.mark.parametrize("page", HOWTO, ids=lambda page: page.stem)
 def test_the_page_begins_with_its_answer(page: Path) -> None:
     title, _, first, *_ = page.read_text("utf-8").split("\n")
