@@ -92,10 +92,10 @@ def render(p: dict[str, Any]) -> NDArray[np.float32]:
     bpy.data.objects["lamp"].rotation_euler = (tilt, 0, turn)
     settings = bpy.context.scene
     settings.cycles.seed = int(np.random.default_rng().integers(2**31 - 1))
-    file = os.path.join(tempfile.gettempdir(), f"fide-blender-{os.getpid()}.png")
-    settings.render.filepath = file
-    bpy.ops.render.render(write_still=True)
-    return images.load(file)
+    with tempfile.TemporaryDirectory() as folder:
+        settings.render.filepath = os.path.join(folder, "image.png")
+        bpy.ops.render.render(write_still=True)
+        return images.load(settings.render.filepath)
 
 
 def write_target(file: Path) -> None:

@@ -6,7 +6,6 @@ Those that are not installed are skipped.
 from __future__ import annotations
 
 import os
-import tempfile
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -84,7 +83,8 @@ class WeightsAndBiases:
 
 
 def main() -> None:
-    folder = Path(tempfile.mkdtemp(prefix="fide-callbacks-"))
+    folder = Path("runs/callbacks")
+    folder.mkdir(parents=True, exist_ok=True)
     callbacks: list[Any] = [say]
     for make in (MLflow, WeightsAndBiases, TensorBoard):
         try:

@@ -90,7 +90,10 @@ class Glass:
 
 
 class Film:
-    """Callback that keeps the best image whenever the number of renders has grown by a fifth."""
+    """Callback that keeps the best image whenever the number of renders has grown by a fifth.
+
+    That of shader.py with other numbers: each example is one file that runs by itself.
+    """
 
     def __init__(self, target: NDArray[np.uint8]) -> None:
         self.target, self.frames, self.next = target, list[Image.Image](), 1.0
