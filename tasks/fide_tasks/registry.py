@@ -64,10 +64,10 @@ def options(name: str) -> dict[str, Any]:
 def make(name: str, size: int | tuple[int, int] = 224, seed: int = 0, **options: Any) -> Task:
     """Make the task `name`.
 
-    `size` is the side of the square image, or (height, width), in pixels. A target that the task
-    generates depends on `seed` and on the task's options, not on the resolution. `options` are the
-    task's own; `options(name)` lists them. A task that takes a picture as `target=` renders at that
-    picture's size, whatever `size` says.
+    `size` is the side of the square image, or (height, width), in pixels. What a generated target
+    shows depends on `seed` and on options of the task, not on the resolution; it is drawn with all
+    options that change images. `options` are the task's own; `options(name)` lists them. A task
+    that takes a picture as `target=` renders at that picture's size, whatever `size` says.
 
     Raises ValueError for an unknown name or option, and for a value outside its range.
     """

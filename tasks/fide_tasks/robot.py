@@ -50,9 +50,9 @@ class Robot(Task):
     shadows: whether lamps cast shadows and reflecting floors reflect.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
-    A generated target depends on `seed` and the model, its x_star on `seed` alone. It is a pose
-    that touches neither itself nor the floor, as far as links of simple shape can tell, of which
-    our camera sees nearly all, and the long links from the side.
+    The x_star of a generated target depends on `seed` alone, its picture on all options. It is a
+    pose that touches neither itself nor the floor, as far as links of simple shape can tell, of
+    which our camera sees nearly all, and the long links from the side.
 
     A pixel is what lies at its center: links move from pixel to pixel in steps unless there are
     `samples`. One frame takes about 2.5 ms at 224 x 224 on one core without a GPU.
