@@ -97,10 +97,11 @@ class Loop:
         Raises GivenUpError, EvaluationError or CallbackError (all FitErrors).
         """
         self._fill()
-        if not self._running:
+        if not self._running and not self._goes_on():
             raise GivenUpError(
-                f"given up: all {self.workers.number} workers hang in a render, and threads cannot "
-                "be killed; make render raise when it takes too long, or take processes"
+                f"given up: all {self.workers.number} workers hang in a render (those of Dask may "
+                "have died), and threads cannot be killed; make render raise when it takes too "
+                "long, or take processes"
             )
         task = self._next()
         if task is None:
@@ -142,6 +143,14 @@ class Loop:
                 task = self.workers.submit(self._waiting[0])  # in this process it renders
             self._running[task] = self._waiting.popleft()
             task.add_done_callback(self._arrived.put)
+
+    def _goes_on(self) -> bool:
+        """Whether renders are under way once a worker is back; there is none now."""
+        with self._waiting_for_renders(), self._interrupts.stoppable():
+            back = self.workers.comes_back()
+        if back:
+            self._fill()
+        return bool(self._running)
 
     def _may_ask(self) -> bool:
         budget, done = self._stopping.budget, self.record.evaluations

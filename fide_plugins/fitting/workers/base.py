@@ -41,5 +41,8 @@ class Workers(Protocol):
         Returns whether it is known to have begun.
         """
 
+    def comes_back(self) -> bool:
+        """Whether a worker is usable, perhaps after a while of waiting for those that are not."""
+
     def close(self) -> None:
         """Stop all renders, and give back what was taken for them."""

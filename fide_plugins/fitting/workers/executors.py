@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    ThreadPoolExecutor,
+    wait,
+)
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +22,8 @@ from fide_plugins.fitting.workers.threads import DaemonThreads
 from fide_plugins.validation.image_sources import is_pil, is_torch_tensor
 
 __all__ = ["OfExecutor"]
+
+_RETURNS = 30.0  # seconds in which a worker that has died is there again
 
 
 class OfExecutor:
@@ -100,6 +108,15 @@ class OfExecutor:
         if not (self._tells and task.cancel()):
             self._hanging.append(task)
         return clock is not None and clock.began is not None
+
+    def comes_back(self) -> bool:
+        """Whether a worker is usable; where nobody tells what runs, one may have died, and returns.
+
+        Dask starts it again and repeats the render, up to three times: then its future is done.
+        """
+        if not self._tells:
+            wait(self._hanging, _RETURNS, return_when=FIRST_COMPLETED)
+        return self.usable > 0
 
     def close(self) -> None:
         """Cancel what has not begun; do not wait for what has."""

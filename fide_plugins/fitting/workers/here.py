@@ -40,5 +40,9 @@ class Here:
         """Nothing to be done: each render is over."""
         return True
 
+    def comes_back(self) -> bool:
+        """Whether a worker is usable: always."""
+        return True
+
     def close(self) -> None:
         """Nothing was taken."""

@@ -89,6 +89,10 @@ class Processes:
         worker.kill()
         return True
 
+    def comes_back(self) -> bool:
+        """Whether a worker is usable: always."""
+        return True
+
     def close(self) -> None:
         """Kill all workers."""
         for worker in self._workers:
