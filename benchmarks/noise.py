@@ -3,6 +3,7 @@
     python benchmarks/noise.py san_miguel beads --size 64
     python benchmarks/noise.py beads --losses mse loi perceptual --spp 16 64
     python benchmarks/noise.py beads --losses mse loi --spp 64 --targets 4
+    python benchmarks/noise.py beads --losses perceptual --spp 1 4 8 16 --targets 4
 
 Prints one row per number of paths per pixel: the standard error of a pixel at x_star and the mean
 squared error of a render of x_star against its target, from 128 renders and all targets. Standard

@@ -47,7 +47,7 @@ from fide_plugins.validation.points import as_points, torch_seed, whole_number
 __all__ = ["Model"]
 
 _KIND = "learned model"
-_ROUNDING = 1.0  # of 255, on average
+_ROUNDING = 2.0  # of 255, on average; different poses of a robot differ by 3, cells by 60
 _SCHEMA: Schema = {
     "dim": whole(1, 2**20),
     "space": maybe(table(anything)),
@@ -193,7 +193,8 @@ class Model:
     def is_of_another(self, picture: object) -> bool:
         """Whether a second round has learned another picture than this one.
 
-        Rounding makes no other picture, and neither does another size of the same one.
+        Rounding and compression make no other picture, and neither does another size of the same
+        one, unless it has hardly more pixels than the network sees, or was made without averaging.
         """
         if self.picture is None:
             return False

@@ -72,16 +72,17 @@ class BatchRenderer:
         seeds: (n,), of the noise of each, for a source whose `render` takes them.
         A batch that fails as a whole is rendered point by point.
 
-        Each image is made small before the next one is rendered: full ones take much memory, and a
-        renderer may draw all of them into one array.
+        Each image of a function, or of a task whose `piece` is 1, is made small before the next one
+        is rendered: full ones take much memory, and a renderer may draw all of them into one array.
         """
         if not hasattr(self.source, "render"):
             return [self._small(attempt(partial(self._one, x), _briefly), size) for x in X]
-        batch = attempt(
-            lambda: [self._small(image, size) for image in self._batch(X, seeds)], _briefly
-        )
-        if not isinstance(batch, Failed):
-            return batch
+        if getattr(self.source, "piece", None) != 1:
+            batch = attempt(
+                lambda: [self._small(image, size) for image in self._batch(X, seeds)], _briefly
+            )
+            if not isinstance(batch, Failed):
+                return batch
         return [
             self._small(attempt(partial(self._single, x, seed), _briefly), size)
             for x, seed in zip(X, seeds, strict=True)

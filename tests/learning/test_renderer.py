@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import ImageError, RenderError
+from fide_plugins.experiments.run.renderer_task import RendererTask
 from fide_plugins.learning import learn
 from fide_plugins.learning.renderer import Pixels, as_renderer
 from fide_plugins.learning.rendering import fill
@@ -42,7 +43,7 @@ class Task:
         return [self._render(x) for x in X]
 
 
-ONE_BY_ONE = ["function", "points of a task"]
+ONE_BY_ONE = ["function", "points of a task", "own renderer as a task"]
 WAYS = [*ONE_BY_ONE, "batches of a task"]
 
 
@@ -50,6 +51,8 @@ def way(render: Any, how: str) -> Any:
     """One of the ways in which a renderer may be given."""
     if how == "function":
         return render
+    if how == "own renderer as a task":
+        return RendererTask("task", render, 2)
     return Task(render, 1 if how == "points of a task" else 100)
 
 

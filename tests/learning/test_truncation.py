@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.stats import kstest
 
 from fide_plugins import FIDE
@@ -74,8 +75,9 @@ def test_a_search_for_another_picture_than_that_of_the_second_round_is_warned(
     """The same one in another size, or after rounding, is no other."""
     file = tmp_path / "s"
     learn(disk, SPACE, renders=200, size=SIDE, passes=1, out=file, after=learned, picture=PICTURE)
-    large = PICTURE.repeat(2, axis=0).repeat(2, axis=1)
-    for same in (PICTURE, np.rint(255 * PICTURE).astype(np.uint8), large):
+    image = Image.fromarray(np.rint(255 * PICTURE).astype(np.uint8))
+    larger = image.resize((3 * SIDE // 2, 3 * SIDE // 2), Image.Resampling.LANCZOS)
+    for same in (PICTURE, image, larger):
         FIDE(SPACE, same, learned=file)
     FIDE(SPACE, OTHER, learned=learned)  # of the first round
     with pytest.warns(RuntimeWarning, match="one of a second round, for another picture: its hyp"):
