@@ -98,6 +98,8 @@ class Loop:
         """
         self._fill()
         if not self._running and not self._goes_on():
+            if self._left() == 0.0:  # by now: another call may go on
+                return "time"
             raise GivenUpError(
                 f"given up: all {self.workers.number} workers hang in a render (those of Dask may "
                 "have died), and threads cannot be killed; make render raise when it takes too "
@@ -147,7 +149,7 @@ class Loop:
     def _goes_on(self) -> bool:
         """Whether renders are under way once a worker is back; there is none now."""
         with self._waiting_for_renders(), self._interrupts.stoppable():
-            back = self.workers.comes_back()
+            back = self.workers.comes_back(self._left())
         if back:
             self._fill()
         return bool(self._running)
@@ -181,11 +183,15 @@ class Loop:
 
     def _patience(self) -> float | None:
         """Seconds to wait at most."""
-        limits = [] if self._timeout is None else [_LOOK]
-        if self._stopping.seconds is not None:
-            self.tick()
-            limits.append(max(0.0, self._stopping.seconds - self.record.wall_s))
-        return min(limits, default=None)
+        limits = [_LOOK if self._timeout is not None else None, self._left()]
+        return min((limit for limit in limits if limit is not None), default=None)
+
+    def _left(self) -> float | None:
+        """Seconds until the fit is over; None: it may take any time."""
+        if self._stopping.seconds is None:
+            return None
+        self.tick()
+        return max(0.0, self._stopping.seconds - self.record.wall_s)
 
     def _late(self) -> Task | None:
         """A render that takes too long."""

@@ -46,10 +46,10 @@ def test_a_worker_that_has_died_is_waited_for(monkeypatch: pytest.MonkeyPatch) -
     assert not workers.abandon(workers.submit(1)), "nobody told that it began"
     assert workers.usable == 0 and not silent.future.cancelled()
     monkeypatch.setattr(executors, "_RETURNS", 0.01)
-    assert not workers.comes_back()
+    assert not workers.comes_back(None)
     monkeypatch.setattr(executors, "_RETURNS", 60.0)
     threading.Timer(0.1, silent.future.set_exception, [OSError("its worker died")]).start()
-    assert workers.comes_back() and workers.usable == 1
+    assert workers.comes_back(None) and workers.usable == 1
 
 
 def hanging(gate: Path, times: int) -> Callable[[Any], Any]:

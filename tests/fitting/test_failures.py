@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -244,6 +244,23 @@ def test_an_executor_whose_workers_all_hang_is_given_up(tmp_path: Path) -> None:
         with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError, match="first 8"):
             fit(render, target(), SPACE, seed=0, **arguments)
         (tmp_path / "gate").touch()
+
+
+class Endless(Executor):
+    """Executor that tells nothing of what runs; no future of it ends."""
+
+    def submit(self, *_: Any, **__: Any) -> Any:
+        """Begin, and never end."""
+        return Future()
+
+
+def test_workers_that_all_hang_are_not_waited_for_beyond_the_time() -> None:
+    began = time.monotonic()
+    arguments: dict[str, Any] = {"workers": 2, "executor": Endless(), "timeout": 0.2, "time": 1}
+    with pytest.warns(RenderFailedWarning, match="no result within timeout=0.2 seconds"):
+        result = fit(disk(), target(), SPACE, seed=0, **arguments)
+    assert time.monotonic() - began < 15  # a worker that has died has half a minute to return
+    assert (result.stopped, result.evaluations, result.failures) == ("time", 0, 2)
 
 
 def test_an_exception_of_a_callback_loses_nothing() -> None:

@@ -41,8 +41,11 @@ class Workers(Protocol):
         Returns whether it is known to have begun.
         """
 
-    def comes_back(self) -> bool:
-        """Whether a worker is usable, perhaps after a while of waiting for those that are not."""
+    def comes_back(self, seconds: float | None) -> bool:
+        """Whether a worker is usable, perhaps after a while of waiting for those that are not.
+
+        seconds: to wait at most; None: as long as one may take.
+        """
 
     def close(self) -> None:
         """Stop all renders, and give back what was taken for them."""

@@ -109,13 +109,15 @@ class OfExecutor:
             self._hanging.append(task)
         return clock is not None and clock.began is not None
 
-    def comes_back(self) -> bool:
+    def comes_back(self, seconds: float | None) -> bool:
         """Whether a worker is usable; where nobody tells what runs, one may have died, and returns.
 
         Dask starts it again and repeats the render, up to three times: then its future is done.
+        It is waited for half a minute, but not longer than so many seconds.
         """
         if not self._tells:
-            wait(self._hanging, _RETURNS, return_when=FIRST_COMPLETED)
+            longest = _RETURNS if seconds is None else min(_RETURNS, seconds)
+            wait(self._hanging, longest, return_when=FIRST_COMPLETED)
         return self.usable > 0
 
     def close(self) -> None:

@@ -40,7 +40,7 @@ class Here:
         """Nothing to be done: each render is over."""
         return True
 
-    def comes_back(self) -> bool:
+    def comes_back(self, seconds: float | None) -> bool:
         """Whether a worker is usable: always."""
         return True
 

@@ -89,7 +89,7 @@ class Processes:
         worker.kill()
         return True
 
-    def comes_back(self) -> bool:
+    def comes_back(self, seconds: float | None) -> bool:
         """Whether a worker is usable: always."""
         return True
 
