@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
@@ -52,28 +50,42 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
         try:
             with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
                 child = _start(command, output)
-            code = _wait(child, output, timeout)
+            with _kept_short(output):
+                code = _wait(child, timeout)
         finally:
             if child is not None and child.returncode is None:
                 _stop(child)
     return Ended(code, tail_of(log))
 
 
-def _wait(child: subprocess.Popen[bytes], output: IO[bytes], timeout: float | None) -> int | None:
-    """Exit code; None after `timeout` seconds.
+def _wait(child: subprocess.Popen[bytes], timeout: float | None) -> int | None:
+    """Exit code; None after `timeout` seconds."""
+    try:
+        return child.wait(timeout)
+    except subprocess.TimeoutExpired:
+        return None
 
-    Meanwhile the file of the output is kept short: a program that prints in a loop would fill the
-    disk.
+
+@contextmanager
+def _kept_short(output: IO[bytes]) -> Iterator[None]:
+    """Keep a file short meanwhile: a program that prints in a loop would fill the disk.
+
+    A thread does it: who waits for the program with pauses notices its end late.
     """
-    until = math.inf if timeout is None else time.monotonic() + timeout
-    while True:
-        left = until - time.monotonic()
-        try:
-            return child.wait(max(0.0, min(left, _LOOK)))
-        except subprocess.TimeoutExpired:
-            _shorten(output)
-            if left <= _LOOK:
-                return None
+    over = threading.Event()
+
+    def keep() -> None:
+        while not over.wait(_LOOK):
+            with suppress(OSError):  # on a disk that is full already
+                _shorten(output)
+
+    thread = threading.Thread(target=keep, name="fide-output", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def _shorten(output: IO[bytes]) -> None:

@@ -247,8 +247,9 @@ def test_the_time_of_a_render_is_that_of_all_views_together(
     assert given[6:] == [None, None]
 
 
+@pytest.mark.parametrize("timeout", [60, None])
 def test_output_without_end_does_not_fill_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
 ) -> None:
     monkeypatch.setattr(child, "_LONGEST", 10**5, raising=False)
     monkeypatch.setattr(child, "_LOOK", 0.01, raising=False)
@@ -259,9 +260,29 @@ def test_output_without_end_does_not_fill_the_disk(
         "    time.sleep(0.1)\n"
     )
     log = tmp_path / "log"
-    ended = child.run([sys.executable, "-I", "-S", "-c", prints], log, 60)
+    ended = child.run([sys.executable, "-I", "-S", "-c", prints], log, timeout)
     assert ended.code == 0 and ended.tail.endswith("much of it,  19")
     assert log.stat().st_size < 10**6  # of 2.4 million bytes
+
+
+def test_the_end_of_a_program_is_noticed_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`Popen.wait` with a time limit looks every 50 ms only: half of a quick render."""
+
+    class Program(subprocess.Popen[bytes]):
+        """Notes the time limits of waiting."""
+
+        def wait(self, timeout: float | None = None) -> int:
+            """Note the limit, and wait."""
+            limits.append(timeout)
+            return super().wait(timeout)
+
+    limits: list[float | None] = []
+    monkeypatch.setattr(subprocess, "Popen", Program)
+    command = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(0.3)"]
+    assert child.run(command, tmp_path / "log", None).code == 0
+    assert limits == [None]
 
 
 def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(
