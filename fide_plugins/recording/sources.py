@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.renderers.fingerprint import changed
+from fide_plugins.runtime.fingerprints import changed, kind_of
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["edited", "file_of", "of_files", "versions_there", "versions_with"]
@@ -20,7 +20,7 @@ __all__ = ["edited", "file_of", "of_files", "versions_there", "versions_with"]
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
     """Those fingerprints, by reference, that are of a file."""
     found = {name: one for name, one in fingerprints.items() if one is not None}
-    return {name: one for name, one in found.items() if one.startswith("file:")}
+    return {name: one for name, one in found.items() if kind_of(one) == "file"}
 
 
 def file_of(reference: str) -> str:

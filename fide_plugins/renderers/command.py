@@ -13,10 +13,10 @@ import numpy as np
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.renderers.child import run, tail_of
-from fide_plugins.renderers.fingerprint import digest
 from fide_plugins.renderers.naming import described
 from fide_plugins.renderers.scratch import folder_of_a_render
 from fide_plugins.renderers.template import Template
+from fide_plugins.runtime import fingerprints
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
 from fide_plugins.validation import images
@@ -73,7 +73,8 @@ class CommandRenderer:
     @property
     def fingerprint(self) -> str:
         """Of the command lines."""
-        return digest("command", "\0".join(each.text for each in self.templates).encode())
+        text = "\0".join(each.text for each in self.templates)
+        return fingerprints.of_bytes("command", text.encode())
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = [template.text for template in self.templates]

@@ -5,14 +5,14 @@ A version, which the user states, or else a fingerprint of the source.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import tokenize
 
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime import fingerprints
 from fide_plugins.runtime.callables import own_name
 
-__all__ = ["changed", "check_version", "digest", "fingerprint_of", "version_of"]
+__all__ = ["check_version", "fingerprint_of", "version_of"]
 
 
 def version_of(render: object) -> str | None:
@@ -41,19 +41,7 @@ def fingerprint_of(render: object) -> str | None:
     own = getattr(render, "fingerprint", None)
     if own is None and inspect.isfunction(render):
         try:
-            own = digest("function", inspect.getsource(render).encode())
+            own = fingerprints.of_bytes("function", inspect.getsource(render).encode())
         except (OSError, TypeError, SyntaxError, tokenize.TokenError):
             return None  # the file is gone, or has changed since
     return own if isinstance(own, str) else None
-
-
-def digest(kind: str, data: bytes) -> str:
-    """Fingerprint of that kind; only those of one kind are compared."""
-    return f"{kind}:{hashlib.sha256(data).hexdigest()[:16]}"
-
-
-def changed(one: str | None, other: str | None) -> bool:
-    """Whether two fingerprints are known to be of different renderers."""
-    if one is None or other is None or one.partition(":")[0] != other.partition(":")[0]:
-        return False
-    return one != other

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 from fide_plugins.errors import OptionError, UnknownNameError, did_you_mean
+from fide_plugins.runtime import fingerprints
 
 __all__ = [
     "Referent",
@@ -86,7 +87,7 @@ def _fingerprint(module: ModuleType) -> str | None:
         data = None if file is None else Path(file).read_bytes()
     except OSError:
         return None
-    return None if data is None else f"file:{hashlib.sha256(data).hexdigest()[:16]}"
+    return None if data is None else fingerprints.of_bytes("file", data)
 
 
 def _execute(place: str, referent: Referent) -> ModuleType:
