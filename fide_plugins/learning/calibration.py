@@ -17,13 +17,22 @@ from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["COVERAGE", "DRAWS", "LARGEST_SCALE", "fitted_scale", "in_region", "split_held_out"]
+__all__ = [
+    "COVERAGE",
+    "DRAWS",
+    "ENOUGH",
+    "LARGEST_SCALE",
+    "fitted_scale",
+    "in_region",
+    "split_held_out",
+]
 
 LARGEST_SCALE = 4.0
 COVERAGE = 0.9  # of the region of highest density
 DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
 _STEP = 1.2
 _FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
+ENOUGH = 2 * _FEWEST  # held-out renders for a scale, which half of them choose
 
 
 def split_held_out(
@@ -34,7 +43,7 @@ def split_held_out(
     Every second one chooses, at most 300; none, and so no scale, where these were fewer than 50.
     """
     fit, held_out = np.zeros_like(aside), np.flatnonzero(aside)
-    if len(held_out) >= 2 * _FEWEST:
+    if len(held_out) >= ENOUGH:
         fit[held_out[::2][:_MOST]] = True
     return fit, aside & ~fit
 

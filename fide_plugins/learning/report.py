@@ -11,10 +11,11 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from fide_plugins.learning.calibration import DRAWS, in_region
+from fide_plugins.learning.calibration import DRAWS, ENOUGH, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.seen import are_shown, of_any_block, scores
+from fide_plugins.learning.training import HELD_OUT
 from fide_plugins.search.boundary import distance
 from fide_plugins.types import Float64, Mask
 
@@ -23,7 +24,7 @@ __all__ = ["Distance", "Report", "against_prior", "judge"]
 _HYPOTHESES = 64
 _PICTURES = 300
 _BATCH = 500
-_CALIBRATED = 5000  # renders: of every 50th, which is held out, half choose the scale, at least 50
+_CALIBRATED = ENOUGH * HELD_OUT  # renders: every 50th is held out
 _EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
 
 

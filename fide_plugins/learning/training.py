@@ -26,9 +26,9 @@ from fide_plugins.learning.trainable import Trainable
 from fide_plugins.runtime.devices import repeatable
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["Curve", "Progress", "Training", "is_held_out"]
+__all__ = ["HELD_OUT", "Curve", "Progress", "Training", "is_held_out"]
 
-_HELD_OUT, _MOST_HELD_OUT = 50, 2000  # every 50th render, and as many at most
+HELD_OUT, _MOST_HELD_OUT = 50, 2000  # every 50th render, and as many at most
 _WARM_UP = 100  # steps
 _BATCH = 32  # renders of a step: with more there are too few steps to leave the first plateaus
 _PATIENCE = 4  # passes without a better held-out likelihood that end training
@@ -55,7 +55,7 @@ class Progress:
 
 def is_held_out(n: int) -> Mask:
     """Which of n renders judge, and are never learned from: (n,), at least one."""
-    every: Mask = np.arange(n) % _HELD_OUT == 0
+    every: Mask = np.arange(n) % HELD_OUT == 0
     every[np.flatnonzero(every)[_MOST_HELD_OUT:]] = False
     return every
 
