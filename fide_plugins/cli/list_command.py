@@ -25,9 +25,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     if args.kind not in _WITH_WEIGHTS:
         print("\n".join(names(args.kind)), flush=True)
         if args.kind == "tasks":
-            note(
-                "\nmore scenes, not of the paper:"
-            )  # no name, so not for a program that reads them
+            # to standard error: it is no name, so not for a program that reads them
+            note("\nmore scenes, not of the paper:")
             print("\n".join(_more_tasks()))
         return 0
     found = problems(args.kind)
