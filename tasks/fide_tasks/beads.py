@@ -42,8 +42,9 @@ class Beads(MitsubaTask):
     options: it is rendered with `reference_spp` paths a pixel, so it has some noise, too. Its beads
     keep 1.1 diameters apart, and none hides another one.
 
-    Compare pictures by `perceptual`, with 16 paths or more. Each bead adds noise, and mse counts that: on some targets six
-    beads in one place, which are one bead to see, have a lower mse than the true ones.
+    Compare pictures by `perceptual`, with 16 paths or more. Each bead adds noise, and mse counts
+    that: on some targets six beads in one place, which are one bead to see, have a lower mse than
+    the true ones.
 
     One frame takes about 1 s at 224 x 224 on the LLVM variant and two cores.
     """
