@@ -157,7 +157,7 @@ class Report:
         return [
             "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
             f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right, "
-            f"+- {_right(self._pictures):.0%} by chance)"
+            f"+- {math.sqrt(0.9 * 0.1 / max(self._pictures, 1)):.0%} by chance)"
         ]
 
     @property
@@ -191,11 +191,6 @@ class Report:
         plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
         plain["curve"] = tuple(tuple(row) for row in state["curve"])
         return cls(**plain)
-
-
-def _right(n: int) -> float:
-    """Standard error of a share of nine tenths of n pictures."""
-    return math.sqrt(0.09 / max(n, 1))
 
 
 def against_prior(nll: float) -> str:

@@ -45,7 +45,7 @@ class Row:
     @cached_property
     def finals(self) -> list[float]:
         """Final loss of each run, infinite if it failed."""
-        return self.with_failed([run.final for run in self.runs])
+        return list(self.losses().values())
 
     @property
     def median(self) -> float:
