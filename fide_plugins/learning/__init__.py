@@ -7,7 +7,8 @@ the parameters. For a new picture it gives several hypotheses at once, which the
 =================  =============================================================================
 file               idea
 =================  =============================================================================
-`pipeline`         `learn`, the whole way from a renderer to a model
+`pipeline`         `learn`: its arguments are checked, and a plan is made of them
+`plan`             how a model is made: renders, trainings, report
 `model`            hypotheses, density, one file
 `renderer`         a user's function, or a task
 `store`            renders on disk, in shards
@@ -44,13 +45,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model as Model
-    from fide_plugins.learning.pipeline import LearnProgress as LearnProgress, learn as learn
+    from fide_plugins.learning.pipeline import learn as learn
+    from fide_plugins.learning.plan import LearnProgress as LearnProgress
     from fide_plugins.learning.report import Report as Report
 
 __all__ = ["LearnProgress", "Model", "Report", "learn"]
 
 _ATTRIBUTES = {
-    "LearnProgress": "pipeline",
+    "LearnProgress": "plan",
     "Model": "model",
     "Report": "report",
     "learn": "pipeline",

@@ -36,7 +36,7 @@ from fide_plugins.space import Space
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
-    from fide_plugins.learning.pipeline import LearnProgress
+    from fide_plugins.learning.plan import LearnProgress
 
 __all__ = ["LEAST", "Learned", "Rounds", "rounds_of", "search_options"]
 
