@@ -57,7 +57,18 @@ def suite_plan(args: argparse.Namespace) -> Any:
     left = [scene for scene in scenes if scene not in missing]
     if not left:
         raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
-    return suites.plan(suite, configurations, left, targets, args.budget)
+    plan = suites.plan(suite, configurations, left, targets, args.budget)
+    note(_size_of(plan))
+    return plan
+
+
+def _size_of(plan: Any) -> str:
+    """How many runs there are, so that nobody starts a week's work for an evening's."""
+    runs = len(plan.tasks) * len(plan.configurations)
+    return (
+        f"{plan.suite.name}: {runs} runs of {plan.budget} renders each (--scenes, --targets and "
+        "--budget choose a part)"
+    )
 
 
 def _check_budgets(configurations: list[Any]) -> None:

@@ -38,7 +38,8 @@ METHOD = (
     "succeed counts as infinite.",
     "The winner has the lowest median. A two-sided Wilcoxon signed-rank test compares each rival "
     "with the winner, pair by pair. It uses logarithms of the losses, or the losses if one of them "
-    "is 0; if budgets differ, it uses the curves at the end of the smaller budget. Pairs without a "
+    "is negative; a loss of 0 is better than any other by more than any other difference. If "
+    "budgets differ, it uses the curves at the end of the smaller budget. Pairs without a "
     "difference have ranks, too (Pratt). With ties it is exact for up to 12 pairs. The p shown are "
     "adjusted for all rivals of a panel (Benjamini and Hochberg); † marks p below "
     f"{SIGNIFICANT}. The same numbers choose the winner, so a p near that limit is weak evidence. "

@@ -110,15 +110,16 @@ def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
     """Compare `losses` (n,) with `others` (n,) pair by pair.
 
     The test ranks differences of logarithms, so that 0.001 against 0.002 counts as much as 0.1
-    against 0.2.  If a loss is zero or negative, it ranks differences of losses.  An infinite loss
-    is worse than any finite one by more than any other difference, and equal to an infinite one.
+    against 0.2.  If a loss is negative, it ranks differences of losses.  A loss of zero is better
+    than any other, and an infinite one worse, by more than any other difference; two of a kind are
+    equal.
     """
     values = np.array([losses, others], np.float64)
     a, b = np.where(np.isfinite(values), values, np.inf)
-    positive = min(a.min(), b.min()) > 0
-    differences = _differences(np.log(a), np.log(b)) if positive else _differences(a, b)
+    least = min(a.min(), b.min())
+    differences = _differences(a, b) if least < 0 else _differences(_log(a), _log(b))
     worse = int((differences > 0).sum())
-    ratio = _median_ratio(a, b) if positive else np.nan
+    ratio = _median_ratio(a, b) if least > 0 else np.nan
     if not differences.any():
         return Paired(len(a), worse, 1.0, 0.0, ratio)
     ranks = stats.rankdata(np.abs(differences))
@@ -153,6 +154,12 @@ def adjusted(p: Sequence[float]) -> list[float]:
         return []
     values: list[float] = stats.false_discovery_control(p).tolist()
     return values
+
+
+def _log(losses: Float64) -> Float64:
+    """Logarithms of losses (n,) >= 0; that of 0 is minus infinity."""
+    with np.errstate(divide="ignore"):
+        return np.log(losses)
 
 
 def _differences(a: Float64, b: Float64) -> Float64:

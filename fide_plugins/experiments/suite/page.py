@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -147,9 +147,12 @@ def _thresholds(found: Scores) -> Table:
 
 
 def _facts(found: Scores) -> str:
+    def counted(things: Sized, name: str) -> str:
+        return f"{len(things)} {name}" + "s" * (len(things) != 1)
+
     return (
-        f"{len(found.labels)} optimizers, {len(found.problems)} problems of {len(found.scenes)} "
-        f"scenes, read at {', '.join(number(b) for b in found.budgets)} renders"
+        f"{counted(found.labels, 'optimizer')}, {counted(found.problems, 'problem')} of "
+        f"{counted(found.scenes, 'scene')}, read at {', '.join(map(number, found.budgets))} renders"
     )
 
 

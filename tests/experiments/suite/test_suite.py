@@ -116,6 +116,7 @@ def test_a_part_from_the_command_line(
     assert fide(*words, "--optimizers", "cma,random") == 0
     printed = capsys.readouterr()
     assert "povray of image-fitting-v1 is left out, it cannot be rendered" in printed.err
+    assert "image-fitting-v1: 2 runs of 40 renders each (--scenes, --targets" in printed.err
     assert "This is a part of the suite image-fitting-v1: 1 of 110 problems" in printed.out
     assert fide(*words, "--optimizers", "cma,eki:popsize=20", "--resume") == 0
     lines = (out / "solved.csv").read_text().splitlines()
@@ -125,6 +126,7 @@ def test_a_part_from_the_command_line(
     ]
     text = (out / "report.html").read_text()
     assert text.count("<svg role=") == 2 and "1 of 110 problems" in text
+    assert "3 optimizers, 1 problem of 1 scene, read at 40 renders" in text
     assert "eki:popsize=20" in text and "| eki:popsize=20 |" in (out / "report.md").read_text()
     assert (out / "figures" / "data-profile.png").is_file()
     assert "fide compare --suite" in (out / "report.md").read_text()
