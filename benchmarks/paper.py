@@ -8,8 +8,8 @@ The stage `backbones` adds the published method with the features of a pretraine
 Every run (scene, target, loss, optimizer) is one line of benchmarks/results/paper.jsonl, appended
 when it ends; a second call does the missing runs. Slow runs keep a checkpoint beside the file, so
 that a call that was interrupted continues in the middle of a run. All optimizers have the same
-targets and seed 0. As in the paper, `mse` and `perceptual` both measure the best candidate so far,
-whichever loss the optimizer has seen. paper_tables.py and paper_curves.py show the results.
+targets and seed 0. `mse` and `perceptual` both measure the best candidate so far, whichever loss
+the optimizer has seen. paper_tables.py and paper_curves.py show the results.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from rows import Row, read, run_missing
 from fide_plugins.experiments import run as harness
 from fide_plugins.validation import key_value
 
-MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 25_000)
+MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 20_000, 25_000)
 RIVAL = "CMA-ES"
 BUDGET = {"voronoi": 25_000, "spline": 15_000}
 
