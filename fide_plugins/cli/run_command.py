@@ -27,7 +27,7 @@ from fide_plugins.cli.arguments import (
     setting,
     whole,
 )
-from fide_plugins.cli.messages import complain
+from fide_plugins.cli.messages import complain, note
 from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
 from fide_plugins.errors import OptionError
 
@@ -65,7 +65,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         return complain("fide run", error)
 
     def prepare() -> harness.Run:
-        return harness.prepare(
+        run = harness.prepare(
             task,
             args.optimizer,
             args.loss,
@@ -79,6 +79,9 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             resume=args.resume,
             command=command,
         )
+        if run.advice is not None:
+            note(run.advice)
+        return run
 
     return execute_run(args, command, prepare, task)
 

@@ -21,7 +21,10 @@ WORDS += ["--task-set", "reference_spp=16"]
 def test_spp_and_workers_have_flags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "a")
     assert main([*WORDS, "--spp", "2", "--workers", "2", "--out", out]) == 0
-    first = json.loads(capsys.readouterr().out.splitlines()[-1])
+    printed = capsys.readouterr()
+    assert "beads: each bead adds noise" in printed.err
+    assert "--loss perceptual and --spp 16" in printed.err
+    first = json.loads(printed.out.splitlines()[-1])
     run = json.loads((tmp_path / "a" / "run.json").read_text())
     assert run["settings"]["task_options"] == {"reference_spp": 16, "spp": 2}
     assert run["totals"]["mse"] == run["totals"]["reference_loss"] != first["best_loss"]

@@ -88,6 +88,12 @@ class Run:
         self._whole = True  # whether record and optimizer agree, so that they may be saved
 
     @property
+    def advice(self) -> str | None:
+        """What the task advises for this loss; None for nothing."""
+        advice = TaskInfo.of(self.task).advice
+        return None if advice is None else advice(self.loss.name)
+
+    @property
     def out(self) -> Path | None:
         """Run directory, if there is one."""
         return None if self._directory is None else self._directory.path

@@ -46,6 +46,8 @@ class TaskInfo:
     spp: most samples of a pixel, which `render` obeys.
     search_space: named parameters, for an optimizer that handles integers and choices as such.
     piece: most candidates to render before their results are told; None: the loop's own number.
+    advice: function of the name of a loss that gives a sentence, for a user who would do better
+        with other settings, or None.
     """
 
     name: str
@@ -56,6 +58,7 @@ class TaskInfo:
     spp: int | None = None
     search_space: Space | None = None
     piece: int | None = None
+    advice: Callable[[str], str | None] | None = None
 
     @classmethod
     def of(cls, task: object) -> TaskInfo:

@@ -118,6 +118,11 @@ def test_a_task_that_says_all() -> None:
         def reference(self, x: Float64) -> Any:
             return x
 
+        def advice(self, loss: str) -> str | None:
+            return f"no {loss} here"
+
     scene = Scene()
     said = TaskInfo.of(scene)
-    assert said == TaskInfo("scene", 4, scene.reference, ("workers",), "llvm", 16)
+    reference, advice = scene.reference, scene.advice
+    assert said == TaskInfo("scene", 4, reference, ("workers",), "llvm", 16, advice=advice)
+    assert harness.prepare(scene, "random", budget=4).advice == "no mse here"
