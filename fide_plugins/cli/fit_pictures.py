@@ -24,6 +24,8 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
 
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
+    from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.validation.images import alpha_of
     from fide_plugins.views.weights import ALPHA
 
     if given is None:
@@ -34,15 +36,8 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
         raise OptionError(
             f"{len(given)} of --{name} for {len(targets)} targets; give --{name} once for each"
         )
-    read = [
-        _alpha(target, side) if one == ALPHA else pictures([one], side)[0]
+    read = [  # pixels as they are: what transparency means is known where the mask is used
+        alpha_of(read_pixels(target, side), target) if one == ALPHA else read_pixels(one, side)
         for one, target in zip(given, targets, strict=True)
     ]
     return read[0] if len(read) == 1 else read
-
-
-def _alpha(path: str, side: int | None) -> Any:
-    from fide_plugins.validation.image_sources import read_pixels
-    from fide_plugins.validation.images import alpha_of
-
-    return alpha_of(read_pixels(path, side), path)

@@ -8,7 +8,8 @@ Inside the library all images are *canonical*: C-contiguous float32 NumPy arrays
 values             uint8 [0, 255] and bool are scaled to [0, 1]; floats of any precision keep
                    their values; other types are refused, since their scale is unknown: white may
                    be 4095 in a uint16 array
-channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white
+channels           none or 1: gray, repeated; 3: RGB; 4: RGBA, composited over white (a mask over
+                   black: what is transparent is hidden)
 axes               channels last.  In a torch tensor channels may come first: if the first axis
                    has 1, 3 or 4 entries and the other two fit the required size (that of the
                    target), if there is one
@@ -80,6 +81,7 @@ def as_target(
     what: str = "the target",
     size: Size | None = None,
     hidden: Mask | None = None,
+    behind: float = 1.0,
 ) -> Float32:
     """Canonical copy of one image.
 
@@ -93,6 +95,8 @@ def as_target(
         required size (H, W); None: any.
     hidden
         (H, W), pixels that do not count; None: all do.
+    behind
+        gray value in [0, 1] behind transparent pixels, 1 is white.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def as_target(
     ImageError
         wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
     """
-    return _as_image(target, size, what, on_clip=None, hidden=hidden)
+    return _as_image(target, size, what, on_clip=None, hidden=hidden, behind=behind)
 
 
 def as_pixels(image: object, what: str) -> Pixels:
@@ -224,11 +228,13 @@ def _as_image(
     what: str,
     on_clip: Callable[[str], None] | None,
     hidden: Mask | None = None,
+    behind: float = 1.0,
 ) -> Float32:
     array, is_tensor = _to_array(image, what)
     if array.ndim not in (2, 3):
         raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
-    return _canonical(channels_last(array, 0, is_tensor, size, what), what, on_clip, hidden)
+    pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
+    return _canonical(pixels, what, on_clip, hidden, behind)
 
 
 def _list_as_batch(
@@ -283,8 +289,9 @@ def _canonical(
     what: str,
     on_clip: Callable[[str], None] | None,
     hidden: Mask | None,
+    behind: float = 1.0,
 ) -> Float32:
-    """Canonical copy of (..., H, W, C): gray repeated, alpha composited over white."""
+    """Canonical copy of (..., H, W, C): gray repeated, alpha composited over the gray `behind`."""
     values = _unit_range(pixels, what, on_clip, hidden)
     if values.shape[-1] == 3 and values.dtype == np.float32 and values is not pixels:
         return values  # a copy already
@@ -292,7 +299,7 @@ def _canonical(
     with np.errstate(under="ignore"):  # what is too small for float32 is 0
         if values.shape[-1] == 4:
             alpha = values[..., 3:].astype(np.float32)
-            out[...] = 1.0 - alpha * (1.0 - values[..., :3].astype(np.float32))
+            out[...] = behind - alpha * (behind - values[..., :3].astype(np.float32))
         else:
             out[...] = values
     return out

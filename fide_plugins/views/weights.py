@@ -17,8 +17,8 @@ ALPHA = "alpha"
 def read_weights(given: object, target: object, size: tuple[int, int], what: str) -> Float32 | None:
     """Weights (H, W) in [0, 1] of a picture, of which the largest is 1; None if all are equal.
 
-    given: a gray picture, any input of `as_target`, of that size; "alpha" for the alpha channel of
-        the target; None.
+    given: a gray picture, any input of `as_target`, of that size, gray times alpha where it is
+        transparent; "alpha" for the alpha channel of the target; None.
     what: its name in errors.
 
     Raises ImageError: wrong size, colors, values outside [0, 1], NaN, or zeros everywhere.
@@ -28,7 +28,7 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
     if isinstance(given, str) and given == ALPHA:
         weights = alpha_of(target, f"the target of {what}='alpha'")
     else:
-        picture = as_target(given, what=what, size=size)
+        picture = as_target(given, what=what, size=size, behind=0.0)
         weights = picture[..., 0].copy()
         if (picture != weights[..., None]).any():
             raise ImageError(f"{what} must be gray, (H, W), but it has colors; pass one channel")
@@ -47,7 +47,7 @@ def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:
     if largest <= 0:
         raise ImageError(
             f"{what} is zero everywhere, so no pixel of the picture counts; white is what counts, "
-            "black what is hidden"
+            "black or transparent what is hidden"
         )
     if product.min() == largest:
         return None

@@ -81,6 +81,22 @@ def test_what_a_mask_hides_does_not_count(capsys: pytest.CaptureFixture[str]) ->
     assert losses[0] == losses[1] > 0
 
 
+@pytest.mark.parametrize("option", ["--mask", "--weights"])
+@pytest.mark.usefixtures("hidden")
+def test_what_is_transparent_in_a_mask_does_not_count(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Image.open("mask.png") as mask:
+        white = Image.new("L", mask.size, 255)
+        Image.merge("LA", (white, mask)).save("clear.png")
+    words = ["--renderer", "scene.py:render", "--workers", 0, "--json", "--budget", 20]
+    losses = []
+    for given in ("mask.png", "clear.png"):
+        assert fide("fit", "target.png", *words, option, given) == 0
+        losses.append(summary(capsys)["best_loss"])
+    assert losses[0] == losses[1] > 0
+
+
 @pytest.mark.usefixtures("hidden")
 def test_the_alpha_of_the_target_and_weights_are_masks_too(
     capsys: pytest.CaptureFixture[str],

@@ -212,6 +212,33 @@ def test_forms_of_masks(form: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(Views.read(TARGET, mask).weights, HALF)
 
 
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+@pytest.mark.parametrize("form", ["array", "tensor", "PIL", "path"])
+def test_what_is_transparent_in_a_mask_is_hidden(form: str, mode: str, tmp_path: Path) -> None:
+    """White where it counts and nothing elsewhere: over white it would hide nothing."""
+    white = np.full((20, 24, 3), 255, np.uint8)
+    rgba = np.dstack([white, (HALF * 255).astype(np.uint8)])
+    image = Image.fromarray(rgba).convert(mode)
+    image.save(tmp_path / "m.png")
+    forms = {"array": rgba, "tensor": torch.from_numpy(rgba), "PIL": image}
+    mask: Any = forms.get(form, tmp_path / "m.png")
+    np.testing.assert_array_equal(Views.read(TARGET, mask).weights, HALF)
+    np.testing.assert_array_equal(Views.read(TARGET, weights=mask).weights, HALF)
+
+
+def test_gray_times_alpha_weighs() -> None:
+    rgba = np.stack([WEIGHTS, WEIGHTS, WEIGHTS, HALF], axis=-1)
+    expected = Views.read(TARGET, HALF, WEIGHTS).weights
+    np.testing.assert_array_equal(Views.read(TARGET, weights=rgba).weights, expected)
+
+
+def test_black_paint_on_nothing_is_refused() -> None:
+    rgba = np.zeros((20, 24, 4))
+    rgba[:, 12:, 3] = 1
+    with pytest.raises(ImageError, match="white is what counts, black or transparent what is"):
+        Views.read(TARGET, rgba)
+
+
 @pytest.mark.parametrize(
     ("mask", "message"),
     [
