@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
+from fide_plugins.runtime.warn import warn_user
 
 __all__ = [
     "MAX_PIXELS",
@@ -33,6 +34,8 @@ Pixels: TypeAlias = npt.NDArray[Any]
 
 MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
+_WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
+_LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 
 
 def describe(pixels: Any) -> str:
@@ -108,19 +111,30 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
         raise DependencyError("reading an image file needs Pillow: pip install pillow") from e
     try:
         with Image.open(path) as image:
+            frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
+            whole = image.size
             if max_side is not None:
                 image.draft(None, (max_side, max_side))  # JPEG: decode at a fraction of its size
-            return from_pil(image, repr(os.fspath(path)), max_side)
+            pixels = from_pil(image, repr(os.fspath(path)), max_side, whole)
     except FileNotFoundError as e:
         raise ImageNotFoundError(f"no image file at {os.fspath(path)!r}") from e
     except ImageError:
         raise
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
         raise ImageError(f"cannot read {os.fspath(path)!r} as an image: {e}") from e
+    if frames > 1:
+        name = os.path.basename(os.fspath(path))
+        warn_user(f"{name} has {frames} frames or pages, of which the first one is taken")
+    return pixels
 
 
-def from_pil(image: Any, what: str, max_side: int | None = None) -> Pixels:
-    """Array of a PIL image, turned upright, with at most `max_side` pixels a side; ImageError."""
+def from_pil(
+    image: Any, what: str, max_side: int | None = None, whole: tuple[int, int] | None = None
+) -> Pixels:
+    """Array of a PIL image, turned upright, with at most `max_side` pixels a side; ImageError.
+
+    whole: width and height of the picture of which the image is a rough reduction; None: its own.
+    """
     from PIL import Image, ImageOps
 
     width, height = image.size
@@ -128,16 +142,57 @@ def from_pil(image: Any, what: str, max_side: int | None = None) -> Pixels:
         raise ImageError(
             f"{what} has {width} x {height} pixels, more than {MAX_PIXELS:,}; reduce it first"
         )
+    form, whole = image.format, whole or image.size
     image = ImageOps.exif_transpose(image)
-    if image.mode.startswith("I"):  # 16-bit gray, which Pillow keeps in 32 bits for some formats
-        image = Image.fromarray(np.asarray(image, np.float32) / np.float32(65535))
-    elif image.has_transparency_data:
+    if image.size != (width, height):
+        whole = whole[::-1]
+    size = whole if max_side is None else _reduced(whole, max_side)
+    if image.mode.startswith("I"):
+        _check_16_bits(image, form, what)
+        return _of_16_bits(image, size)
+    if image.has_transparency_data:
         image = image.convert("RGBA")
     elif image.mode not in ("F", "1"):
         image = image.convert("RGB")
-    if max_side is not None and max(image.size) > max_side:
-        scale = max_side / max(image.size)
-        small = [max(1, round(side * scale)) for side in image.size]
+    if image.size != size:
         image = image.convert("L" if image.mode == "1" else image.mode)
-        image = image.resize((small[0], small[1]), Image.Resampling.BOX)
+        image = image.resize(size, Image.Resampling.BOX)
     return np.asarray(image)
+
+
+def _reduced(size: tuple[int, int], max_side: int) -> tuple[int, int]:
+    """Width and height with the longer one at most `max_side`."""
+    if max(size) <= max_side:
+        return size
+    scale = max_side / max(size)
+    width, height = (max(1, round(side * scale)) for side in size)
+    return width, height
+
+
+def _check_16_bits(image: Any, form: str | None, what: str) -> None:
+    """Raise ImageError for whole numbers of 32 bits, whose white is unknown."""
+    if image.mode.startswith("I;16") or form in _WIDENED:
+        return
+    remedy = scale_remedy(
+        np.asarray(image), "np.asarray(image).astype(bool)", "np.asarray(image).astype(np.uint8)"
+    )
+    got = f"whole numbers of 32 bits (Pillow's mode {image.mode!r})"
+    raise refuse_type(what, got, f"{remedy}, or save the picture with 8 or 16 bits")
+
+
+def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
+    """Gray (H, W) in [0, 1] of 16 bits; (H, W, 4) where a PNG says which value is transparent."""
+    from PIL import Image
+
+    def reduced(values: Pixels) -> Pixels:
+        plane = Image.fromarray(values)
+        return np.asarray(plane if plane.size == size else plane.resize(size, Image.Resampling.BOX))
+
+    values = np.asarray(image, np.float32)
+    gray, clear = values / np.float32(65535), image.info.get("transparency")
+    if clear is None:
+        return reduced(gray)
+    shown = (values != clear).astype(np.float32)
+    light, alpha = reduced(gray * shown), reduced(shown)
+    gray = np.divide(light, alpha, out=np.zeros_like(light), where=alpha > 0)
+    return np.stack([gray, gray, gray, alpha], axis=-1)

@@ -20,8 +20,9 @@ outside [0, 1]     refused in a target; clipped in a batch, with a warning (a re
                    them whole numbers or their mean above 8
 hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
                    refused for them
-files, PIL images  turned upright (EXIF), palettes expanded, 16-bit grays divided by 65535, at
-                   most `MAX_PIXELS` pixels
+files, PIL images  turned upright (EXIF), palettes expanded, 16-bit grays divided by 65535, those
+                   of 32 bits refused; of several frames the first, with a warning; at most
+                   `MAX_PIXELS` pixels
 =================  ============================================================================
 
 PyTorch and Pillow are imported only if an image needs them.
@@ -51,6 +52,7 @@ from fide_plugins.validation.image_sources import (
     refuse_type,
     scale_remedy,
 )
+from fide_plugins.validation.points import whole_number
 from fide_plugins.validation.rules import (
     Size,
     channels_last,
@@ -214,8 +216,11 @@ def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float3
 
     max_side: the image is reduced by box averaging to at most so many pixels; None: not at all.
 
-    An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`.
+    An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`,
+    OptionError for a `max_side` that is no whole number >= 1.
     """
+    if max_side is not None:
+        max_side = whole_number("max_side", max_side, 1)
     return _as_image(read_pixels(path, max_side), None, repr(os.fspath(path)), on_clip=None)
 
 

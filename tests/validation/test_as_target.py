@@ -12,8 +12,8 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from fide_plugins.errors import FideError, ImageError, ImageNotFoundError
-from fide_plugins.validation.images import MAX_PIXELS, as_target, load
+from fide_plugins.errors import FideError, ImageError, ImageNotFoundError, OptionError
+from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_target, load
 
 RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
 BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
@@ -180,6 +180,78 @@ def test_load_reduces_large_images(tmp_path: Path) -> None:
         np.testing.assert_allclose(small[:, 4:], 1.0, atol=0.02)
     assert load(tmp_path / "a.png", max_side=80).shape == (40, 80, 3)
     assert load(tmp_path / "a.png").shape == (40, 80, 3)
+
+
+@pytest.mark.parametrize(("turned", "shape"), [(False, (85, 128)), (True, (128, 85))])
+def test_a_jpeg_is_reduced_to_the_size_of_a_png(
+    turned: bool, shape: tuple[int, int], tmp_path: Path
+) -> None:
+    """A JPEG is decoded at an eighth, 256 x 171, of which the height would be 86."""
+    image = Image.new("RGB", (2048, 1365))
+    exif = image.getexif()
+    if turned:
+        exif[0x0112] = 6
+    for name in ("a.png", "a.jpg"):
+        image.save(tmp_path / name, exif=exif)
+        assert load(tmp_path / name, max_side=128).shape[:2] == shape
+
+
+@pytest.mark.parametrize("side", [0, -1, 1.5, "3", True])
+def test_a_largest_side_is_a_whole_number(side: Any, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="max_side must be a whole number >= 1"):
+        load(tmp_path / "a.png", max_side=side)
+
+
+DEEP = np.array([[0, 65535, 32768]], np.uint16)
+
+
+@pytest.mark.parametrize("ending", ["png", "tif", "pgm"])
+def test_16_bits_of_files(ending: str, tmp_path: Path) -> None:
+    Image.fromarray(DEEP).save(tmp_path / f"a.{ending}")
+    np.testing.assert_allclose(as_target(tmp_path / f"a.{ending}")[..., 1], DEEP / 65535, atol=1e-7)
+    np.testing.assert_allclose(as_target(Image.fromarray(DEEP))[..., 1], DEEP / 65535, atol=1e-7)
+
+
+@pytest.mark.parametrize("high", [1, 255, 65535])
+def test_whole_numbers_of_32_bits_are_refused_as_in_an_array(high: int, tmp_path: Path) -> None:
+    """Nobody knows which of them is white: of 0 to 255 all would be nearly black."""
+    image = Image.fromarray(np.array([[0, high]], np.int32))
+    image.save(tmp_path / "a.tif")
+    remedy = {1: "bool", 255: r"np.uint8\) if 255", 65535: "divide"}[high]
+    for given_image in (image, tmp_path / "a.tif"):
+        with pytest.raises(ImageError, match=f"whole numbers of 32 bits.*{remedy}"):
+            as_target(given_image)
+
+
+def test_a_transparent_gray_of_16_bits(tmp_path: Path) -> None:
+    Image.fromarray(DEEP).save(tmp_path / "a.png", transparency=0)
+    expected = np.array([[1.0, 1.0, 32768 / 65535]])
+    np.testing.assert_allclose(as_target(tmp_path / "a.png")[..., 0], expected, atol=1e-6)
+    np.testing.assert_array_equal(alpha_of(tmp_path / "a.png"), [[0, 1, 1]])
+    wide = np.repeat(np.repeat(DEEP[:, [0, 2]], 2, axis=0), 3, axis=1)  # half clear, (2, 6)
+    Image.fromarray(wide).save(tmp_path / "b.png", transparency=0)
+    small = load(tmp_path / "b.png", max_side=2)
+    np.testing.assert_allclose(small[0, :, 0], [1.0, 32768 / 65535], atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", ["gif", "tif", "png", "webp"])
+def test_of_several_frames_the_first_is_taken_with_a_warning(ending: str, tmp_path: Path) -> None:
+    frames = [Image.new("RGB", (6, 6), color) for color in ("red", "lime", "blue")]
+    path = tmp_path / f"a.{ending}"
+    lossless = {"lossless": True} if ending == "webp" else {}
+    frames[0].save(path, save_all=True, append_images=frames[1:], **lossless)
+    with pytest.warns(RuntimeWarning, match=rf"^a\.{ending} has 3 frames .* first one is taken"):
+        image = as_target(path)
+    np.testing.assert_array_equal(image, np.broadcast_to([1, 0, 0], (6, 6, 3)))
+    frames[0].save(path, **lossless)
+    as_target(path)  # one frame: no warning
+
+
+def test_the_further_pictures_of_a_camera_are_not_its_photo(tmp_path: Path) -> None:
+    """Cameras put previews into MPO files, whose names end with .jpg."""
+    photo = Image.new("RGB", (16, 16), "red")
+    photo.save(tmp_path / "a.jpg", "MPO", save_all=True, append_images=[Image.new("RGB", (4, 4))])
+    assert as_target(tmp_path / "a.jpg").shape == (16, 16, 3)
 
 
 def test_a_missing_file(tmp_path: Path) -> None:
