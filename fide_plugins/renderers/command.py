@@ -19,7 +19,8 @@ from fide_plugins.renderers.template import Template
 from fide_plugins.runtime import fingerprints
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
-from fide_plugins.validation import images
+from fide_plugins.validation.image_sources import read_pixels
+from fide_plugins.validation.images import as_target
 
 __all__ = ["TIMEOUT", "CommandRenderer"]
 
@@ -60,7 +61,10 @@ class CommandRenderer:
             template.command(space.decode(np.full(space.dim, 0.5)), "out", "params")
 
     def __call__(self, params: Mapping[str, Any]) -> Float32 | list[Float32]:
-        """Image (H, W, 3) of the parameters, or one for each view."""
+        """Image (H, W, 3), float32, of the parameters, or one for each view.
+
+        Its values lie in [0, 1]; those of a file of floats are as they are, as a function's are.
+        """
         until = None if self.timeout is None else time.monotonic() + self.timeout
         pictures = [self._render(template, params, until) for template in self.templates]
         return pictures[0] if self._one_view else pictures
@@ -145,10 +149,18 @@ def _read(out: Path, log: Path) -> Float32:
         what = f"wrote several files, but not {out.name}: {names}" if files else "wrote no image"
         raise _Failed(f"{what}; is {{out}} where it expects the name?", tail_of(log))
     try:
-        return images.load(files[0])
+        return _pixels(files[0])
     except ImageError as error:
         reason = str(error).replace(str(files[0]), files[0].name)
         raise _Failed(f"wrote an image that cannot be read: {reason}", tail_of(log)) from None
+
+
+def _pixels(path: Path) -> Float32:
+    """Image (H, W, 3).  Floats keep NaN and overshoot, which a mask may hide or `tell` clip."""
+    pixels = read_pixels(path, None)
+    if pixels.ndim == 2 and pixels.dtype == np.float32:
+        return np.repeat(pixels[..., None], 3, axis=2)
+    return as_target(pixels, what=repr(str(path)))
 
 
 def _message(failed: _Failed, command: list[str], params: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ from typing import Any
 
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers.naming import flat
-from fide_plugins.space import Space
+from fide_plugins.space import Choice, Space
 
 __all__ = ["Template"]
 
@@ -40,8 +40,8 @@ class Template:
     """Command line for the parameters of a space.
 
     Raises OptionError (a ValueError) if it is empty or cannot be split, has no ``{out}``, has a
-    placeholder that is neither a parameter nor a file, holds words for a shell, or if its program
-    is not on this machine.
+    placeholder that is neither a parameter nor a file, a format that a value of a choice does not
+    fit, holds words for a shell, or if its program is not on this machine.
     """
 
     def __init__(self, text: str, space: Space) -> None:
@@ -58,6 +58,7 @@ class Template:
         self.used = {name for name, _, _ in fields}
         _check_names(self.used, space, text)
         _check_words(self.words)
+        _check_choices(fields, space, text)
         self.suffix = next((spec for name, spec, _ in fields if name == "out" and spec), ".png")
         """Ending of the image's name."""
 
@@ -138,6 +139,18 @@ def _check_names(used: set[str], space: Space, text: str) -> None:
         )
 
 
+def _check_choices(fields: list[tuple[str, str, str | None]], space: Space, text: str) -> None:
+    """Raise OptionError unless every value of a choice fits its format.
+
+    Each of its renders would fail, and a search would leave that value out.
+    """
+    parameters = space.parameters
+    for name, spec, conversion in fields:
+        kind = parameters.get(name)
+        for value in kind.values if isinstance(kind, Choice) else ():
+            _formatted(name, value, spec, conversion, text)
+
+
 def _check_words(words: list[str]) -> None:
     for word in words:
         if word in _SHELL:
@@ -161,5 +174,6 @@ def _formatted(name: str, value: Any, spec: str, conversion: str | None, text: s
         return format(value, spec)
     except (ValueError, TypeError) as error:
         raise OptionError(
-            f"{{{name}:{spec}}} in the command does not fit the value {value!r} ({error}): {text!r}"
+            f"{{{name}:{spec}}} in the command does not fit the value {value!r} ({error}): "
+            f"{text!r}; take a format that all of its values fit, or write {{{name}}}"
         ) from None

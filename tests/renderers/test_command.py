@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Choice, Float, Group, Int, Space
+from fide_plugins import Choice, Float, Group, Int, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers import CommandRenderer, child
 from fide_plugins.renderers.template import Template
@@ -112,6 +112,31 @@ def test_a_copy_does_the_same() -> None:
     np.testing.assert_array_equal(copy(params()), renderer(params()))
 
 
+@pytest.mark.parametrize("value", [np.nan, 1.25, -0.25])
+def test_floats_are_read_as_a_render_and_not_as_a_target(value: float) -> None:
+    """Where a mask hides it a render may be NaN; elsewhere what overshoots is clipped."""
+    Path("floats.py").write_text(
+        "import sys\nimport numpy as np\nfrom PIL import Image\n"
+        f"image = np.full((4, 6), float(sys.argv[2]), 'f')\nimage[:, 3:] = float('{value}')\n"
+        "Image.fromarray(image).save(sys.argv[1])\n"
+    )
+    space = Space(gray=Float(0, 1))
+    render = CommandRenderer(f"{sys.executable} floats.py {{out:.tif}} {{gray}}", space)
+    image = render({"gray": 0.5})
+    expected = np.full((4, 6, 3), 0.5, np.float32)
+    expected[:, 3:] = value
+    np.testing.assert_array_equal(image, expected)
+    mask = np.zeros((4, 6))
+    mask[:, :3] = 1
+    target = np.full((4, 6, 3), 0.5)
+    result = fit(render, target, space, budget=3, workers=0, seed=0, mask=mask, progress=False)
+    assert result.failures == 0
+    if np.isfinite(value):
+        with pytest.warns(RuntimeWarning, match="clipped"):
+            result = fit(render, target, space, budget=3, workers=0, seed=0, progress=False)
+        assert result.failures == 0
+
+
 # -- the command line ------------------------------------------------------------------------------
 
 
@@ -165,6 +190,7 @@ def test_all_parameters_in_a_file() -> None:
         ("ls {gray} {floor}", "has no {out}, so the image would not be found"),
         ("ls {out} {gray}", "'floor' of the space is nowhere in the command; write {floor}"),
         ("ls {out} {gray:d} {floor}", "{gray:d} in the command does not fit the value 0.5"),
+        ("ls {out} {gray} {floor:.2f}", "does not fit the value 'a b'.*or write {floor}$"),
         ("ls {out:.xyz} {gray} {floor}", "images that end with '.xyz' cannot be read"),
         ("ls {out} {gray} {floor} > log", "'>' would be an argument, because no shell"),
         ("no-such-program {out} {gray} {floor}", "no program 'no-such-program' on the PATH"),
@@ -174,6 +200,14 @@ def test_all_parameters_in_a_file() -> None:
 def test_what_can_be_known_is_said_before_the_first_render(text: str, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         CommandRenderer(text, SPACE)
+
+
+def test_a_format_must_fit_every_value_of_a_choice() -> None:
+    """The renders of the others would fail, and the fit would go on without these values."""
+    balls = 2 * Group(n=Choice(1, 2, "auto"))
+    with pytest.raises(OptionError, match=r"{balls\[1\].n:d} .* the value 'auto'"):
+        CommandRenderer("ls {out} {balls[0].n} {balls[1].n:d}", Space(balls=balls))
+    CommandRenderer("ls {out} {balls[0].n} {balls[1].n!s:>4}", Space(balls=balls))
 
 
 def test_names_of_files_and_times_without_meaning_are_refused() -> None:

@@ -238,7 +238,7 @@ def test_a_transparent_gray_of_16_bits(tmp_path: Path) -> None:
 def test_of_several_frames_the_first_is_taken_with_a_warning(ending: str, tmp_path: Path) -> None:
     frames = [Image.new("RGB", (6, 6), color) for color in ("red", "lime", "blue")]
     path = tmp_path / f"a.{ending}"
-    lossless = {"lossless": True} if ending == "webp" else {}
+    lossless: dict[str, Any] = {"lossless": True} if ending == "webp" else {}
     frames[0].save(path, save_all=True, append_images=frames[1:], **lossless)
     with pytest.warns(RuntimeWarning, match=rf"^a\.{ending} has 3 frames .* first one is taken"):
         image = as_target(path)
