@@ -54,8 +54,15 @@ def knows(name: str) -> bool:
 
 
 def takes_weights(name: str) -> bool:
-    """Whether `make` takes `weights` (H, W) of pixels for the loss of that name."""
-    return _REGISTRY.takes(name, "weights")
+    """Whether the loss of that name weighs pixels itself, by the option `weights` (H, W) of `make`.
+
+    Its class, a `LossOfTarget`, says so by `weighs_pixels = True`.  The option of another loss may
+    mean anything: that of "lpips" is a file.
+    """
+    from fide_plugins.losses.base import LossOfTarget
+
+    factory = _REGISTRY.resolve(name.partition(":")[0])
+    return isinstance(factory, type) and issubclass(factory, LossOfTarget) and factory.weighs_pixels
 
 
 def make(name: str, target: object, **options: object) -> LossOfTarget:

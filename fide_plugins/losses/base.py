@@ -60,6 +60,8 @@ class LossOfTarget(ABC):
     """Name from which `losses.make` makes the same loss; None if it was made with options."""
     takes_tensors: bool = False
     """Whether it has `compute_tensor`, for images that stay on their GPU."""
+    weighs_pixels: bool = False
+    """Whether its argument and attribute `weights` are those of pixels, (H, W) or None."""
 
     def __init__(self, target: object) -> None:
         self.target = as_target(target)

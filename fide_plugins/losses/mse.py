@@ -26,6 +26,7 @@ class MeanSquaredError(LossOfTarget):
     name = "mse"
     version = "mse-2"  # 1 differs in the last digits
     takes_tensors = True
+    weighs_pixels = True
 
     def __init__(self, target: object, *, weights: Float32 | None = None) -> None:
         super().__init__(target)

@@ -107,7 +107,8 @@ class LossOfViews(_OfViews):
 
 
 def _loss_of_view(view: View, loss: ImageLoss, part: Float32) -> Float64:
-    if view.weights is None or getattr(loss, "weights", None) is not None:
+    weighs = getattr(loss, "weighs_pixels", False) and getattr(loss, "weights", None) is not None
+    if view.weights is None or weighs:
         return loss.compute(part)
     values: Float64 = loss.compute(view.shown(part)) / view.mean_weight
     return values

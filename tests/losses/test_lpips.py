@@ -298,3 +298,20 @@ def test_an_optimizer_minimizes_it_and_comes_back(cached_weights: Path, tmp_path
         copy.tell(X[::-1], render(X[::-1]))
     assert opt.best is not None and copy.best is not None
     assert opt.best.loss == copy.best.loss > 0
+
+
+@pytest.mark.parametrize("name", ["lpips", "lpips:vgg"])
+@pytest.mark.usefixtures("cached_weights")
+def test_a_mask(name: str) -> None:
+    """Its own option `weights` is a file, so it sees the target where a mask hides the render."""
+    target, image = pair(40, 48)
+    mask = np.zeros((40, 48), np.float32)
+    mask[:, :24] = 1
+    assert not losses.takes_weights(name)
+    opt = FIDE(3, target, loss=name, mask=mask, seed=0)
+    shown = np.where(mask[..., None] == 1, image, target)
+    other = np.where(mask[..., None] == 1, image, 0.0)
+    expected = losses.make(name, target)([shown]) / 0.5
+    np.testing.assert_allclose(opt.evaluator.loss([image]), expected, rtol=1e-6)
+    np.testing.assert_array_equal(opt.evaluator.loss([other]), opt.evaluator.loss([image]))
+    assert opt.evaluator.loss([target])[0] == 0.0

@@ -11,6 +11,7 @@ import pytest
 
 from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, LossError
+from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.types import Float32, Float64
 
 Loss = Callable[[Any], Any]
@@ -80,6 +81,36 @@ def test_a_registered_loss_is_saved_by_name(
     np.testing.assert_array_equal(copy.evaluator.loss(render(X)), l1(target)(render(X)))
     masked = FIDE(6, [target, target], mask=[None, np.eye(16, dtype=np.float32)], loss=registered)
     assert masked.evaluator.loss.spec == registered
+
+
+def test_a_mask_is_no_option_of_a_registered_loss(registered: str, target: Float32) -> None:
+    """Its `weights` may be anything, such as those of a network; the mask would count twice."""
+    given: list[object] = []
+
+    def make(target: Float32, *, weights: object = None) -> Loss:
+        given.append(weights)
+        return l1(target)
+
+    mask = np.eye(16, dtype=np.float32)
+    images = np.stack([target, 1 - target])
+    expected = FIDE(6, target, mask=mask, loss=registered).evaluator.loss(images)
+    losses.register(registered, make)
+    assert not losses.takes_weights(registered)
+    masked = FIDE(6, target, mask=mask, loss=registered)
+    np.testing.assert_array_equal(masked.evaluator.loss(images), expected)
+    assert given == [None]
+
+
+def test_a_loss_may_weigh_pixels_itself(registered: str, target: Float32) -> None:
+    class Weighted(MeanSquaredError):
+        """An own class that takes weights as `mse` does."""
+
+    losses.register(registered, Weighted)
+    assert losses.takes_weights(registered) and losses.takes_weights("mse")
+    mask = np.eye(16, dtype=np.float32)
+    own, mse = (FIDE(6, target, mask=mask, loss=loss) for loss in (registered, "mse"))
+    images = np.stack([target, 1 - target])
+    np.testing.assert_array_equal(own.evaluator.loss(images), mse.evaluator.loss(images))
 
 
 def test_a_checkpoint_of_an_unregistered_loss_says_so(
