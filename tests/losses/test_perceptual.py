@@ -175,3 +175,15 @@ def test_a_noisy_target_is_still_found() -> None:
     moved = [np.roll(image, shift, axis=1) for shift in (0, 2, 4, 8, 16)]
     values = PerceptualLoss(noisy(image, rng))([noisy(x, rng) for x in moved])
     assert np.all(np.diff(values) > 0)
+
+
+def test_a_checkerboard_counts_as_noise() -> None:
+    """The module's numbers: it hides nine tenths of a difference, noise of that strength none."""
+    columns = np.arange(128) / 127
+    board = (-1.0) ** np.add.outer(np.arange(128), np.arange(128))
+    target = np.broadcast_to(0.3 + 0.4 * columns, board.shape)
+    signs = np.random.default_rng(0).choice([-1, 1], board.shape)
+    brighter = target + 0.1 + 0.1 * np.stack([0 * board, board, signs])
+    values = PerceptualLoss(target)(brighter)
+    np.testing.assert_allclose(values[:2], [0.040, 0.004], atol=1e-4)
+    assert values[2] > values[0]

@@ -303,3 +303,24 @@ def test_solved_is_judged_in_every_view() -> None:
         opt = FIDE(3, [front, side], popsize=4, seed=0, encoder="patch")
         opt.tell(opt.ask(1), [front[None], seen[None]])
         assert opt.status.code == code
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "expected"),
+    [
+        (np.s_[:, :], 1.0, [0.01, 0.100, 0.040]),
+        (np.s_[:, :48], 0.0, [0.01, 0.100, 0.311]),
+        (np.s_[40:50, 40:50], 0.0, [0.01, 0.115, 1.086]),
+        (np.s_[40:50, 40:50], 0.01, [0.01, 0.536, 0.496]),
+    ],
+)
+def test_only_mse_is_the_same_however_much_is_hidden(
+    inside: Any, outside: float, expected: list[float]
+) -> None:
+    """The numbers of the documentation."""
+    target, brighter = (np.full((96, 96, 3), value, np.float32) for value in (0.5, 0.6))
+    mask = np.full((96, 96), outside)
+    mask[inside] = 1.0
+    names = ("mse", "loi", "perceptual")
+    made = [FIDE(2, target, mask=mask, loss=name).evaluator.loss for name in names]
+    np.testing.assert_allclose([loss([brighter])[0] for loss in made], expected, atol=6e-4)
