@@ -33,6 +33,9 @@ def as_told(optimizer: FIDE, image: Any) -> Any:
         raise ImageError(
             f"render must return a list of {len(target)} images, one for each view, not {got}"
         )
+    for view, one in enumerate(image):
+        if one is None:
+            raise ImageError(f"render returned None for view {view}; let it return its image")
     return [[one] for one in image]
 
 

@@ -63,6 +63,7 @@ TABLES = ("curve.csv", "improvements.csv")
 _KIND = "run"
 _CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
+_OF_PICTURES = {"weights": "the mask or the weights differ", "target": "the target is another one"}
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 
 
@@ -370,9 +371,9 @@ def check_settings(there: dict[str, Any], here: dict[str, Any], what: str) -> No
     """Raise RunDirectoryError (a FileExistsError), naming the first setting that differs."""
     for key in [*here, *(k for k in there if k not in here)]:
         if there.get(key) != here.get(key):
+            values = f"{key} is {there.get(key)!r} there and {here.get(key)!r} here"
             raise RunDirectoryError(
-                f"{what} with other settings: {key} is "
-                f"{there.get(key)!r} there and {here.get(key)!r} here; "
+                f"{what} with other settings: {_OF_PICTURES.get(key, values)}; "
                 "use the same settings, or name another directory"
             )
 

@@ -49,6 +49,7 @@ def _data(name: str, member: Member) -> dict[str, Any]:
 
 
 def _plain(where: str, value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
     if type(value) not in _PLAIN:
         raise SpaceError(
             f"{where} has the value {value!r}, which files cannot hold; use texts and look the "
@@ -72,6 +73,11 @@ def from_dict(data: object) -> dict[str, Member]:
     """Members of a space; SpaceError naming table and key if it is none."""
     if not isinstance(data, Mapping):
         raise SpaceError(f"a space must be a dictionary of parameters, not {data!r}")
+    if not data:
+        raise SpaceError(
+            "Space needs at least one parameter; write a table for each, such as [x] with "
+            'type = "float", low = 0, high = 1'
+        )
     return _members(data, "")
 
 
@@ -134,5 +140,9 @@ def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
                 f"{key}: a group holds tables and repeat, not {value!r}; write [{table}.{key}]"
                 f"{did_you_mean(key, known)}"
             )
+    if not members:
+        raise SpaceError(
+            f'is empty; write type = "float", low = 0, high = 1 below it, or tables [{table}.NAME]'
+        )
     group = Group(_members(members, f"{table}."))
     return group * data["repeat"] if "repeat" in data else group

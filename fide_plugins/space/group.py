@@ -68,7 +68,8 @@ class Repeated:
             number = 0
         if not 1 <= number <= _MOST:
             raise SpaceError(
-                f"a Group may be repeated 1 to {_MOST} times, not {times!r}; write 6 * Group(...)"
+                f"a Group may be repeated 1 to {_MOST} times, not {times!r}; write 6 * Group(...), "
+                "in a file repeat = 6"
             )
         if any(isinstance(member, Repeated) for member in _below(group)):
             raise SpaceError(

@@ -125,7 +125,8 @@ class Float(_Number):
 class Int(_Number):
     """A whole number in [low, high], both included.
 
-    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
+    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.  From 2^50 on doubles
+        are too coarse for equal cells: that of low is up to half narrower, that of high wider.
     unit: for people.
     log: whether its logarithm is searched; low must be above 0.
     step: only low, low + step, ... are meant; high becomes the last of them.
@@ -300,7 +301,8 @@ def _check_settings(kind: Any) -> None:
     for name in ("log", "periodic"):
         if not isinstance(getattr(kind, name, False), bool):
             value = getattr(kind, name)
-            _refuse(kind, f"{name} must be True or False, not {value!r}", f"write {name}=True")
+            rule = f"{name} must be true or false, not {value!r}"
+            _refuse(kind, rule, f"set {name} to true, without quotes, or leave it out")
     if kind.log and getattr(kind, "periodic", False):
         _refuse(kind, "a logarithm does not wrap around", "drop log or periodic")
     if getattr(kind, "periodic", False) and kind.step is not None:
@@ -312,7 +314,8 @@ def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
     whole = isinstance(kind, Int)
     off = 0.0 if whole or step <= 0 else _off_grid(low, high, step)
     if not 0 < step <= (high - low) * (1 + off):
-        _refuse(kind, f"step must lie in (0, high - low], not {step}", "take a smaller step")
+        remedy = "take a smaller step" if step > 0 else "take one above 0, or leave it out"
+        _refuse(kind, f"step must lie in (0, high - low], not {step}", remedy)
     if kind.log and not whole:
         _refuse(kind, "a logarithm has no steps here", "drop log or step")
     if (high - low) / step >= _MOST_CELLS:

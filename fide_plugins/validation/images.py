@@ -109,7 +109,8 @@ def as_target(
     ImageError
         wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
     """
-    return _as_image(target, size, what, on_clip=None, hidden=hidden, behind=behind)
+    pixels = _pixels(target, size, what, "resize it to that")
+    return _canonical(pixels, what, None, hidden, behind)
 
 
 def as_pixels(image: object, what: str) -> Pixels:
@@ -221,25 +222,19 @@ def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float3
     """
     if max_side is not None:
         max_side = whole_number("max_side", max_side, 1)
-    return _as_image(read_pixels(path, max_side), None, repr(os.fspath(path)), on_clip=None)
+    return as_target(read_pixels(path, max_side), what=repr(os.fspath(path)))
 
 
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------
 
 
-def _as_image(
-    image: object,
-    size: Size | None,
-    what: str,
-    on_clip: Callable[[str], None] | None,
-    hidden: Mask | None = None,
-    behind: float = 1.0,
-) -> Float32:
+def _pixels(image: object, size: Size | None, what: str, *remedy: str) -> Pixels:
+    """Pixels (H, W, C) of one image, with the values that it has; remedy: for another size."""
     array, is_tensor = _to_array(image, what)
     if array.ndim not in (2, 3):
         raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
-    pixels: Pixels = channels_last(array, 0, is_tensor, size, what)
-    return _canonical(pixels, what, on_clip, hidden, behind)
+    pixels: Pixels = channels_last(array, 0, is_tensor, size, what, *remedy)
+    return pixels
 
 
 def _list_as_batch(
@@ -256,7 +251,8 @@ def _list_as_batch(
                 f"image {i} is None; of a render that failed tell nothing: leave its point out, "
                 f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
             )
-        rgb = _as_image(image, size, f"image {i}", clipped.append, hidden)
+        what = f"image {i}"
+        rgb = _canonical(_pixels(image, size, what), what, clipped.append, hidden)
         if size is None:
             size = (rgb.shape[0], rgb.shape[1])
             out = np.empty((len(images), *size, 3), np.float32)

@@ -50,10 +50,18 @@ def check_count(count: int, n: int | None) -> None:
         raise ImageError(f"there must be one image per point: got {count} images for {n} points")
 
 
-def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None, what: str) -> Any:
+def channels_last(
+    pixels: Any,
+    batch: int,
+    may_be_first: bool,
+    size: Size | None,
+    what: str,
+    remedy: str = "render at that size, or resize the target",
+) -> Any:
     """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
 
     may_be_first: whether channels may come before H and W, as in torch tensors.
+    remedy: for those of another size.
     """
     if pixels.ndim == batch + 2:
         pixels = pixels[..., None]
@@ -62,10 +70,10 @@ def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None
         if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
             pixels = pixels.swapaxes(batch, batch + 1).swapaxes(batch + 1, batch + 2)
         elif pixels.shape[-1] not in CHANNELS:
-            remedy = "; np.moveaxis(image, -3, -1) puts the channels last"
+            hint = "; np.moveaxis(image, -3, -1) puts the channels last"
             raise ImageError(
                 f"{what} must have 1, 3 or 4 channels in its last axis, got "
-                f"{describe(pixels)}{remedy if first in CHANNELS else ''}"
+                f"{describe(pixels)}{hint if first in CHANNELS else ''}"
             )
     height, width = pixels.shape[batch : batch + 2]
     if height == 0 or width == 0:
@@ -73,7 +81,7 @@ def channels_last(pixels: Any, batch: int, may_be_first: bool, size: Size | None
     if size is not None and size != (height, width):
         raise ImageError(
             f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
-            f"{height} x {width}: {describe(pixels)}; render at that size, or resize the target"
+            f"{height} x {width}: {describe(pixels)}; {remedy}"
         )
     return pixels
 

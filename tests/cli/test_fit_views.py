@@ -32,6 +32,8 @@ def test_views_need_one_image_each() -> None:
         check_first(lambda x: target, optimizer, both, ["a", "b"], 0, None)
     with pytest.raises(ImageError, match="a list of 2 images, .* not 3 images"):
         check_first(lambda x: [*both, target], optimizer, both, ["a", "b"], 0, None)
+    with pytest.raises(ImageError, match="render returned None for view 1; let it return"):
+        check_first(lambda x: [target, None], optimizer, both, ["a", "b"], 0, None)
     check_first(lambda x: both, optimizer, both, ["a", "b"], 0, None)
     check_first(lambda x: tuple(both), optimizer, both, ["a", "b"], 0, None)
     with pytest.raises(ImageError, match="b has 8 x 8 pixels, and .* image has 8 x 4"):

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import fit
+from fide_plugins import Choice, Float, Space, fit
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.fitting.fitting import FitInterrupted
 from fide_plugins.fitting.result import Result
@@ -109,6 +109,31 @@ def test_a_failed_fit_is_saved_too(whole: Result, tmp_path: Path) -> None:
     assert same(fit(disk(), target(), SPACE, resume=True, **arguments), whole)
 
 
+def test_another_mask_or_target_is_named_without_its_digest(tmp_path: Path) -> None:
+    mask = np.eye(len(target()))
+    arguments: dict[str, Any] = {"budget": 5, "workers": 0, "seed": 5, "out": tmp_path}
+    fit(disk(), target(), SPACE, mask=mask, **arguments)
+    for given in (None, mask[::-1]):
+        with pytest.raises(
+            RunDirectoryError, match="settings: the mask or the weights differ; use"
+        ):
+            fit(disk(), target(), SPACE, mask=given, resume=True, **arguments)
+    with pytest.raises(RunDirectoryError, match="settings: the target is another one; use"):
+        fit(disk(), 0.9 * target(), SPACE, mask=mask, resume=True, **arguments)
+
+
+def test_numpy_numbers_may_be_the_values_of_a_choice(tmp_path: Path) -> None:
+    def render(params: dict[str, Any]) -> Any:
+        return np.full((8, 8), params["x"] * params["n"] / 2)
+
+    space = Space(x=Float(0, 1), n=Choice(*np.arange(3)))
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path}
+    result = fit(render, np.full((8, 8), 0.5), space, budget=30, **arguments)
+    again = fit(render, np.full((8, 8), 0.5), space, budget=40, resume=True, **arguments)
+    assert result.params is not None and result.params["n"] > 0 and again.evaluations == 40
+    assert Space.from_toml(space.to_toml()) == Space(x=Float(0, 1), n=Choice(0, 1, 2))
+
+
 def test_a_loss_of_one_s_own_is_given_again(tmp_path: Path) -> None:
     picture = np.repeat(target()[..., None], 3, axis=-1)
 
@@ -164,11 +189,11 @@ def test_a_mask_is_the_same_in_any_form_and_another_is_refused(tmp_path: Path) -
     arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path / "run"}
     fit(disk(), target(), SPACE, budget=10, mask=Image.fromarray(pixels), **arguments)
     arguments |= {"budget": 20, "resume": True}
-    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+    with pytest.raises(RunDirectoryError, match="settings: the mask or the weights differ"):
         fit(disk(), target(), SPACE, mask=Image.fromarray(255 - pixels), **arguments)
     assert fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments).evaluations == 20
     Image.fromarray(255 - pixels).save(tmp_path / "mask.png")
-    with pytest.raises(RunDirectoryError, match="other settings: weights is"):
+    with pytest.raises(RunDirectoryError, match="settings: the mask or the weights differ"):
         fit(disk(), target(), SPACE, mask=tmp_path / "mask.png", **arguments)
 
 
@@ -177,7 +202,7 @@ def test_a_directory_of_another_run_is_refused(tmp_path: Path) -> None:
     fit(disk(), target(), SPACE, budget=10, **arguments)
     with pytest.raises(RunDirectoryError, match="already holds a run with these settings"):
         fit(disk(), target(), SPACE, budget=20, **arguments)
-    with pytest.raises(RunDirectoryError, match="other settings: target is"):
+    with pytest.raises(RunDirectoryError, match="other settings: the target is"):
         fit(disk(), 1 - target(), SPACE, budget=20, resume=True, **arguments)
     with pytest.raises(RunDirectoryError, match="other settings: options is"):
         fit(disk(), target(), SPACE, budget=20, resume=True, popsize=12, **arguments)

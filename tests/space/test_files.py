@@ -106,13 +106,22 @@ BAD = [
         '[a]\ntype = "choice"\nvalues = [1979-05-27]',
         r"\[a\] values: must be texts, numbers or booleans, not",
     ),
-    ("[a]\nrepeat = 3", r"\[a\] Group needs at least one parameter"),
+    ("[a]\nrepeat = 3", r"\[a\] is empty; write type = .float., low = 0, high = 1 below it"),
+    ("[a]", r"\[a\] is empty; write type = .float., .* or tables \[a.NAME\]"),
+    (
+        '[a]\ntype = "float"\nlow = 1\nhigh = 2\nlog = "true"',
+        r"\[a\] .*log must be true or false, not 'true'; set log to true, without quotes, or leave",
+    ),
+    (
+        '[a]\ntype = "float"\nlow = 1\nhigh = 2\nstep = 0',
+        r"\[a\] .*step must lie in \(0, .*; take one above 0, or leave it out",
+    ),
     ('[a]\nrepeat = 0\n[a.x]\ntype = "int"\nlow = 0\nhigh = 1', r"\[a\] a Group may be repeated"),
     ("[a]\nrepaet = 3\n[a.x]\n", r"\[a\] repaet: a group holds tables.*mean 'repeat'"),
     ('[a]\n[a.x]\ntype = "int"\nlow = 3', r"\[a.x\] high: missing"),
     ('["a b"]\ntype = "int"\nlow = 0\nhigh = 1', "the name of .* not 'a b'; call it 'a_b'"),
     ("a = 3", r"\[a\] must be a table with a type, not 3"),
-    ("", "Space needs at least one parameter"),
+    ("", r"Space needs at least one parameter; write a table for each, such as \[x\]"),
     ("[a\n", "no TOML: .*line 1"),
 ]
 

@@ -232,7 +232,7 @@ BAD_KINDS = [
     (lambda: Float(False, True), "low must be a finite number, not False"),
     (lambda: Float("0", 1), "low must be a finite number, not '0'"),  # type: ignore[arg-type]
     (lambda: Float(0, 1, unit=3), "unit must be a text, not 3"),  # type: ignore[arg-type]
-    (lambda: Float(0, 1, log=1), "log must be True or False, not 1"),  # type: ignore[arg-type]
+    (lambda: Float(0, 1, log=1), "log must be true or false, not 1"),  # type: ignore[arg-type]
     (lambda: Float(1, 2, log=True, periodic=True), "does not wrap around"),
     (lambda: Float(0, 1, step=0), r"step must lie in \(0, high - low\], not 0"),
     (lambda: Float(0, 1, step=2), r"step must lie in \(0, high - low\]"),

@@ -246,7 +246,7 @@ def test_black_paint_on_nothing_is_refused() -> None:
         (-HALF, r"mask must have values in \[0, 1\]"),
         (HALF * 2, r"mask must have values in \[0, 1\]"),
         (HALF * np.nan, "mask must be finite"),
-        (HALF.T, r"mask must have .*20 x 24.*got 24 x 20"),
+        (HALF.T, r"mask must have .*20 x 24.*got 24 x 20.*float32; resize it to that$"),
         (TARGET, "mask must be gray"),
         (HALF.astype(int), "mask must be uint8"),
         ("missing.png", "no image file at 'missing.png'"),

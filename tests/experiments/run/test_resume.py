@@ -241,7 +241,7 @@ def test_a_target_that_changed_is_another_run(tmp_path: Path) -> None:
     harness.run(Tint(), "random", budget=5, out=tmp_path)
     other = Tint()
     other.target = TARGET[::-1]
-    with pytest.raises(RunDirectoryError, match="other settings: target is"):
+    with pytest.raises(RunDirectoryError, match="other settings: the target is"):
         harness.run(other, "random", budget=5, out=tmp_path, resume=True)
 
 
