@@ -93,7 +93,8 @@ def fit(
     until_stalled
         stop also when nothing more is to be expected: the image equals the target to 8 bits, the
         loss is at the noise floor, several searches ended in the same place, or the loss has not
-        improved by a tenth for 20 generations and half of all evaluations.
+        improved by a tenth for 150 generations (1,200 renders of four parameters, 2,250 of 40) and
+        half of all evaluations.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.

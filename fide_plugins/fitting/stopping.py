@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["Stopping"]
 
 _OVER = ("solved", "noise", "agreed")
+_PATIENCE = 150  # generations: a dozen moves or so
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,15 +84,16 @@ def _is_stalled(optimizer: FIDE) -> bool:
     """Whether nothing more is to be expected.
 
     Solved, at the noise floor, or several searches ended in the same place: at once.  Otherwise if
-    the loss has not improved by a tenth for 20 generations and for as many evaluations as it took
-    to get there: stalls are overcome by moves, which take their time.
+    the loss has not improved by a tenth for 150 generations and for as many evaluations as it took
+    to get there: stalls are overcome by moves, each of which takes some ten generations and mostly
+    fails.
     """
     status = optimizer.status
     if status.code in ("waiting", "improving"):
         return False
     state = optimizer.state
     since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
-    return status.code in _OVER or since >= took
+    return status.code in _OVER or since >= max(took, _PATIENCE * optimizer.popsize)
 
 
 def _loss(stop_at: Any) -> float | None:

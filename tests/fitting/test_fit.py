@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,31 @@ def test_a_hopeless_fit_stops_when_it_stalls() -> None:
     assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
     solved = fit(disk(), target(), SPACE, None, until_stalled=True, workers=0, seed=0)
     assert solved.stopped == "until_stalled"
+
+
+@pytest.mark.parametrize(
+    ("code", "improved_at", "evaluations", "over"),
+    [
+        ("solved", 10, 11, True),
+        ("noise", 10, 11, True),
+        ("agreed", 10, 400, True),
+        ("unsure", 10, 400, False),  # moves have not had their chance
+        ("stalled", 10, 1209, False),
+        ("unsure", 10, 1210, True),
+        ("unsure", 2000, 3999, False),  # what took long may take as long again
+        ("unsure", 2000, 4000, True),
+        ("improving", 10, 5000, False),
+    ],
+)
+def test_a_fit_is_stalled_after_many_moves(
+    code: str, improved_at: int, evaluations: int, over: bool
+) -> None:
+    """With a population of eight."""
+    state = SimpleNamespace(evaluations=evaluations, improved_at=improved_at, retargeted_at=0)
+    optimizer = SimpleNamespace(popsize=8, state=state, status=SimpleNamespace(code=code))
+    rule = Stopping(None, until_stalled=True)
+    reached = rule.reached(evaluations, 1.0, 0.1, True, optimizer)  # type: ignore[arg-type]
+    assert (reached == "until_stalled") == over
 
 
 def test_a_result_is_short_to_read() -> None:
