@@ -58,9 +58,10 @@ class Retargeting(Readings):
         the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
         asked first.  Proposers know the remembered images from the first generation on.  `best`,
         `solutions`, `status` and the local optima begin anew; `evaluations` goes on, and what is
-        known of the scene stays: exchangeable blocks, the noise of the renderer.  Candidates that
-        are still out may be told: they count as points that were never asked.  Hypotheses of a
-        learned model, which are of the first picture, are dropped.
+        known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
+        still out may be told, with images or with the loss to the new picture: they count as points
+        that were never asked.  Told with the loss to the old picture, one may become a false
+        `best`.  Hypotheses of a learned model, which are of the first picture, are dropped.
 
         Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
         far, as wide as the first one.
