@@ -61,6 +61,7 @@ from fide_plugins.validation.points import (
     standard_deviations,
     starting_point,
 )
+from fide_plugins.views.grain import Grain
 
 __all__ = ["FIDE"]
 
@@ -179,6 +180,7 @@ class FIDE(Asking):
             proposer=make_proposer(o, self.dim, k, self.seed, self.encoder, learned=known),
             steps=make_steps(o, self.dim, k, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
+            grain=Grain(self.views),
         )
 
     def draw(self, population: Population, rng: np.random.Generator) -> None:

@@ -101,10 +101,19 @@ class Readings(Saved):
             improved_at=state.improved_at,
             horizon=max(_STALLED * state.search.popsize, since // 4),
             ended=state.moves.ended,
-            noise=state.moves.noise,
+            forgotten=state.moves.known.optima.forgotten,
+            grain=self._grain_left(),
             solved=self._is_solved(),
         )
         return status_of(facts)
+
+    def _grain_left(self) -> float | None:
+        """Standard deviation of a pixel, if only noise keeps the best image from the target."""
+        grain, best = self.state.grain, self.state.best
+        image = None if best is None else best.solution.image
+        if image is None or grain.variance is None or not grain.is_all(image, self.views):
+            return None
+        return float(np.sqrt(grain.variance))
 
     def _is_solved(self) -> bool:
         """Whether the best image equals the target to 8 bits, whatever the loss is.

@@ -43,6 +43,7 @@ from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Solution
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.images import warn_clipped
+from fide_plugins.views.grain import Grain
 
 __all__ = ["State"]
 
@@ -70,6 +71,7 @@ class State:
     injected: best point (d,) told in this generation that was a step or never asked, and its loss.
     search_best: best since the last search was over.  over_at: evaluations at that time.
     memory: samples for the next target and for `Solution.std`.
+    grain: noise of pixels, measured where a test renders one candidate twice.
     retargeted_at: evaluations when the search for the present one began.
     clip_warned: whether the user was warned of values outside [0, 1].
     times: seconds in "encode", "train" and "search".
@@ -81,6 +83,7 @@ class State:
     moves: MovePolicy
     gate: ImageGate
     proposer: Proposer | None
+    grain: Grain
     steps: GaussNewtonSteps | None = None
     searches: int = 1
     evaluations: int = 0
@@ -135,10 +138,14 @@ class State:
             if tokens is not None:
                 sample = TrainingSample(number, exact.copy(), tokens, loss, self.evaluations)
                 self._keep(sample)
+            testing = self.stage is Stage.EXCHANGE
+            if image is not None and testing and np.array_equal(exact, self.moves.known.here.x):
+                self.grain.note(_copied(image))
             if candidate is None or candidate.kind is Kind.STEP:
                 self._inject(x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
-                solution = Solution(x.copy(), loss, self.evaluations, _copied(image))
+                shown = None if image is None else _copied(image)
+                solution = Solution(x.copy(), loss, self.evaluations, shown)
                 searched = candidate is not None and self.stage is Stage.SEARCH
                 self._improve(solution, number, searched=searched)
         self.not_finite += not finite
@@ -206,6 +213,7 @@ class State:
 
     def _go_on(self, stage: Stage) -> None:
         """Forget the generation; begin another search, if that comes next."""
+        self.grain.forget_repeat()
         self.population.forget_pending()
         if stage is Stage.SEARCH:
             self._begin_search()
@@ -226,6 +234,7 @@ class State:
         self.samples, self.learned = [], []
         self.begin_after(self.evaluations)
         self.improved_to = np.inf
+        self.grain.forget_repeat()
         self.moves.retarget(target, start)
         self._begin_search()
 
@@ -295,6 +304,7 @@ class State:
             "injected": None if self.injected is None else list(self.injected),
             "search_best": None if found is None else found.state_dict(),
             "memory": self.memory.state_dict(),
+            "grain": self.grain.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN},
             "times": dict(self.times),
         }
@@ -324,16 +334,17 @@ class State:
         found = state["search_best"]
         self.search_best = None if found is None else TrainingSample.from_state(found, device)
         self.memory.load_state_dict(state["memory"], sides, device)
+        self.grain.load_state_dict(state["grain"], sides)
         for name in _PLAIN:
             setattr(self, name, state[name])
         self.times = dict(state["times"])
 
 
-def _copied(image: Images | None) -> Float32 | None:
+def _copied(image: Images) -> Float32:
     """Copy (H, W, 3) for NumPy of an image; the best one does leave its GPU."""
     if isinstance(image, torch.Tensor):
         image = image.cpu().numpy()
-    return None if image is None else image.copy()
+    return image.copy()
 
 
 _UNIT: Rule = array("d", low=0.0, high=1.0)
@@ -352,7 +363,7 @@ _SCHEMA: dict[str, Schema] = {
     "times": {"encode": real(), "train": real(), "search": real()},
     # the parts check their own
     **dict.fromkeys(
-        ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
+        ("population", "search", "moves", "gate", "proposer", "steps", "memory", "grain"), anything
     ),
     "best": maybe(BEST),
     "samples": each(SAMPLE),

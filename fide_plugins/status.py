@@ -2,7 +2,7 @@
 
 The answer is never that an optimum is global: no black box tells. What can be said is whether the
 loss still falls, whether searches from different places ended in the same one, and whether what is
-left is within the noise of the renderer.
+left is the noise of the renderer.
 """
 
 from __future__ import annotations
@@ -36,8 +36,11 @@ class Facts:
     best: lowest loss so far; None before the first finite one.
     improved_at: evaluation of the last improvement by more than a tenth.
     horizon: evaluations without such an improvement after which a run is no longer improving.
-    ended: how many searches ended in each of the distinct places, the best place first.
-    noise: standard deviation of the loss of one candidate; None where it was not measured.
+    ended: how many searches ended in each of the distinct places, the best place first.  Only
+        those count that had begun elsewhere: not those of moves that keep most parameters.
+    forgotten: how many ended in other places, which are no longer remembered.
+    grain: standard deviation of a pixel of the renderer, if the best image differs from the target
+        by such noise alone; None otherwise, and where that is not known (`views.grain`).
     solved: whether the image equals the target to 8 bits: no pixel that counts differs by more than
         1/255, and their mean squared error is at most that of rounding, (1/255)^2 / 12.
     """
@@ -47,7 +50,8 @@ class Facts:
     improved_at: int
     horizon: int
     ended: Sequence[int]
-    noise: float | None = None
+    forgotten: int = 0
+    grain: float | None = None
     solved: bool = False
 
 
@@ -58,11 +62,12 @@ def status_of(facts: Facts) -> Status:
         return Status("waiting", "No candidate with a finite loss has been told yet.")
     if facts.solved:
         return Status("solved", f"Solved: the image equals the target to 8 bits, loss {best:.3g}.")
-    if facts.noise is not None and facts.noise > 0 and 0 <= best <= 2 * facts.noise:
+    if facts.grain is not None:
         return Status(
             "noise",
-            f"At the noise floor: loss {best:.3g}, and renders of one candidate differ by "
-            f"{facts.noise:.3g}. More samples per pixel would tell more.",
+            f"At the noise floor: loss {best:.3g}. The image differs from the target from pixel to "
+            "pixel only, as two renders of one candidate do (standard deviation of a pixel "
+            f"{facts.grain:.2g}). More samples per pixel would tell more.",
         )
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:
@@ -72,18 +77,21 @@ def status_of(facts: Facts) -> Status:
 
 def _stalled(best: float, facts: Facts) -> Status:
     stalled = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
-    if not facts.ended:
+    same, total = (facts.ended or [0])[0], sum(facts.ended) + facts.forgotten
+    if total == 0:
         return Status("stalled", stalled)
-    same, places, searches = facts.ended[0], len(facts.ended), sum(facts.ended)
-    if same >= 3 and 2 * same > searches:
-        return Status("agreed", f"{stalled} {same} of {searches} searches ended in this place.")
-    if searches == 1:
-        return Status("stalled", f"{stalled} One search has ended so far.")
-    if places == 1:
-        few = f"{same} of {searches} searches ended in this place, too few to be sure."
+    if same >= 3 and 2 * same > total:
+        what = f"{same} of {total} searches from different places ended in this one."
+        return Status("agreed", f"{stalled} {what}")
+    if total == 1:
+        return Status("stalled", f"{stalled} One search has ended so far, and none from elsewhere.")
+    if same == total:
+        few = f"{total} searches from different places ended in this one, too few to be sure."
         return Status("unsure", f"{stalled} {few}")
+    places = sum(n > 0 for n in facts.ended)
+    number = f"more than {places}" if facts.forgotten else f"{places}"
     return Status(
         "unsure",
-        f"{stalled} {searches} searches ended in {places} different places, {same} in the best: "
-        "there may be a better one.",
+        f"{stalled} {total} searches from different places ended in {number} of them, {same} in "
+        "this one: there may be a better one.",
     )

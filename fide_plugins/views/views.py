@@ -17,7 +17,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.types import Float32, Mask
+from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_batch, as_pixels, as_target, is_image
 from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
@@ -71,6 +71,11 @@ class View:
         with np.errstate(under="ignore"):  # a tiny difference times a weight
             blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
         return blended
+
+    def difference(self, image: Float32, other: Float32) -> Float64:
+        """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
+        apart = np.subtract(image, other, dtype=np.float64)
+        return apart if self.weights is None else apart * (self._roots / self.mean_weight**0.5)
 
     def squared_error(self, image: Float32) -> float:
         """Weighted mean of the squared difference of an image (H, W, 3) from the target."""
@@ -241,6 +246,14 @@ class Views:
         """Mean over the views of the weighted mean squared difference of a packed image."""
         pairs = zip(self.views, self.split(image[None]), strict=True)
         return float(np.mean([view.squared_error(part[0]) for view, part in pairs]))
+
+    def differences(self, image: Float32, other: Float32) -> list[Float64]:
+        """Difference (H, W, 3) of two packed images in each view, see `View.difference`."""
+        pairs = zip(self.split(image[None]), self.split(other[None]), strict=True)
+        return [
+            view.difference(one[0], two[0])
+            for view, (one, two) in zip(self.views, pairs, strict=True)
+        ]
 
     def largest_error(self, image: Float32) -> float:
         """Largest difference of a packed image from the target, of all pixels that count."""

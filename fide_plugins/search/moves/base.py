@@ -20,7 +20,7 @@ from torch import Tensor
 from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.optima import Optima
+from fide_plugins.search.scene.optima import APART, Optima
 from fide_plugins.search.scene.removal import Removal
 from fide_plugins.search.scene.sensitivity import Sensitivity
 from fide_plugins.search.scene.values import Values
@@ -106,6 +106,19 @@ class Known:
         if self.incumbent is None:
             raise RuntimeError("no move leaves a local optimum before there is one")
         return self.incumbent
+
+    def is_elsewhere(self, begun: Float64, ended: Float64) -> bool:
+        """Whether a search that left the incumbent began elsewhere than it ended, (d,) each.
+
+        So it is evidence of where it ended.  More than half of all parameters must have been
+        changed, and be apart: what keeps most of them, right or wrong, comes back to them.
+        """
+        axes = self.axes
+        moved = np.unique(axes.parameter_of[begun != self.here.x])
+        if 2 * len(moved) <= len(axes.axes_of):
+            return False
+        apart = axes.difference(begun, self.exchangeability.aligned(ended, begun))
+        return all(apart[axes.axes_of[i]].max() >= APART for i in moved)
 
     def copies(self, n: int) -> Float64:
         """Copies (n, d) of the incumbent's parameters."""

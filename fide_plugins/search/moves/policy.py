@@ -118,7 +118,7 @@ class MovePolicy:
         """Name of the move that is under way; None in the first search."""
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
-        """Standard deviation of the loss of one candidate; None where it was not measured."""
+        """Standard deviation of the loss of the first local optimum; None: it was not measured."""
         self.loss_only_searches = 0
         """Searches that began anew because losses, not images, said so."""
         self.guided = True
@@ -196,8 +196,10 @@ class MovePolicy:
     def _settle(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
-        best = known.optima.note(found, known.exchangeability.distance)
-        if incumbent is not None and self.move is not None and self._the_move.from_incumbent:
+        left = incumbent is not None and self.move is not None and self._the_move.from_incumbent
+        elsewhere = not left or known.is_elsewhere(self.start.mean, found.x)
+        best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=elsewhere)
+        if incumbent is not None and self.move is not None and left:
             self._choice.note(self.move, _gain(incumbent.loss, found.loss), evaluations)
             if found.loss >= incumbent.loss:
                 known.optima.fail(incumbent)
@@ -259,13 +261,14 @@ class MovePolicy:
     def retarget(self, target: Tensor, start: Start) -> None:
         """Begin at `start` for another target, tokens (T, C).
 
-        What was found of the scene stays: exchangeable blocks, sensitivity, noise, gains of moves.
+        What was found of the scene stays: exchangeable blocks, sensitivity, gains of moves.
         """
         known = self.known
         known.target, known.incumbent, known.optima = target, None, Optima()
         known.removal.forget()
         known.values.forget()
         self.hypotheses.forget()
+        self.noise = None  # of the loss, which was to another target
         self.loss_only_searches, self.guided = 0, True
         self.move, self.start = None, start
         self._go(Stage.SEARCH)

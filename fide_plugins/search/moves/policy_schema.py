@@ -45,6 +45,7 @@ _SCHEMA: dict[str, Schema] = {
         "samples": each(SAMPLE),
         "counts": each(row(whole(), whole(), whole(high=1))),
         "descents": whole(),
+        "forgotten": whole(),
     },
 }
 

@@ -30,7 +30,9 @@ _NEW, _NEW_AGAIN = 1.0, 0.5  # score of the first new search; added by each with
 class Optimum:
     """A local optimum.
 
-    failures: of moves from it.  searches: that ended there.  refined: whether `refine` was tried.
+    failures: of moves from it.
+    searches: that ended there and had begun elsewhere; no move is chosen by them.
+    refined: whether `refine` was tried.
     """
 
     sample: TrainingSample
@@ -44,27 +46,33 @@ class Optima:
 
     def __init__(self) -> None:
         self.all: list[Optimum] = []
+        self.forgotten = 0
+        """Of these searches, those that ended in places which are no longer remembered."""
         self._descents = 0  # new ones since the best optimum was found
 
     def __len__(self) -> int:
         return len(self.all)
 
-    def note(self, found: TrainingSample, distance: Distance) -> bool:
+    def note(
+        self, found: TrainingSample, distance: Distance, *, from_elsewhere: bool = True
+    ) -> bool:
         """Note where a search ended; returns whether that is the best optimum so far.
 
         distance: of two points (d,), in units of the unit cube.
+        from_elsewhere: whether the search had begun elsewhere.
         """
         best = not self.all or found.loss < self.all[0].sample.loss
         if best:
             self._descents = 0
         near = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = 1 + sum(optimum.searches for optimum in near)
+        searches = from_elsewhere + sum(optimum.searches for optimum in near)
         if near and near[0].sample.loss <= found.loss:
-            near[0].searches += 1
+            near[0].searches += from_elsewhere
             return False
         self.all = [optimum for optimum in self.all if optimum not in near]
         self.all.append(Optimum(found, searches=searches))
         self.all.sort(key=lambda optimum: optimum.sample.loss)
+        self.forgotten += sum(optimum.searches for optimum in self.all[_MOST:])
         del self.all[_MOST:]
         return best
 
@@ -93,11 +101,16 @@ class Optima:
         """Everything."""
         counts = [[one.failures, one.searches, int(one.refined)] for one in self.all]
         samples = [one.sample.state_dict() for one in self.all]
-        return {"samples": samples, "counts": counts, "descents": self._descents}
+        return {
+            "samples": samples,
+            "counts": counts,
+            "descents": self._descents,
+            "forgotten": self.forgotten,
+        }
 
     def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
         """Put back what `state_dict` gave, tokens on the device."""
         samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
         pairs = zip(samples, state["counts"], strict=True)
         self.all = [Optimum(one, n, m, bool(refined)) for one, (n, m, refined) in pairs]
-        self._descents = state["descents"]
+        self._descents, self.forgotten = state["descents"], state["forgotten"]

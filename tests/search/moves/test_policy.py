@@ -220,6 +220,45 @@ def test_optima_are_tried_by_rank_and_failures() -> None:
     assert optima.all[0].searches == 3 and optima.all[0].failures == 0
 
 
+def test_all_searches_are_counted_also_those_that_ended_in_places_that_are_forgotten() -> None:
+    optima, tokens = Optima(), mixed(STAR).tokens
+
+    def distance(a: Float64, b: Float64) -> float:
+        return float(np.abs(a - b).max())
+
+    rng = np.random.default_rng(0)
+    for i in range(60):
+        optima.note(TrainingSample(i, rng.random(3), tokens, float(rng.random()), i), distance)
+        assert sum(one.searches for one in optima.all) + optima.forgotten == i + 1
+    assert optima.forgotten > 30
+    other = Optima()
+    other.load_state_dict(optima.state_dict())
+    assert other.forgotten == optima.forgotten
+
+
+def test_only_searches_that_began_elsewhere_are_evidence_of_an_optimum() -> None:
+    """Others keep most parameters, right or wrong, so that they come back to them."""
+    moves, counted, kept = policy(mixed), 1, 0
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        if moves.stage is not Stage.SEARCH:
+            round_of(moves, mixed, rng)
+            continue
+        x = np.clip(moves.start.mean + 0.02 * rng.standard_normal(8), 0, 1)
+        if moves.move is not None:
+            changed = (moves.start.mean != moves.known.here.x).sum()
+            back = moves.move != "begin anew" and rng.random() < 0.5
+            x = moves.known.here.x if back else x  # or it ends where it began
+            apart = np.abs(x - moves.start.mean)[moves.start.mean != moves.known.here.x]
+            returned = changed > 4 and bool((apart >= 0.05).all())
+            counted += moves.move == "begin anew" or returned
+            kept += back and not returned
+            assert not (returned and moves.move == "refine")
+        moves.after_search(mixed(x), 150, guided=True)
+        assert sum(moves.ended) + moves.known.optima.forgotten == counted
+    assert counted > 5 and kept > 10
+
+
 def test_a_new_descent_without_an_incumbent_can_be_saved() -> None:
     """After a search by losses alone, a guided one may find nothing that is worth leaving."""
     moves = policy()

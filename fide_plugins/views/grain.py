@@ -1,0 +1,94 @@
+"""Grain: noise of renders that is independent from pixel to pixel, as that of path tracers is.
+
+Two questions, which need no loss.  *How much?*  Where a test of the scene renders one candidate
+twice, half of the mean squared difference of the two is the variance of a pixel, however far both
+are from the target.  *Is anything else left?*  Where an image is right, its difference from the
+target is grain, of the renderer and perhaps of the target.  Neighboring pixels are then not
+correlated, and the mean squared difference is about that variance, or twice that for a target with
+as much grain.  What is wrong in an image mostly covers several pixels, so they are correlated: the
+correlation is about the share of the squared difference that is no grain.
+
+Noise of another kind (an image as a whole is brighter, a camera trembles) is not recognized, and
+neither is grain that a renderer has smoothed, or clipped at black or white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.runtime.schema import Schema, array, check, maybe, real
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views.views import Views
+
+__all__ = ["Grain", "is_grain"]
+
+_LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
+_CORRELATED = 0.1  # correlation of neighbors from which on a difference is no grain alone
+_LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
+_MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
+_SCHEMA: dict[str, Schema] = {
+    "variance": maybe(real(0.0)),
+    "repeat": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+}
+
+
+class Grain:
+    """The variance of pixels, measured, and whether it is all that is left.
+
+    views: their weights say which pixels count.
+    """
+
+    def __init__(self, views: Views) -> None:
+        self._views = views
+        self._repeat: Float32 | None = None  # a first render of the candidate
+        self.variance: float | None = None
+        """Mean over pixels of the variance of their values; None where it was not measured."""
+
+    def note(self, image: Float32) -> None:
+        """Note a render (H, W, 3) of the candidate that is rendered twice; it is kept, no copy."""
+        if self._repeat is None:
+            self._repeat = image
+            return
+        apart = self._views.differences(image, self._repeat)
+        self.variance = float(np.mean([np.square(each).mean() for each in apart])) / 2
+        self._repeat = None
+
+    def forget_repeat(self) -> None:
+        """The test is over, also if only one render came back."""
+        self._repeat = None
+
+    def is_all(self, image: Float32, views: Views) -> bool:
+        """Whether grain is all in which an image (H, W, 3) differs from the target of views."""
+        if not self.variance or views.squared_error(image) > _MOST * self.variance:
+            return False
+        return all(is_grain(each) for each in views.differences(image, views.target))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything; the image is the one in use, not a copy."""
+        return {"variance": self.variance, "repeat": self._repeat}
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Mapping[str, int]) -> None:
+        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
+        check(state, _SCHEMA, dict(sides), "grain")
+        self.variance, self._repeat = state["variance"], state["repeat"]
+
+
+def is_grain(difference: Float64) -> bool:
+    """Whether a difference of two images (H, W, 3) is independent from pixel to pixel.
+
+    None at all is.  Where fewer than 400 pixels differ nothing can be said: False.
+    """
+    differ = np.count_nonzero(difference.any(axis=-1))
+    if 0 < differ < _LEAST:
+        return False
+    height, width, _ = difference.shape
+    total = float(np.square(difference).sum())
+    for down, right in _LAGS:
+        one = difference[: height - down, max(0, -right) : width - max(0, right)]
+        other = difference[down:, max(0, right) : width + min(0, right)]
+        if abs(float((one * other).sum())) > _CORRELATED * total:
+            return False
+    return True

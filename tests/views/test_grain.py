@@ -1,0 +1,114 @@
+"""Whether an image differs from the target by noise of its pixels alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views import Views
+from fide_plugins.views.grain import Grain, is_grain
+
+SIDE = 48
+V, U = np.mgrid[0:SIDE, 0:SIDE] / (SIDE - 1)
+
+
+def disk(x: float, y: float) -> Float64:
+    """A soft disk (H, W, 3) on gray."""
+    gray = 0.3 + 0.4 / (1 + np.exp(80 * ((U - x) ** 2 + (V - y) ** 2 - 0.04)))
+    return np.repeat(gray[..., None], 3, axis=-1)
+
+
+def grainy(image: Float64, std: float, rng: np.random.Generator) -> Float32:
+    """Image with noise of its own in each pixel, the same in all colors."""
+    return (image + std * rng.standard_normal((SIDE, SIDE, 1))).astype(np.float32)
+
+
+def measured(views: Views, std: float, rng: np.random.Generator) -> Grain:
+    """Grain, of two renders of a candidate that is far from the target."""
+    grain = Grain(views)
+    for _ in range(2):
+        grain.note(grainy(disk(0.2, 0.8), std, rng))
+    return grain
+
+
+@pytest.mark.parametrize("of_target", [0.0, 0.05])
+def test_grain_is_all_that_is_left_of_the_right_image_and_of_no_other(of_target: float) -> None:
+    """Also where the target has as much."""
+    rng = np.random.default_rng(0)
+    views = Views.read(grainy(disk(0.6, 0.4), of_target, rng))
+    grain = measured(views, 0.05, rng)
+    assert grain.variance == pytest.approx(0.05**2, rel=0.1)
+    right = [grainy(disk(0.6, 0.4), 0.05, rng) for _ in range(100)]
+    wrong = [grainy(disk(0.65, 0.4), 0.05, rng) for _ in range(100)]
+    assert sum(grain.is_all(image, views) for image in right) >= 98
+    assert views.squared_error(wrong[0]) < 2 * views.squared_error(right[0]), "by loss it may be"
+    assert not any(grain.is_all(image, views) for image in wrong)
+
+
+def test_without_a_measurement_or_with_little_noise_nothing_is_said() -> None:
+    rng = np.random.default_rng(0)
+    views = Views.read(grainy(disk(0.6, 0.4), 0.05, rng))
+    image = disk(0.6, 0.4).astype(np.float32)
+    assert not Grain(views).is_all(image, views)
+    assert not measured(views, 0.0, rng).is_all(image, views), "the noise is the target's alone"
+    assert not measured(views, 0.02, rng).is_all(image, views)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.full((SIDE, SIDE), 0.1),  # as a whole
+        0.1 * np.cos(np.pi / 2 * np.arange(SIDE)[:, None] + np.pi * U * SIDE / 2),  # stripes
+        0.1 * np.cos(2.2 * np.arange(SIDE)[:, None] + 2.2 * np.arange(SIDE)),
+        0.3 * ((abs(U - 0.5) < 0.05) & (abs(V - 0.5) < 0.05)),  # a small thing
+    ],
+)
+def test_what_covers_several_pixels_is_no_grain(wrong: Float64) -> None:
+    noise = 0.02 * np.random.default_rng(0).standard_normal((SIDE, SIDE))
+    assert is_grain(np.repeat(noise[..., None], 3, axis=-1))
+    assert not is_grain(np.repeat((wrong + noise)[..., None], 3, axis=-1))
+
+
+def test_of_few_pixels_nothing_is_said() -> None:
+    difference = np.random.default_rng(0).standard_normal((SIDE, SIDE, 3))
+    difference[10:] = 0
+    assert is_grain(difference) and not is_grain(difference[:, :30])
+    assert is_grain(np.zeros((SIDE, SIDE, 3)))
+
+
+def test_views_and_weights_count_as_in_the_loss() -> None:
+    rng = np.random.default_rng(0)
+    mask = np.ones((SIDE, SIDE), np.float32)
+    mask[:, :10] = 0
+    views = Views.read([disk(0.6, 0.4), disk(0.3, 0.3)], [mask, None])
+
+    def renders(x: float, hidden: float) -> Float32:
+        pictures = [grainy(disk(x, 0.4), 0.05, rng), grainy(disk(0.3, 0.3), 0.05, rng)]
+        pictures[0][:, :10] = hidden
+        batch = views.as_batch([one[None] for one in pictures], 1, print)
+        return np.asarray(batch[0], np.float32)
+
+    grain = Grain(views)
+    for hidden in (0.0, 1.0):
+        grain.note(renders(0.2, hidden))
+    assert grain.variance == pytest.approx(0.05**2, rel=0.1)
+    assert grain.is_all(renders(0.6, 0.0), views) and not grain.is_all(renders(0.65, 0.0), views)
+
+
+def test_it_goes_on_between_the_two_renders() -> None:
+    rng = np.random.default_rng(0)
+    views = Views.read(disk(0.6, 0.4))
+    first, second = (grainy(disk(0.2, 0.8), 0.05, rng) for _ in range(2))
+    one, other = Grain(views), Grain(views)
+    one.note(first)
+    other.load_state_dict(one.state_dict(), {"H": SIDE, "W": SIDE})
+    for grain in (one, other):
+        grain.note(second)
+    assert one.variance == other.variance is not None
+    one.note(first)
+    one.forget_repeat()
+    one.note(second)
+    assert one.variance == other.variance, "renders of another candidate are no measure"
+    with pytest.raises(ValueError, match="variance"):
+        other.load_state_dict({"variance": -1.0, "repeat": None}, {"H": SIDE, "W": SIDE})
