@@ -9,6 +9,7 @@
 `local_fit`    the Jacobian of the features there, and how well the samples tell it
 `resolution`   in which directions the Jacobian says something, in which nothing is seen
 `covariance`   noise of the target, error of the search, what nothing determines
+`as_good`      which samples explain the target as well, and how far away these are
 `values`       whether the picture tells one value of an integer or a choice from another
 =============  =======================================================================
 

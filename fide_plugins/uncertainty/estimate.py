@@ -5,9 +5,11 @@ and the ends of searches.  Four steps:
 
 1. *Select.*  Samples near the solution, with its own integers and choices (`selection`).
 2. *Fit.*  A linear model of their features (`local_fit`).
-3. *Covariance.*  What the model and the target say of the numbers (`covariance`).
+3. *Covariance.*  What the model and the target say of the numbers (`covariance`).  Where they say
+   nothing, samples with an image as good say how far away the truth may be (`as_good`).
 4. *Other values.*  Integers and choices have no standard deviation.  Samples in which just one of
-   them has another value say whether the picture tells the two apart (`values`).
+   them has another value say whether the picture tells the two apart (`values`).  So does one
+   sample with another value, and any other parameters, whose image is as good.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Estimated, Float64, Indices, Mask
-from fide_plugins.uncertainty.covariance import covariance
-from fide_plugins.uncertainty.features import compressed, features_of, floored
+from fide_plugins.uncertainty.as_good import explain_as_well, limits, misses_of
+from fide_plugins.uncertainty.covariance import deviations
+from fide_plugins.uncertainty.features import compressed, features_of, floored, independent
 from fide_plugins.uncertainty.local_fit import FitToTarget, fit_from_afar, fit_locally
 from fide_plugins.uncertainty.selection import (
     Surroundings,
@@ -87,10 +90,18 @@ class LocalEstimate:
             return Estimated(None, ambiguous)
         near, others = most_alike(around), other_values(around, self.axes)  # 1
         model, pairs = self._fit(around, near, others)  # 2
-        std[around.free] = np.sqrt(np.diag(covariance(model)))  # 3
+        missed = misses_of(around, features_of([self.target], self.channels)[0])
+        as_far = limits(around, missed, model, deviations(model))  # 3
+        std[around.free] = deviations(model._replace(as_far=as_far))
         for other, pair in zip(others, pairs, strict=True):  # 4
             ambiguous[other.axes] |= looks_alike(model, pair)
+        ambiguous |= self._differs(around, explain_as_well(around, missed, model))
         return Estimated(std, ambiguous)
+
+    def _differs(self, around: Surroundings, good: Mask) -> Mask:
+        """(d,), integers and choices that have another value in a sample that is good (n,)."""
+        other = np.flatnonzero(around.other[around.matched & good].any(axis=0))
+        return np.isin(np.arange(len(self.x)), self.axes.together(other))
 
     def _fit(
         self, around: Surroundings, near: Indices, others: Sequence[OtherValue]
@@ -117,4 +128,5 @@ class LocalEstimate:
             fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
             for part in _PARTS
         )
-        return FitToTarget(fit, target, around.features.shape[1], farthest, from_afar), pairs
+        f = independent(self.target, self.channels)
+        return FitToTarget(fit, target, f, farthest, from_afar), pairs

@@ -9,7 +9,9 @@ from torch import Tensor
 
 from fide_plugins.types import Float64
 
-__all__ = ["compressed", "features_of", "floored"]
+__all__ = ["compressed", "features_of", "floored", "independent"]
+
+_DIGITS = 6  # of a feature, in single precision
 
 
 def features_of(tokens: Sequence[Tensor], channels: int | None) -> Float64:
@@ -31,3 +33,15 @@ def floored(distances: Float64) -> Float64:
     """Squared distances (n,); that of the solution from itself as small as the next one."""
     moved = distances[distances > 0]
     return np.maximum(distances, moved.min() if len(moved) else 1.0)
+
+
+def independent(target: Tensor, channels: int | None) -> int:
+    """How many of the features of tokens (T, C) are independent, at least a third of them.
+
+    Channels that are equal in all tokens count once: a gray picture has three equal colors, and its
+    noise is the same in each.
+    """
+    columns = np.round(target.detach()[..., :channels].cpu().numpy().astype(np.float64), _DIGITS)
+    rows, number = columns.shape
+    different = int(np.unique(columns, axis=1).shape[1])
+    return rows * max(different, -(-number // 3))

@@ -79,9 +79,10 @@ class FitToTarget(NamedTuple):
 
     fit: the model.
     target: (f',), its features.
-    f: how many there are, where they are turned into fewer.
+    f: how many of them are independent; f' is less where they are turned into fewer.
     farthest: squared, by how much features of the run differ from the solution's at most.
     from_afar: models of samples that are less alike.
+    as_far: (d,), how far away the truth may be where the model says nothing; None: in the cube.
     """
 
     fit: LocalFit
@@ -89,6 +90,7 @@ class FitToTarget(NamedTuple):
     f: int
     farthest: float = 0.0
     from_afar: tuple[LocalFit, ...] = ()
+    as_far: Float64 | None = None
 
     @property
     def residual(self) -> Float64:

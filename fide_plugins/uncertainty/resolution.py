@@ -27,7 +27,7 @@ from scipy.special import fdtri
 from fide_plugins.types import Float64, Mask
 from fide_plugins.uncertainty.local_fit import LocalFit, energy_of
 
-__all__ = ["information", "unseen"]
+__all__ = ["information", "unresolved", "unseen"]
 
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _CHANCE = 0.99  # quantile of the ratio up to which it may be chance
@@ -55,6 +55,13 @@ def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
     known = np.where(found.ratios > least, found.ratios - 1, 0.0)
     energy: Float64 = (found.slopes * known) @ found.slopes.T
     return energy
+
+
+def unresolved(fit: LocalFit) -> Float64:
+    """Orthonormal directions (d, k), k >= 0, of which `information` says nothing."""
+    found = _directions(fit.J, fit.changes, fit.normal)
+    steps: Float64 = np.linalg.qr(found.steps[:, found.ratios <= _RESOLVED])[0]
+    return steps
 
 
 def unseen(fit: LocalFit, from_afar: Sequence[LocalFit], most: float, rounding: float) -> Float64:

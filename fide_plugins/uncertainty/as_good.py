@@ -1,0 +1,93 @@
+"""Which samples explain the target as well as the solution, and how far away these are.
+
+A linear model says nothing of an image that changes in jumps.  So what it leaves open counts as
+open only where samples speak for it:
+
+1. A sample whose image is *as good* lies far away in that number.  As good is what misses the
+   target by no more than the solution does, within noise, or within what is next to nothing.
+2. A search of steps leaves a number without effect where it is, so there may be no such sample.
+   Then the nearest neighbor of each sample is compared with the nearest one in all other numbers.
+   Without effect, the second has the better image more often; of what shows, the first.
+
+Otherwise the truth is taken to be at most `WIDER` times as far away as samples as good.  Of an integer or a choice,
+one such sample with another value says that the picture does not tell them apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fide_plugins.types import Float64, Mask
+from fide_plugins.uncertainty.covariance import NOTHING, WIDER, noise_of
+from fide_plugins.uncertainty.local_fit import FitToTarget
+from fide_plugins.uncertainty.selection import Surroundings
+
+__all__ = ["explain_as_well", "limits", "misses_of"]
+
+_ODDS = 4.0  # twice the logarithm of the likelihood ratio up to which both may be true
+_SPREAD = 4.0  # standard deviations of what noise of the renders changes; the best had luck
+_ROUNDING = (1 / 255) ** 2 / 12  # mean squared error of 8 bits
+_MOST = 600  # samples that are compared with each other
+_FAR = 0.2  # of the cube, from which on a sample as good speaks for any value
+_SAME = 1e-9  # of the largest change of the image: neither is better
+
+
+def misses_of(around: Surroundings, target: Float64) -> Float64:
+    """(n,), squared, by how much features (n, f) of samples miss the target (f,)."""
+    missed: Float64 = np.square(around.features - target).sum(axis=1)
+    return missed
+
+
+def explain_as_well(around: Surroundings, missed: Float64, model: FitToTarget) -> Mask:
+    """(n,), samples with an image as good to 8 bits, or within the noise of the target.
+
+    missed: (n,), of `misses_of`.
+    """
+    rounding = _ROUNDING * around.features.shape[1]
+    good: Mask = missed <= max(missed[around.at] + _ODDS * noise_of(model), rounding)
+    return good
+
+
+def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
+    """How far (p,) the truth may be in each number; infinite where samples do not limit it.
+
+    missed: (n,), of `misses_of`.  std: (p,), by the model alone.
+    """
+    noise = noise_of(model)
+    luck = _SPREAD * (2 * model.fit.s * (model.fit.s / model.f + 2 * noise)) ** 0.5
+    more = max(NOTHING * model.farthest, _ODDS * noise + luck)
+    good = around.own[missed[around.own] <= missed[around.at] + more]
+    far = np.abs(around.steps(good)).max(axis=0)
+    wider = np.where(far < _FAR, WIDER * far, np.inf)
+    for one in np.flatnonzero(wider < std):
+        if _without_effect(around, int(one)):
+            wider[one] = np.inf
+    return np.where(wider < std, wider, np.inf)
+
+
+def _without_effect(around: Surroundings, one: int) -> bool:
+    """Whether the neighbors in all other numbers have the better images more often."""
+    rows = around.own[:: -(-len(around.own) // _MOST)]
+    u = around.steps(rows)
+    apart = np.zeros((len(rows), len(rows)))  # squared, in the other numbers
+    for other in range(u.shape[1]):
+        if other != one:
+            apart += _gaps(u, other, around.periodic)
+    np.fill_diagonal(apart, np.inf)
+    e = around.features[rows]
+    with_it, without = (
+        np.square(e - e[gaps.argmin(axis=1)]).sum(axis=1)
+        for gaps in (apart + _gaps(u, one, around.periodic), apart)
+    )
+    same = _SAME * float(around.distances[around.own].max())
+    worse, better = (without > with_it + same).sum(), (without < with_it - same).sum()
+    return bool(worse <= better)
+
+
+def _gaps(u: Float64, one: int, periodic: Mask | None) -> Float64:
+    """Squared differences (n, n) of samples (n, p) in one number, the shorter way around."""
+    gaps = np.abs(u[:, None, one] - u[:, one])
+    if periodic is not None and periodic[one]:
+        gaps = np.minimum(gaps, 1.0 - gaps)
+    squared: Float64 = np.square(gaps)
+    return squared
