@@ -1,6 +1,7 @@
 """Counts how often the truth lies in the 90 % interval that a solution states.
 
     python benchmarks/intervals.py                  # the runs that are missing
+    python benchmarks/intervals.py waves disc       # the runs of these scenes that are missing
     python benchmarks/intervals.py --table
     python benchmarks/intervals.py --tuning         # other seeds, kept nowhere
 
@@ -15,6 +16,11 @@ reaches every pose twice (joints 1 and 3 by half a turn, joint 2 mirrored).
 A run has *found* the truth if its best candidate without noise differs from the truth without noise
 by less than the noise does (a mean square below 0.02^2).  An interval is local: of other basins it
 knows nothing, so runs that found the truth are counted by themselves and with all others.
+
+Clean renders, noisy target, as of a photograph (`clean_scenes`): waves, a picture linear in three
+parameters, with the features `patch` and `dense`, and a soft disc by `fit`; each in color and in
+gray, and after 200, 600 and 2,000 renders.
+
 Each run is one line of benchmarks/results/intervals.jsonl.  A seed chooses the target, the
 optimizer's random numbers and the noise.
 """
@@ -32,6 +38,7 @@ from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import clean_scenes
 import numpy as np
 from rows import Row, read, run_missing
 from scipy.optimize import linear_sum_assignment
@@ -66,8 +73,12 @@ SCENES = {
 def cells(arguments: argparse.Namespace) -> Iterator[Row]:
     """All runs."""
     first = TUNING if arguments.tuning else REPORTING
-    for name in arguments.scenes or SCENES:
-        scene = SCENES[name]
+    for name in arguments.scenes or [*SCENES, *clean_scenes.FEATURES]:
+        scene = SCENES.get(name)
+        if scene is None:
+            seeds = range(first, first + (arguments.runs or clean_scenes.RUNS))
+            yield from clean_scenes.cells(name, seeds)
+            continue
         number = arguments.runs or (scene.tuning if arguments.tuning else scene.runs)
         for seed in range(first, first + number):
             yield {"scene": name, "seed": seed}
@@ -75,11 +86,14 @@ def cells(arguments: argparse.Namespace) -> Iterator[Row]:
 
 def key(row: Row) -> tuple[Any, ...]:
     """What makes a run."""
-    return row["scene"], row["seed"]
+    names = ("scene", "seed", "colors", "features", "renders")
+    return tuple(row.get(name) for name in names)
 
 
 def run(cell: Row) -> Row:
     """One row."""
+    if cell["scene"] not in SCENES:
+        return clean_scenes.run(cell)
     scene, seed = SCENES[cell["scene"]], cell["seed"]
     task = fide_tasks.make(scene.task, SIZE, seed, **scene.options)
     truth, rng = task.x_star, np.random.default_rng((seed, 77))
@@ -156,13 +170,15 @@ def table(rows: list[Row]) -> str:
             reading = np.median([row["reading_ms"] for row in known])
             runs = f"{len(known)} of {len(some)} known"
             lines.append(f"| {label} | {runs} | {held} | {wide:.1f} | {reading:.0f} |")
-    return "\n".join(lines)
+    return "\n".join(lines) + f"\n\n{clean_scenes.table(rows)}"
 
 
 def main() -> None:
     """Do the runs that are missing, or print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("scenes", nargs="*", metavar="SCENE", help=", ".join(SCENES))
+    parser.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help=", ".join([*SCENES, *clean_scenes.FEATURES])
+    )
     parser.add_argument("--table", action="store_true")
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--runs", type=int, help="of each scene")

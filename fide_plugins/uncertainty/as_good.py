@@ -9,8 +9,9 @@ open only where samples speak for it:
    Then the nearest neighbor of each sample is compared with the nearest one in all other numbers.
    Without effect, the second has the better image more often; of what shows, the first.
 
-Otherwise the truth is taken to be at most `WIDER` times as far away as samples as good.  Of an integer or a choice,
-one such sample with another value says that the picture does not tell them apart.
+Otherwise the truth is taken to be at most `WIDER` times as far away as samples as good.  Of an
+integer or a choice, one such sample with another value says that the picture does not tell them
+apart.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,6 +43,5 @@ def independent(target: Tensor, channels: int | None) -> int:
     noise is the same in each.
     """
     columns = np.round(target.detach()[..., :channels].cpu().numpy().astype(np.float64), _DIGITS)
-    rows, number = columns.shape
-    different = int(np.unique(columns, axis=1).shape[1])
-    return rows * max(different, -(-number // 3))
+    different = len(np.unique(columns.T, axis=0))
+    return len(columns) * max(different, math.ceil(len(columns.T) / 3))
