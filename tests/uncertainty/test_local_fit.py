@@ -46,6 +46,23 @@ def test_the_covariance_is_that_of_least_squares(rng: np.random.Generator) -> No
     np.testing.assert_allclose(found, sample * exact, rtol=0.03)
 
 
+def test_a_search_that_has_converged_knows_no_more_than_the_noise_of_the_target_says(
+    rng: np.random.Generator,
+) -> None:
+    """Clean renders: the samples lie together, and the truth is as far away as ever."""
+    sigma = 0.05
+    exact = np.sqrt(np.diag(sigma**2 * np.linalg.inv(MIXING @ MIXING.T)))
+    noise = sigma * rng.normal(size=F)
+    left = noise - np.linalg.lstsq(MIXING.T, noise, rcond=None)[0] @ MIXING
+    sample = np.sqrt(np.square(left).mean()) / sigma  # of this noise
+    for last in (1e-2, 1e-4, 1e-6):
+        u = np.geomspace(0.3, last, N)[:, None] * rng.uniform(-1, 1, size=(N, D))
+        e = (HERE + u) @ MIXING
+        fit = fit_locally(u, e, np.square(e - HERE @ MIXING).sum(axis=1))
+        found = np.sqrt(np.diag(covariance(FitToTarget(fit, HERE @ MIXING + left, F))))
+        np.testing.assert_allclose(found, sample * exact, rtol=0.03)
+
+
 def test_noise_of_the_renders_is_not_taken_for_knowledge(rng: np.random.Generator) -> None:
     """A parameter without effect: its column of the Jacobian is noise, and nothing else."""
     blind = MIXING.copy()
