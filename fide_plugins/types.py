@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fide_plugins.status import Status
 
 __all__ = [
+    "OPEN",
     "Estimate",
     "Estimated",
     "Float32",
@@ -35,7 +36,7 @@ Mask: TypeAlias = npt.NDArray[np.bool_]
 Indices: TypeAlias = npt.NDArray[np.intp]
 """Which ones, by their numbers from 0."""
 
-_OPEN = 0.2  # standard deviation of a parameter that is not determined (a uniform one has 0.29)
+OPEN = 0.2  # standard deviation of a parameter that is not determined (a uniform one has 0.29)
 
 
 class Posterior(NamedTuple):
@@ -117,13 +118,14 @@ class Solution:
     def undetermined(self) -> tuple[str, ...]:
         """Names of the parameters that the images do not determine; without a space "x[i]".
 
-        Numbers whose `std` is at least 0.2, nearly that of a uniform distribution; integers and
-        choices of which another value was rendered that explains the target as well, whatever the
-        other parameters are.  Empty where nothing is known, as `std` is None.
+        Numbers whose `std` is at least 0.2, nearly that of a uniform distribution; what a picture
+        of hard edges fixes is not among them.  Integers and choices of which another value was
+        rendered that explains the target as well, with these or with other parameters.  Like `std`
+        an estimate, from samples near here.  Empty where nothing is known, as `std` is None.
         """
         if self.estimate is None or self.std is None:
             return ()
-        open_axes = self.std >= _OPEN  # False for NaN
+        open_axes = self.std >= OPEN  # False for NaN
         if self.estimate.ambiguous is not None:
             open_axes |= self.estimate.ambiguous
         if self.space is None:

@@ -17,8 +17,9 @@ apart.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from fide_plugins.types import Float64, Mask
+from fide_plugins.types import OPEN, Float64, Mask
 from fide_plugins.uncertainty.covariance import NOTHING, WIDER, noise_of
 from fide_plugins.uncertainty.local_fit import FitToTarget
 from fide_plugins.uncertainty.selection import Surroundings
@@ -29,7 +30,6 @@ _ODDS = 4.0  # twice the logarithm of the likelihood ratio up to which both may 
 _SPREAD = 4.0  # standard deviations of what noise of the renders changes; the best had luck
 _ROUNDING = (1 / 255) ** 2 / 12  # mean squared error of 8 bits
 _MOST = 600  # samples that are compared with each other
-_FAR = 0.2  # of the cube, from which on a sample as good speaks for any value
 _SAME = 1e-9  # of the largest change of the image: neither is better
 
 
@@ -50,7 +50,7 @@ def explain_as_well(around: Surroundings, missed: Float64, model: FitToTarget) -
 
 
 def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
-    """How far (p,) the truth may be in each number; infinite where samples do not limit it.
+    """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
 
     missed: (n,), of `misses_of`.  std: (p,), by the model alone.
     """
@@ -59,36 +59,34 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
     more = max(NOTHING * model.farthest, _ODDS * noise + luck)
     good = around.own[missed[around.own] <= missed[around.at] + more]
     far = np.abs(around.steps(good)).max(axis=0)
-    wider = np.where(far < _FAR, WIDER * far, np.inf)
-    for one in np.flatnonzero(wider < std):
-        if _without_effect(around, int(one)):
-            wider[one] = np.inf
-    return np.where(wider < std, wider, np.inf)
+    limited = np.full(len(std), np.inf)
+    for one in np.flatnonzero((std >= OPEN) & (far < OPEN)):
+        if not _without_effect(around, int(one)):
+            limited[one] = WIDER * far[one]
+    return limited
 
 
 def _without_effect(around: Surroundings, one: int) -> bool:
     """Whether the neighbors in all other numbers have the better images more often."""
     rows = around.own[:: -(-len(around.own) // _MOST)]
-    u = around.steps(rows)
-    apart = np.zeros((len(rows), len(rows)))  # squared, in the other numbers
-    for other in range(u.shape[1]):
-        if other != one:
-            apart += _gaps(u, other, around.periodic)
+    u, e = around.steps(rows), around.features[rows]
+    others = np.arange(u.shape[1]) != one
+    apart = _apart(u, others, around.periodic)
     np.fill_diagonal(apart, np.inf)
-    e = around.features[rows]
     with_it, without = (
         np.square(e - e[gaps.argmin(axis=1)]).sum(axis=1)
-        for gaps in (apart + _gaps(u, one, around.periodic), apart)
+        for gaps in (apart + _apart(u, ~others, around.periodic), apart)
     )
     same = _SAME * float(around.distances[around.own].max())
     worse, better = (without > with_it + same).sum(), (without < with_it - same).sum()
     return bool(worse <= better)
 
 
-def _gaps(u: Float64, one: int, periodic: Mask | None) -> Float64:
-    """Squared differences (n, n) of samples (n, p) in one number, the shorter way around."""
-    gaps = np.abs(u[:, None, one] - u[:, one])
-    if periodic is not None and periodic[one]:
-        gaps = np.minimum(gaps, 1.0 - gaps)
-    squared: Float64 = np.square(gaps)
-    return squared
+def _apart(u: Float64, which: Mask, periodic: Mask | None) -> Float64:
+    """Squared distances (n, n) of samples u (n, p) in some numbers (p,), the shorter way around."""
+    around = np.zeros(len(which), bool) if periodic is None else periodic
+    apart: Float64 = cdist(u[:, which & ~around], u[:, which & ~around], "sqeuclidean")
+    for angle in u.T[which & around]:
+        gaps = np.abs(angle[:, None] - angle)
+        apart += np.square(np.minimum(gaps, 1.0 - gaps))
+    return apart

@@ -15,8 +15,8 @@
    is, so samples may lie together although the image says nothing.  Where it is known to change
    next to nothing (`unseen`), only the prior counts.
 4. *What changes in jumps.*  Near a solution an image of hard edges changes with nothing, too.  So
-   in the directions of 3 the truth is at most `WIDER` times as far away as samples with an image as
-   good, unless some of them speak for any value (`as_good`).
+   a parameter that 3 leaves open is, in the directions of 3, at most `WIDER` times as far away as
+   samples with an image as good, unless samples speak for any value (`as_good`).
 """
 
 from __future__ import annotations

@@ -94,7 +94,8 @@ def test_another_value_that_explains_the_picture_at_other_numbers_is_named() -> 
 
     def picture(p: dict[str, float]) -> Float64:
         far = np.square(X - p["x"]) + np.square(Y - 0.5)
-        return 0.1 * p["m"] + 0.5 * np.exp(-far / (2 * (0.05 * p["k"] * p["g"]) ** 2))
+        spot: Float64 = np.exp(-far / (2 * (0.05 * p["k"] * p["g"]) ** 2))
+        return 0.1 * p["m"] + 0.5 * spot
 
     x = TIED.encode(truth)
     points = np.where(TIED.layout.discrete, x, converged(x, rng, 1e-3))
