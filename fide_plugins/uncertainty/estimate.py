@@ -88,9 +88,10 @@ class LocalEstimate:
         )
         if around is None:
             return Estimated(None, ambiguous)
-        near, others = most_alike(around), other_values(around, self.axes)  # 1
-        model, pairs = self._fit(around, near, others)  # 2
         missed = misses_of(around, features_of([self.target], self.channels)[0])
+        near = most_alike(around, float(missed[around.at]))  # 1
+        others = other_values(around, self.axes)
+        model, pairs = self._fit(around, near, others)  # 2
         as_far = limits(around, missed, model, deviations(model))  # 3
         std[around.free] = deviations(model._replace(as_far=as_far))
         for other, pair in zip(others, pairs, strict=True):  # 4

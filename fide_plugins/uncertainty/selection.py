@@ -29,6 +29,7 @@ _SPARE = 2  # times as many, of which those of twins are left out
 _FEWEST = 2.0  # samples a parameter, and a few more
 _MORE = 10
 _ROUNDING = 1e-6  # of a coordinate that came back in single precision
+_DIGITS = 1e-10  # of the energy of the image: 100 times its last digits, in single precision
 _APART = 0.05  # of the cube: farther away than that no image is the solution's
 
 
@@ -103,15 +104,29 @@ def surroundings(
     )
 
 
-def most_alike(around: Surroundings) -> Indices:
-    """Rows of the samples of which the linear model is made, in the order of asking."""
+def most_alike(around: Surroundings, missed: float) -> Indices:
+    """Rows of the samples of which the linear model is made, in the order of asking.
+
+    missed: squared, by how much the solution misses the target.
+    """
     number = max(_NEAREST, _EACH * int(around.free.sum()))
-    pool = _nearest_images(around.own, around.distances, _SPARE * number)
+    pool = _nearest_images(_told_apart(around, missed), around.distances, _SPARE * number)
     e, _ = compressed(around.features[pool], around.features[around.at])
     twins = of_twins(around.steps(pool), e, floored(around.distances[pool]), around.periodic)
     rest = pool[~twins]
     enough = len(rest) >= _least(around.free)
     return _nearest_images(rest if enough else pool, around.distances, number)
+
+
+def _told_apart(around: Surroundings, missed: float) -> Indices:
+    """Rows of own samples, without those of which only the last digits differ, if enough are left.
+
+    A search may converge farther than single precision tells.  Where a target with noise is missed
+    by more, steps as short say nothing of how far away the truth is.
+    """
+    least = _DIGITS * float(np.square(around.features[around.at]).sum())
+    told = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
+    return told if missed > least and len(told) >= _least(around.free) else around.own
 
 
 def less_alike(around: Surroundings, near: Indices) -> Indices:
