@@ -20,7 +20,7 @@ __all__ = ["FEATURES", "RUNS", "cells", "run", "table"]
 FEATURES = {"waves": ("patch", "dense"), "disc": ("default",)}  # of each scene
 COLORS = (3, 1)  # 1: gray
 RENDERS = (200, 600, 2000)
-RUNS = 12  # targets of each
+RUNS = 10  # targets of each
 QUANTILE = 1.6449  # of the normal law: 90 % lie within
 NOISE = {"waves": 0.02, "disc": 0.1}
 
