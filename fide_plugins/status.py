@@ -66,8 +66,8 @@ def status_of(facts: Facts) -> Status:
         return Status(
             "noise",
             f"At the noise floor: loss {best:.3g}. The image differs from the target from pixel to "
-            "pixel only, as two renders of one candidate do (standard deviation of a pixel "
-            f"{facts.grain:.2g}). More samples per pixel would tell more.",
+            "pixel only, hardly more than two renders of one candidate do (standard deviation of "
+            f"a pixel {facts.grain:.2g}). More samples per pixel would tell more.",
         )
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:
@@ -84,14 +84,14 @@ def _stalled(best: float, facts: Facts) -> Status:
         what = f"{same} of {total} searches from different places ended in this one."
         return Status("agreed", f"{stalled} {what}")
     if total == 1:
-        return Status("stalled", f"{stalled} One search has ended so far, and none from elsewhere.")
+        return Status("stalled", f"{stalled} No second search began elsewhere so far.")
     if same == total:
         few = f"{total} searches from different places ended in this one, too few to be sure."
         return Status("unsure", f"{stalled} {few}")
-    places = sum(n > 0 for n in facts.ended)
-    number = f"more than {places}" if facts.forgotten else f"{places}"
+    others = sum(n > 0 for n in facts.ended[1:])
+    number = f"more than {others}" if facts.forgotten else f"{others}"
     return Status(
         "unsure",
-        f"{stalled} {total} searches from different places ended in {number} of them, {same} in "
-        "this one: there may be a better one.",
+        f"{stalled} Of {total} searches from different places {same or 'none'} ended in this one, "
+        f"the others in {number}: there may be a better one.",
     )

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from fide_plugins.types import OPEN, Float64, Mask
-from fide_plugins.uncertainty.covariance import NOTHING, WIDER, noise_of
+from fide_plugins.uncertainty.covariance import NO_EFFECT, WIDER, noise_of
 from fide_plugins.uncertainty.local_fit import FitToTarget
 from fide_plugins.uncertainty.selection import Surroundings
 
@@ -55,8 +55,9 @@ def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float
     missed: (n,), of `misses_of`.  std: (p,), by the model alone.
     """
     noise = noise_of(model)
+    # by how much the noise of a render changes what it misses: a standard deviation, squared errors
     luck = _SPREAD * (2 * model.fit.s * (model.fit.s / model.f + 2 * noise)) ** 0.5
-    more = max(NOTHING * model.farthest, _ODDS * noise + luck)
+    more = max(NO_EFFECT * model.farthest, _ODDS * noise + luck)
     good = around.own[missed[around.own] <= missed[around.at] + more]
     far = np.abs(around.steps(good)).max(axis=0)
     limited = np.full(len(std), np.inf)

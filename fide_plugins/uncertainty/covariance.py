@@ -27,11 +27,11 @@ from fide_plugins.types import Float64
 from fide_plugins.uncertainty.local_fit import FitToTarget, LocalFit
 from fide_plugins.uncertainty.resolution import information, unresolved, unseen
 
-__all__ = ["NOTHING", "WIDER", "covariance", "deviations", "noise_of", "scale_of", "unexplained"]
+__all__ = ["NO_EFFECT", "WIDER", "covariance", "deviations", "noise_of", "scale_of", "unexplained"]
 
 _BOX = 12.0  # one over the variance of the uniform law on [0, 1]
 WIDER = 5.0
-NOTHING = 1e-3  # of the largest change of the image in the run, squared: 3 % of it
+NO_EFFECT = 1e-3  # of the largest change of the image in the run, squared: 3 % of it
 _RIDGE = 1e-4  # of the mean eigenvalue
 _STILL = 1e-6  # of the cube: samples as good may be nowhere else
 _SAME = 1e-8  # sine of an angle of directions that are one
@@ -41,7 +41,7 @@ _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precisio
 def covariance(model: FitToTarget) -> Float64:
     """(d, d), in units of the unit cube."""
     fit, d = model.fit, len(model.fit.J)
-    steps = unseen(fit, model.from_afar, NOTHING * model.farthest, _rounding(model))
+    steps = unseen(fit, model.from_afar, NO_EFFECT * model.farthest, _rounding(model))
     rest = unresolved(fit)
     known = information(fit) / scale_of(model) + _reach(fit.cloud, rest)
     along = np.eye(d) - steps @ steps.T
@@ -70,9 +70,9 @@ def _limits(as_far: Float64, steps: Float64) -> Float64:
     """Precision (d, d) in the span of `steps` (d, k), by how far away the truth may be (d,)."""
     limits = 1 / np.maximum(as_far, _STILL) ** 2
     vectors, sizes, _ = np.linalg.svd(steps, full_matrices=False)
-    own = vectors[:, sizes > _SAME]
-    onto = own @ own.T
-    precision: Float64 = (onto * limits) @ onto
+    span = vectors[:, sizes > _SAME]
+    projector = span @ span.T
+    precision: Float64 = (projector * limits) @ projector
     return precision
 
 

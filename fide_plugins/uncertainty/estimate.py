@@ -129,5 +129,5 @@ class LocalEstimate:
             fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
             for part in _PARTS
         )
-        f = independent(self.target, self.channels)
+        f = independent(self.target, self.channels, around.features)
         return FitToTarget(fit, target, f, farthest, from_afar), pairs

@@ -6,8 +6,11 @@ are from the target.  *Is anything else left?*  Where an image is right, its dif
 target is grain, of the renderer and perhaps of the target.  Neighboring pixels are then not
 correlated, and the mean squared difference is about that variance, or twice that for a target with
 as much grain.  What is wrong in an image mostly covers several pixels, so they are correlated: the
-correlation is about the share of the squared difference that is no grain.
+correlation is about the share of the squared difference that is no grain.  A small thing has a
+small share, so no mean of 8 x 8 pixels may stand out either.
 
+Not seen is what changes no such mean by 3/4 of the standard deviation of a pixel: things of a few
+pixels, faint things.
 Noise of another kind (an image as a whole is brighter, a camera trembles) is not recognized, and
 neither is grain that a renderer has smoothed, or clipped at black or white.
 """
@@ -18,6 +21,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
@@ -27,8 +31,12 @@ __all__ = ["Grain", "is_grain"]
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
 _CORRELATED = 0.1  # correlation of neighbors from which on a difference is no grain alone
+_WINDOW = 8  # pixels of a side, of which the mean must not stand out
+_STANDS_OUT = 6.0  # standard deviations of that mean; grain alone has up to some five
+_QUIET = 0.1  # of the standard deviation of all pixels, the least one that a window is given
 _LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
 _MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
+_TINY = 1e-300
 _SCHEMA: dict[str, Schema] = {
     "variance": maybe(real(0.0)),
     "repeat": maybe(array("H", "W", 3, low=0.0, high=1.0)),
@@ -91,4 +99,21 @@ def is_grain(difference: Float64) -> bool:
         other = difference[down:, max(0, right) : width + min(0, right)]
         if abs(float((one * other).sum())) > _CORRELATED * total:
             return False
-    return True
+    return not _stands_out(difference)
+
+
+def _stands_out(difference: Float64) -> bool:
+    """Whether the mean of any 8 x 8 pixels of a difference (H, W, 3) is more than chance.
+
+    The noise of a window is that between neighbors in it: it may vary over the picture.
+    """
+    if min(difference.shape[:2]) < _WINDOW:
+        return False
+    size = (_WINDOW, _WINDOW, 1)
+    steps = np.diff(difference, axis=1, append=difference[:, -2:-1])
+    inside = (slice(_WINDOW // 2, 1 - _WINDOW // 2), slice(_WINDOW // 2, 1 - _WINDOW // 2))
+    means = uniform_filter(difference, size)[inside]
+    variances = uniform_filter(np.square(steps) / 2, size)[inside]
+    least = max(_QUIET**2 * float(np.square(difference).mean()), _TINY)
+    limit = _STANDS_OUT**2 * np.maximum(variances, least) / _WINDOW**2
+    return bool((np.square(means) > limit).any())

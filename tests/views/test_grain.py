@@ -55,6 +55,25 @@ def test_without_a_measurement_or_with_little_noise_nothing_is_said() -> None:
     assert not measured(views, 0.02, rng).is_all(image, views)
 
 
+@pytest.mark.parametrize("std", [0.1, 0.14])
+def test_a_small_thing_in_strong_noise_is_no_grain(std: float) -> None:
+    """Its share of the squared difference is a hundredth, and correlations do not show it."""
+    rng = np.random.default_rng(0)
+    thing = 0.3 * ((U - 0.7) ** 2 + (V - 0.3) ** 2 < (4 / SIDE) ** 2)
+    plain, wrong = 0, 0
+    for _ in range(50):
+        noise = std * rng.standard_normal((SIDE, SIDE))
+        plain += is_grain(np.repeat(noise[..., None], 3, axis=-1))
+        wrong += is_grain(np.repeat((thing + noise)[..., None], 3, axis=-1))
+    assert plain >= 48 and wrong <= 2
+
+
+def test_noise_may_differ_over_the_picture() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal((50, 96, 96, 3)) * np.linspace(0.1, 1, 96)[:, None]
+    assert sum(map(is_grain, noise)) >= 48
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

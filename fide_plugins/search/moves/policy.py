@@ -199,7 +199,7 @@ class MovePolicy:
         left = incumbent is not None and self.move is not None and self._the_move.from_incumbent
         elsewhere = not left or known.is_elsewhere(self.start.mean, found.x)
         best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=elsewhere)
-        if incumbent is not None and self.move is not None and left:
+        if left and incumbent is not None and self.move is not None:
             self._choice.note(self.move, _gain(incumbent.loss, found.loss), evaluations)
             if found.loss >= incumbent.loss:
                 known.optima.fail(incumbent)

@@ -65,9 +65,9 @@ class Optima:
         if best:
             self._descents = 0
         near = [o for o in self.all if distance(o.sample.x, found.x) < APART]
-        searches = from_elsewhere + sum(optimum.searches for optimum in near)
+        searches = int(from_elsewhere) + sum(optimum.searches for optimum in near)
         if near and near[0].sample.loss <= found.loss:
-            near[0].searches += from_elsewhere
+            near[0].searches += int(from_elsewhere)
             return False
         self.all = [optimum for optimum in self.all if optimum not in near]
         self.all.append(Optimum(found, searches=searches))
