@@ -40,6 +40,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import clean_scenes
 import numpy as np
+from clean_scenes import QUANTILE
 from rows import Row, read, run_missing
 from scipy.optimize import linear_sum_assignment
 
@@ -49,7 +50,6 @@ from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "intervals.jsonl"
 SIZE, NOISE = 64, 0.02
-QUANTILE = 1.6449  # of the normal law: 90 % lie within
 REPORTING, TUNING = 100, 5000  # first seeds
 
 

@@ -111,7 +111,7 @@ class Readings(Saved):
         """Standard deviation of a pixel, if only noise keeps the best image from the target."""
         grain, best = self.state.grain, self.state.best
         image = None if best is None else best.solution.image
-        if image is None or grain.variance is None or not grain.is_all(image, self.views):
+        if image is None or grain.variance is None or not grain.is_all(image, self.views.target):
             return None
         return float(np.sqrt(grain.variance))
 

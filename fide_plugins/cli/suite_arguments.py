@@ -64,7 +64,7 @@ def suite_plan(args: argparse.Namespace) -> Any:
 
 def _size_of(plan: Any) -> str:
     """How many runs there are, so that nobody starts a week's work for an evening's."""
-    runs = len(plan.tasks) * len(plan.configurations)
+    runs = len(list(plan.runs()))
     return (
         f"{plan.suite.name}: {runs} runs of {plan.budget} renders each (--scenes, --targets and "
         "--budget choose a part)"

@@ -88,10 +88,11 @@ class LocalEstimate:
         )
         if around is None:
             return Estimated(None, ambiguous)
-        missed = misses_of(around, features_of([self.target], self.channels)[0])
+        target = features_of([self.target], self.channels)[0]
+        missed = misses_of(around, target)
         near = most_alike(around, float(missed[around.at]))  # 1
         others = other_values(around, self.axes)
-        model, pairs = self._fit(around, near, others)  # 2
+        model, pairs = self._fit(around, target, near, others)  # 2
         as_far = limits(around, missed, model, deviations(model))  # 3
         std[around.free] = deviations(model._replace(as_far=as_far))
         for other, pair in zip(others, pairs, strict=True):  # 4
@@ -105,15 +106,17 @@ class LocalEstimate:
         return np.isin(np.arange(len(self.x)), self.axes.together(other))
 
     def _fit(
-        self, around: Surroundings, near: Indices, others: Sequence[OtherValue]
+        self, around: Surroundings, target: Float64, near: Indices, others: Sequence[OtherValue]
     ) -> tuple[FitToTarget, list[Pairs]]:
         """The linear model of the samples `near` (m,), and the pairs of each other value.
+
+        target: (f,), features of the target.
 
         The features of all of them, and of the target, are turned into few at once.
         """
         wide = less_alike(around, near)
         parts = [near, wide, *(rows for other in others for rows in (other.rows, other.own))]
-        target = features_of([self.target], self.channels)[0]
+        f = independent(target, len(self.target), around.features)
         every, target = compressed(around.features[np.concatenate(parts)], target)
         ends = np.cumsum([len(rows) for rows in parts])
         e, of_wide, *of_others = np.split(every, ends[:-1])
@@ -129,5 +132,4 @@ class LocalEstimate:
             fit_from_afar(around.steps(wide), of_wide, distances, fit.reach * ratio**part)
             for part in _PARTS
         )
-        f = independent(self.target, self.channels, around.features)
         return FitToTarget(fit, target, f, farthest, from_afar), pairs

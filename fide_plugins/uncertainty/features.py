@@ -36,8 +36,8 @@ def floored(distances: Float64) -> Float64:
     return np.maximum(distances, moved.min() if len(moved) else 1.0)
 
 
-def independent(target: Tensor, channels: int | None, features: Float64) -> int:
-    """How many features of the target's tokens (T, C) are independent, at least one.
+def independent(target: Float64, tokens: int, features: Float64) -> int:
+    """How many features of the target (f,), so many tokens, are independent, at least one.
 
     Channels that are equal in all tokens count once, but never less than a third of them: a gray
     picture has three equal colors, and its noise is the same in each.  Tokens that equal the
@@ -45,8 +45,8 @@ def independent(target: Tensor, channels: int | None, features: Float64) -> int:
 
     features: (n, f), of samples.
     """
-    columns = np.round(target.detach()[..., :channels].cpu().numpy().astype(np.float64), _DIGITS)
-    different = max(len(np.unique(columns.T, axis=0)), math.ceil(len(columns.T) / 3))
-    apart = np.abs(features - features_of([target], channels)).max(axis=0)
-    shown = (apart.reshape(len(columns), -1) > 10**-_DIGITS).any(axis=1)
+    channels = np.round(target.reshape(tokens, -1).T, _DIGITS)
+    different = max(len(np.unique(channels, axis=0)), math.ceil(len(channels) / 3))
+    apart = np.abs(features - target).max(axis=0)
+    shown = (apart.reshape(tokens, -1) > 10**-_DIGITS).any(axis=1)
     return max(1, int(shown.sum())) * different

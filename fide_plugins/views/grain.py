@@ -11,6 +11,7 @@ small share, so no mean of 8 x 8 pixels may stand out either.
 
 Not seen is what changes no such mean by 3/4 of the standard deviation of a pixel: things of a few
 pixels, faint things.
+
 Noise of another kind (an image as a whole is brighter, a camera trembles) is not recognized, and
 neither is grain that a renderer has smoothed, or clipped at black or white.
 """
@@ -60,19 +61,19 @@ class Grain:
         if self._repeat is None:
             self._repeat = image
             return
-        apart = self._views.differences(image, self._repeat)
-        self.variance = float(np.mean([np.square(each).mean() for each in apart])) / 2
+        self.variance = _mean_square(self._views.differences(image, self._repeat)) / 2
         self._repeat = None
 
     def forget_repeat(self) -> None:
         """The test is over, also if only one render came back."""
         self._repeat = None
 
-    def is_all(self, image: Float32, views: Views) -> bool:
-        """Whether grain is all in which an image (H, W, 3) differs from the target of views."""
-        if not self.variance or views.squared_error(image) > _MOST * self.variance:
+    def is_all(self, image: Float32, target: Float32) -> bool:
+        """Whether grain is all in which an image (H, W, 3) differs from a target."""
+        if not self.variance:
             return False
-        return all(is_grain(each) for each in views.differences(image, views.target))
+        apart = self._views.differences(image, target)
+        return _mean_square(apart) <= _MOST * self.variance and all(map(is_grain, apart))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything; the image is the one in use, not a copy."""
@@ -82,6 +83,10 @@ class Grain:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "grain")
         self.variance, self._repeat = state["variance"], state["repeat"]
+
+
+def _mean_square(differences: list[Float64]) -> float:
+    return float(np.mean([np.square(each).mean() for each in differences]))
 
 
 def is_grain(difference: Float64) -> bool:

@@ -76,18 +76,22 @@ def test_a_gray_picture_has_the_noise_of_one_color(colors: int) -> None:
 
 def test_equal_channels_count_once() -> None:
     rng = np.random.default_rng(0)
-    gray = torch.as_tensor(rng.random((5, 4, 1))).expand(5, 4, 3).reshape(5, 12)
-    colored = torch.as_tensor(rng.random((5, 12)))
-    partly = torch.cat([gray, torch.as_tensor(rng.random((5, 4)))], 1)
+    gray = np.repeat(rng.random((5, 4)), 3, axis=1)
+    colored = rng.random((5, 12))
+    partly = np.hstack([gray, rng.random((5, 4))])
     samples = rng.random((6, 60))
-    assert independent(gray, None, samples) == 5 * 4
-    assert independent(colored, None, samples) == 5 * 12
-    assert independent(partly, None, rng.random((6, 80))) == 5 * 8
-    assert independent(gray, 3, samples[:, :15]) == 5
-    assert independent(torch.full((5, 12), 0.5), None, samples) == 5 * 4
-    samples.reshape(6, 5, 12)[:, 3:] = colored[3:].numpy()
-    assert independent(colored, None, samples) == 3 * 12, "a mask hides two tokens"
-    assert independent(colored, None, colored.numpy().reshape(1, 60)) == 12, "at least one"
+
+    def number(tokens: Float64, features: Float64) -> int:
+        return independent(tokens.ravel(), len(tokens), features)
+
+    assert number(gray, samples) == 5 * 4
+    assert number(colored, samples) == 5 * 12
+    assert number(partly, rng.random((6, 80))) == 5 * 8
+    assert number(gray[:, :3], samples[:, :15]) == 5
+    assert number(np.full((5, 12), 0.5), samples) == 5 * 4
+    samples.reshape(6, 5, 12)[:, 3:] = colored[3:]
+    assert number(colored, samples) == 3 * 12, "a mask hides two tokens"
+    assert number(colored, colored.reshape(1, 60)) == 12, "at least one"
 
 
 TIED = Space(k=Int(1, 6), g=Float(0.1, 1), x=Float(0, 1), kind=Choice("p", "q", "r"), m=Int(1, 3))

@@ -41,18 +41,20 @@ def test_grain_is_all_that_is_left_of_the_right_image_and_of_no_other(of_target:
     assert grain.variance == pytest.approx(0.05**2, rel=0.1)
     right = [grainy(disk(0.6, 0.4), 0.05, rng) for _ in range(100)]
     wrong = [grainy(disk(0.65, 0.4), 0.05, rng) for _ in range(100)]
-    assert sum(grain.is_all(image, views) for image in right) >= 98
+    assert sum(grain.is_all(image, views.target) for image in right) >= 98
     assert views.squared_error(wrong[0]) < 2 * views.squared_error(right[0]), "by loss it may be"
-    assert not any(grain.is_all(image, views) for image in wrong)
+    assert not any(grain.is_all(image, views.target) for image in wrong)
 
 
 def test_without_a_measurement_or_with_little_noise_nothing_is_said() -> None:
     rng = np.random.default_rng(0)
     views = Views.read(grainy(disk(0.6, 0.4), 0.05, rng))
     image = disk(0.6, 0.4).astype(np.float32)
-    assert not Grain(views).is_all(image, views)
-    assert not measured(views, 0.0, rng).is_all(image, views), "the noise is the target's alone"
-    assert not measured(views, 0.02, rng).is_all(image, views)
+    assert not Grain(views).is_all(image, views.target)
+    assert not measured(views, 0.0, rng).is_all(image, views.target), (
+        "the noise is the target's alone"
+    )
+    assert not measured(views, 0.02, rng).is_all(image, views.target)
 
 
 @pytest.mark.parametrize("std", [0.1, 0.14])
@@ -112,7 +114,8 @@ def test_views_and_weights_count_as_in_the_loss() -> None:
     for hidden in (0.0, 1.0):
         grain.note(renders(0.2, hidden))
     assert grain.variance == pytest.approx(0.05**2, rel=0.1)
-    assert grain.is_all(renders(0.6, 0.0), views) and not grain.is_all(renders(0.65, 0.0), views)
+    assert grain.is_all(renders(0.6, 0.0), views.target)
+    assert not grain.is_all(renders(0.65, 0.0), views.target)
 
 
 def test_it_goes_on_between_the_two_renders() -> None:

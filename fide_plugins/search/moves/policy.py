@@ -196,13 +196,13 @@ class MovePolicy:
     def _settle(self, found: TrainingSample, evaluations: int) -> None:
         """Note what the move brought, and who is the incumbent."""
         known, incumbent = self.known, self.known.incumbent
-        left = incumbent is not None and self.move is not None and self._the_move.from_incumbent
-        elsewhere = not left or known.is_elsewhere(self.start.mean, found.x)
+        left = incumbent if self.move is not None and self._the_move.from_incumbent else None
+        elsewhere = left is None or known.is_elsewhere(self.start.mean, found.x)
         best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=elsewhere)
-        if left and incumbent is not None and self.move is not None:
-            self._choice.note(self.move, _gain(incumbent.loss, found.loss), evaluations)
-            if found.loss >= incumbent.loss:
-                known.optima.fail(incumbent)
+        if left is not None:
+            self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
+            if found.loss >= left.loss:
+                known.optima.fail(left)
         if best:
             self._leave(found)
 
