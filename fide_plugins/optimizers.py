@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from fide_plugins.space import Space
     from fide_plugins.types import Optimizer
 
-__all__ = ["load", "make", "names", "options", "register", "source_of"]
+__all__ = ["check", "load", "make", "names", "options", "register", "source_of"]
 
 PLACES: Mapping[str, str] = {
     "bipop-cma-es": "fide_plugins.baselines.bipop:BIPOP",
@@ -73,6 +73,18 @@ def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
     _REGISTRY.register(name, cls)
 
 
+def check(name: str, settings: Iterable[str]) -> None:
+    """Check a name and those of `settings`, without making an optimizer.
+
+    Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
+    """
+    known = options(name)
+    unknown = sorted(set(settings) - set(known)) if known else []
+    if unknown:
+        listed = ", ".join(known)
+        raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
+
+
 def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
     """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
 
@@ -81,16 +93,12 @@ def make(name: str, dim: int | Space, target: object = None, **settings: Any) ->
 
     Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
     """
+    check(name, settings)
     cls = _resolve(name)
-    known = options(name)
-    unknown = sorted(set(settings) - set(known)) if known else []
-    if unknown:
-        listed = ", ".join(known)
-        raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
     takes_space = getattr(cls, "takes_space", False)
     space = dim if takes_space else getattr(dim, "dim", dim)
     blocks = getattr(dim, "largest_family", None)
-    if blocks and space is not dim and "groups" in known:
+    if blocks and space is not dim and "groups" in options(name):
         settings = {"groups": blocks, **settings}
     optimizer: Optimizer = cls(space, target, **settings)
     return optimizer

@@ -2,10 +2,12 @@
 
     fide report runs/first
     fide report runs/first -o comparison.html --threshold mse=0.001 --threshold spline/mse=0.05
+    fide report runs/suite -o rivals.html --optimizers fide,cma
 
 The command writes one self-contained page, which needs no network. The same folder gets report.md,
 results.csv, curves.csv and figures/ (PNG and SVG). If the page is called comparison.html, the files
 are comparison.md, comparison-results.csv, and so on. The page of a suite has performance profiles.
+--optimizers shows some of the optimizers, such as those that have been run on every problem.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fide_plugins.cli.arguments import thresholds
+from fide_plugins.cli.arguments import names, thresholds
 from fide_plugins.cli.messages import complain, note, plain
 from fide_plugins.errors import OptionError
 
@@ -25,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory of a comparison")
     add("-o", "--output", type=Path, metavar="FILE", help="the page (DIR/report.html)")
+    add("--optimizers", type=names, metavar="A,B", help="those that are shown (all)")
     add("--threshold", type=thresholds, action="append", default=[], metavar="[TASK/]LOSS=VALUE",
         help="loss that counts as success; may be repeated "
         "(the second best median of each task and loss)")  # fmt: skip
@@ -32,11 +35,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    return make(args.directory, args.output, dict(args.threshold), "fide report")
+    threshold = dict(args.threshold)
+    return make(args.directory, args.output, threshold, "fide report", args.optimizers)
 
 
-def make(directory: Path, page: Path | None, threshold: dict[str, float], who: str) -> int:
-    """Write the report of `directory`; returns the exit code."""
+def make(
+    directory: Path,
+    page: Path | None,
+    threshold: dict[str, float],
+    who: str,
+    optimizers: list[str] | None = None,
+) -> int:
+    """Write the report of `directory`; returns the exit code.
+
+    optimizers: that are shown; None: all.
+    """
     from fide_plugins.cli.running import USAGE_ERRORS
     from fide_plugins.experiments.compare.results import AllFailedError
 
@@ -44,6 +57,8 @@ def make(directory: Path, page: Path | None, threshold: dict[str, float], who: s
         from fide_plugins.experiments import compare, report
 
         results = compare.read(directory)
+        if optimizers is not None:
+            results = results.of(optimizers)
         for stored in results.runs:
             if stored.status == "damaged":
                 note(f"{stored.key} is damaged and left out: {plain(stored.why)}")

@@ -51,6 +51,8 @@ def suite_plan(args: argparse.Namespace) -> Any:
     _check_budgets(configurations)
     suite = suites.read(args.suite)
     scenes, targets = suite.chosen(args.scenes, args.targets)
+    plan = suites.plan(suite, configurations, scenes, targets, args.budget)
+    plan.check_optimizers()  # before a target of each scene is rendered, which takes a minute
     missing = suites.unavailable(suite, scenes)
     for scene, why in missing.items():
         note(f"{scene} of {suite.name} is left out, it cannot be rendered here: {plain(why)}")
@@ -65,10 +67,10 @@ def suite_plan(args: argparse.Namespace) -> Any:
 def _size_of(plan: Any) -> str:
     """How many runs there are, so that nobody starts a week's work for an evening's."""
     runs = len(list(plan.runs()))
-    return (
-        f"{plan.suite.name}: {runs} runs of {plan.budget} renders each (--scenes, --targets and "
-        "--budget choose a part)"
-    )
+    each = f"1 run of {plan.budget} renders"
+    if runs != 1:
+        each = f"{runs} runs of {plan.budget} renders each"
+    return f"{plan.suite.name}: {each} (--scenes, --targets and --budget choose a part)"
 
 
 def _check_budgets(configurations: list[Any]) -> None:

@@ -126,14 +126,21 @@ class Plan:
                 found[task] = FunctionRenderer(task).fingerprint
         return of_files(found)
 
+    def check_optimizers(self) -> None:
+        """Check names and options of all optimizers; nothing is rendered.
+
+        Raises UnknownNameError, OptionError (both ValueErrors), ImportError for a missing package.
+        """
+        for configuration in self.configurations:
+            _check_options(configuration, self.options_of(configuration))
+
     def check(self) -> Checked:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.
 
         Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
         package, OSError for missing weights.
         """
-        for configuration in self.configurations:
-            _check_options(configuration, self.options_of(configuration))
+        self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, Float32] = {}
         for name in self.tasks:
@@ -170,6 +177,7 @@ def _check_options(configuration: Configuration, options: dict[str, Any]) -> Non
             f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
             f"as NAME:{unknown[0]}={options[unknown[0]]}"
         )
+    optimizers.check(configuration.name, options)
 
 
 def _check_budget(

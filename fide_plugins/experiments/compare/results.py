@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import os
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.errors import FideError
+from fide_plugins.errors import FideError, UnknownNameError
+from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.compare.directory import digest, read_record, runs_of
 from fide_plugins.experiments.compare.one_run import ERROR, examine
 from fide_plugins.experiments.compare.plan import RunKey
@@ -110,7 +112,8 @@ class Results:
     settings: what all runs share: image size, budget, targets, options, metrics.
     calls: each call of the command: command line, time, versions, machine.
     versions, machine: those of the last call.
-    runs: one entry for each task, loss, configuration and seed.
+    runs: one entry for each task, loss, configuration and seed that was planned.
+    not_shown: labels of the configurations that `of` has left out.
     """
 
     path: Path
@@ -119,6 +122,25 @@ class Results:
     versions: dict[str, str]
     machine: dict[str, Any]
     runs: list[StoredRun]
+    not_shown: tuple[str, ...] = ()
+
+    @property
+    def optimizers(self) -> list[str]:
+        """Labels of the configurations, in the order of the plan."""
+        return list(dict.fromkeys(run.key.configuration for run in self.runs))
+
+    def of(self, optimizers: Iterable[str]) -> Results:
+        """The same comparison with the runs of these optimizers only, in the order of the plan.
+
+        Raises UnknownNameError, or another OptionError (both ValueErrors), for one that it has not.
+        """
+        wanted = [Configuration.parse(text).label for text in optimizers]
+        for label in wanted:
+            if label not in self.optimizers:
+                raise UnknownNameError.of(f"optimizer of {self.path}", label, self.optimizers)
+        runs = [run for run in self.runs if run.key.configuration in wanted]
+        rest = tuple(label for label in self.optimizers if label not in wanted)
+        return replace(self, runs=runs, not_shown=(*self.not_shown, *rest))
 
 
 def read(path: str | os.PathLike[str]) -> Results:

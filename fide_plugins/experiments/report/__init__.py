@@ -86,7 +86,7 @@ def write(
     files.write_text(companion(path, "curves.csv"), export.curves_csv(results))
     files.write_text(path.with_suffix(".md"), _markdown(results, found, figures.name))
     files.write_text(path, page_module.render(results, found, charts))
-    parts = [*map(_section, found), *sentences.without_results(results)]
+    parts = [*map(_section, found), *_beside(results)]
     return Written(path, "\n\n".join(parts) + "\n")
 
 
@@ -140,9 +140,14 @@ def _markdown(results: Results, found: list[Panel], figures: str) -> str:
             tables.markdown(tables.times(panel)),
             tables.markdown(tables.losses(panel)),
         ]
-    parts += map(tables.escaped, sentences.without_results(results))
+    parts += map(tables.escaped, _beside(results))
     parts += ["## How to read it", *sentences.METHOD]
     return "\n\n".join(parts) + "\n"
+
+
+def _beside(results: Results) -> list[str]:
+    """Sentences on what is in no panel."""
+    return [*sentences.without_results(results), *sentences.not_shown(results.not_shown)]
 
 
 def _section(panel: Panel) -> str:

@@ -16,6 +16,7 @@ __all__ = [
     "abbreviations",
     "command",
     "failures",
+    "not_shown",
     "threshold",
     "verdict",
     "without_results",
@@ -132,12 +133,20 @@ def without_results(results: Results) -> list[str]:
     return said
 
 
+def not_shown(labels: Sequence[str]) -> list[str]:
+    """A sentence on the optimizers of a comparison that its page leaves out, if there are some."""
+    return [f"Not shown: {_list(labels)}."] if labels else []
+
+
 def threshold(panel: Panel) -> str:
     """The loss that counts as success, and its origin."""
+    second = sum(bool(row.finals) for row in panel.every) > 1
     if not math.isfinite(panel.threshold):
-        return f"Success is any finite {panel.loss}, since no second median is finite."
+        why = "no second median is" if second else "the only median is not"
+        return f"Success is any finite {panel.loss}, since {why} finite."
     value = f"Success is {panel.loss} of {number(panel.threshold)} or less"
-    return f"{value}." if panel.stated else f"{value}, the second best median."
+    which = "second best" if second else "only"
+    return f"{value}." if panel.stated else f"{value}, the {which} median."
 
 
 def abbreviations(panel: Panel) -> str:

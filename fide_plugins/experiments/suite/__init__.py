@@ -7,7 +7,7 @@
 `problems`    problems as tasks, and the plan of a comparison that runs them
 `profiles`    data profiles and performance profiles
 `scores`      renders to solve each problem, of a comparison's results
-`remarks`     what is said of failed runs and of problems that are left out
+`remarks`     what is said of failed runs and of what is left out
 `figures`     both profiles, drawn
 `tables`      counts of solved problems and of lowest losses
 `page`        the page

@@ -1,9 +1,10 @@
-"""What the page of a suite says of runs that failed, and of problems that are left out."""
+"""What the page of a suite says of failed runs, and of what is left out."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
+from fide_plugins.experiments.report import sentences
 from fide_plugins.experiments.suite.scores import Scores
 
 __all__ = ["remarks"]
@@ -13,16 +14,21 @@ _SHOWN = 5
 
 
 def remarks(found: Scores) -> list[str]:
-    """A sentence each for failed runs and for problems that are left out, where there are some."""
-    said = []
+    """Sentences on failed runs, on problems and on optimizers that are left out, if there are."""
+    said = sentences.not_shown(found.not_shown)
     if found.failed:
         problems = _counted({problem for _, problem in found.failed})
-        runs = ((f"{label} failed on", problem) for label, problem in found.failed)
-        said.append(f"Failed runs count as unsolved, {problems}: {_listed(runs)}.")
+        runs = _listed((label, problem, "failed") for label, problem in found.failed)
+        said.append(f"Failed runs count as unsolved, {problems}: {runs}.")
     if found.left_out:
-        problems = _counted({run.key.task for run in found.left_out})
-        open_ = ((f"{r.key.configuration} is {r.status} on", r.key.task) for r in found.left_out)
-        said.append(f"Left out, {problems}: {_listed(open_)}.")
+        problems = _counted({problem for _, problem, _ in found.left_out})
+        runs = _listed(found.left_out)
+        said.append(f"Left out, {problems}: {runs}.")
+    if any(status == "not planned" for _, _, status in found.left_out):
+        said.append(
+            "fide compare --resume adds runs, fide report --optimizers A,B shows only these "
+            "optimizers."
+        )
     return said
 
 
@@ -30,13 +36,28 @@ def _counted(problems: set[str]) -> str:
     return f"{len(problems)} problem{'s' * (len(problems) > 1)}"
 
 
-def _listed(runs: Iterable[tuple[str, str]]) -> str:
-    """Problems by what is said of them, the first few by name."""
-    groups: dict[str, list[str]] = {}
-    for said, problem in runs:
-        groups.setdefault(said, []).append(problem)
+def _listed(runs: Iterable[tuple[str, str, str]]) -> str:
+    """Problems by optimizer and status, the first few by name; optimizers with the same at once.
+
+    runs: optimizer, problem and status of each.
+    """
+    of: dict[tuple[str, str], list[str]] = {}
+    for label, problem, status in runs:
+        of.setdefault((label, status), []).append(problem)
+    groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for (label, status), problems in of.items():
+        groups.setdefault((status, tuple(problems)), []).append(label)
     parts = []
-    for said, names in groups.items():
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        parts.append(f"{said} {', '.join(names[:_SHOWN])}{more}")
+    for (status, problems), labels in groups.items():
+        more = f" and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
+        verb = _verb(status, len(labels) > 1)
+        parts.append(f"{', '.join(labels)} {verb} on {', '.join(problems[:_SHOWN])}{more}")
     return "; ".join(parts)
+
+
+def _verb(status: str, several: bool) -> str:
+    if status == "failed":
+        return "failed"
+    if status == "not planned":
+        return "were not run" if several else "was not run"
+    return f"{'are' if several else 'is'} {status}"

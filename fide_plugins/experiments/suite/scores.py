@@ -1,7 +1,9 @@
 """Renders to solve each problem of a suite, of the results of a comparison.
 
 A run that failed has solved nothing: its optimizer must not gain by failing.  A problem with a
-missing or unfinished run is left out, since it would say nothing of one optimizer.
+missing or unfinished run is left out, since it would say nothing of one optimizer.  A run is also
+missing where it was never planned: calls of `fide compare` add scenes, targets and optimizers, and
+need not add all of their combinations.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ class Scores:
     t: (P, S), renders after which a problem was solved; infinite if it was not.
     losses: (B, P, S), lowest loss by each budget.
     failed: optimizer and problem of each run that failed.
-    left_out: runs because of which other problems are left out.
+    left_out: optimizer, problem and status of each run because of which a problem is left out.
+        The status is that of a `StoredRun`, or "not planned".
+    not_shown: optimizers of the comparison that are none of these.
     """
 
     suite: Suite
@@ -42,7 +46,8 @@ class Scores:
     t: Float64
     losses: Float64
     failed: tuple[tuple[str, str], ...] = ()
-    left_out: tuple[StoredRun, ...] = ()
+    left_out: tuple[tuple[str, str, str], ...] = ()
+    not_shown: tuple[str, ...] = ()
 
     @property
     def scenes(self) -> list[str]:
@@ -73,17 +78,17 @@ def scores(results: Results) -> Scores:
     """
     AllFailedError.check(results)
     suite = read(results.settings["task_options"]["suite"])
-    labels = tuple(dict.fromkeys(run.key.configuration for run in results.runs))
+    labels = tuple(results.optimizers)
     table: dict[str, dict[str, StoredRun]] = {}
     for run in results.runs:
-        table.setdefault(run.key.task, {})
-        if run.status in _ENDED:
-            table[run.key.task][run.key.configuration] = run
-    whole = {name: runs for name, runs in table.items() if set(runs) == set(labels)}
+        table.setdefault(run.key.task, {})[run.key.configuration] = run
+    left_out = _left_out(table, labels)
+    open_ = {problem for _, problem, _ in left_out}
+    whole = {problem: runs for problem, runs in table.items() if problem not in open_}
     if not whole:
         raise NoResultsError(
             f"no problem in {results.path} is finished by all optimizers; run: fide compare "
-            "--resume"
+            "--resume, or show some of them: fide report --optimizers A,B"
         )
     rows = [[runs[label] for label in labels] for runs in whole.values()]
     ended = [run for row in rows for run in row]
@@ -92,11 +97,21 @@ def scores(results: Results) -> Scores:
     budgets = (*(b for b in suite.budgets if b < most), most)
     t = np.array([[_renders(suite, run) for run in row] for row in rows])
     losses = np.array([[[_loss(run, b) for run in row] for row in rows] for b in budgets])
-    left_out = tuple(run for run in results.runs if run.status not in _ENDED)
-    return Scores(suite, labels, tuple(whole), budgets, t, losses, failed, left_out)
+    return Scores(
+        suite, labels, tuple(whole), budgets, t, losses, failed, left_out, results.not_shown
+    )
 
 
-_ENDED = ("finished", "failed")
+def _left_out(
+    table: dict[str, dict[str, StoredRun]], labels: tuple[str, ...]
+) -> tuple[tuple[str, str, str], ...]:
+    """`Scores.left_out` of runs by problem and optimizer."""
+    every = (
+        (label, problem, runs[label].status if label in runs else "not planned")
+        for label in labels
+        for problem, runs in table.items()
+    )
+    return tuple(one for one in every if one[2] not in ("finished", "failed"))
 
 
 def _renders(suite: Suite, run: StoredRun) -> float:

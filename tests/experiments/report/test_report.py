@@ -421,6 +421,31 @@ def test_equal_and_infinite_medians_are_no_victory() -> None:
     assert panel.success(panel.rows[0]).reached == 1 and panel.threshold == np.inf
 
 
+def test_success_of_a_single_optimizer_is_no_second_best() -> None:
+    alone, both = [result("a", s, 0.1) for s in range(3)], [result("b", s, 0.2) for s in range(3)]
+    unstarted = [missing("b", s) for s in range(3)]
+    for runs, said in ((alone, "only"), (alone + unstarted, "only"), (alone + both, "second best")):
+        (panel,) = panels(results(runs), {})
+        assert sentences.threshold(panel).endswith(f"or less, the {said} median.")
+    (panel,) = panels(results([result("a", 0, None)]), {})
+    assert sentences.threshold(panel).endswith("since the only median is not finite.")
+
+
+def test_optimizers_are_chosen_by_name(study: Path, tmp_path: Path) -> None:
+    every = compare.read(study)
+    other = next(label for label in every.optimizers if label != "cma")
+    few = every.of(["cma"])
+    assert few.optimizers == ["cma"] and few.not_shown == (other,) and few.of(["cma"]).runs
+    assert every.of(every.optimizers[::-1]).runs == every.runs
+    written = report.write(few, tmp_path / "few.html")
+    assert "Not shown: <script>" in written.overview
+    assert "Not shown: &lt;script&gt;" in written.page.read_text()
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "few-results.csv").read_text())))
+    assert {row["optimizer"] for row in rows} == {"cma"}
+    with pytest.raises(OptionError, match="unknown optimizer of .*'cna'.*did you mean 'cma'"):
+        every.of(["cma", "cna"])
+
+
 def test_a_median_that_is_infinite_leaves_a_gap_and_its_band_reaches_the_top() -> None:
     runs = [result("a", s, 0.1) for s in range(4)] + [failed("a", s) for s in range(4, 9)]
     (panel,) = panels(results([*runs, *(result("b", s, 0.2) for s in range(9))]), {})

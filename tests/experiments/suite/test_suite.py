@@ -15,6 +15,7 @@ from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.experiments import suite as suites
 from fide_plugins.experiments.suite import definition, page
+from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.renderers.template import Template
 
@@ -196,6 +197,50 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     assert "Left out, 1 problem: random is missing on lamps-1." in printed.out
 
 
+def test_what_was_never_run_is_named_and_optimizers_may_be_chosen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An entrant who tries one problem first sees which ones are missing, and keeps the table."""
+    monkeypatch.chdir(tmp_path)
+    words = ["compare", "--suite", "image-fitting-v1", "--budget", 40, "--out", "out"]
+    first = ["--scenes", "lamps,sprites", "--targets", 2, "--optimizers", "random,cma"]
+    assert fide(*words, *first) == 0
+    whole = Path("out/solved.csv").read_text()
+    capsys.readouterr()
+    one = ["--scenes", "lamps", "--targets", 1, "--optimizers", "eki:popsize=20", "--resume"]
+    assert fide(*words, *one) == 0
+    printed = capsys.readouterr()
+    assert "image-fitting-v1: 1 run of 40 renders (--scenes" in printed.err
+    said = (
+        "Left out, 3 problems: eki:popsize=20 was not run on sprites-0, lamps-1, sprites-1.",
+        "fide compare --resume adds runs, fide report --optimizers A,B shows only these",
+    )
+    text = Path("out/report.md").read_text()
+    assert "1 of 110 problems" in printed.out
+    assert all(words in printed.out and words in text for words in said)
+
+    assert fide("report", "out", "-o", "out/two.html", "--optimizers", "cma,random") == 0
+    printed = capsys.readouterr()
+    assert "4 of 110 problems" in printed.out and "Left out" not in printed.out
+    assert "Not shown: eki:popsize=20." in printed.out
+    assert Path("out/two-solved.csv").read_text() == whole
+    assert fide("report", "out", "--optimizers", "cma,rnadom") == 2
+    assert "unknown optimizer of out 'rnadom'" in capsys.readouterr().err
+    assert fide("report", "out", "--optimizers", "cma:popsize=") == 2
+
+
+def test_optimizers_without_the_same_problems_are_named_together() -> None:
+    problems = [f"arm-{k}" for k in range(7)]
+    left_out = [(label, p, "not planned") for label in ("a", "b") for p in problems]
+    left_out += [("a", "lens-0", "missing"), ("b", "lens-0", "missing"), ("c", "lens-0", "missing")]
+    t = np.full((1, 1), np.inf)
+    found = Scores(SUITE, ("a",), ("arm-9",), (500,), t, t[None], left_out=tuple(left_out))
+    assert remarks(found)[0] == (
+        "Left out, 8 problems: a, b were not run on arm-0, arm-1, arm-2, arm-3, arm-4 and 2 more; "
+        "a, b, c are missing on lens-0."
+    )
+
+
 @pytest.mark.parametrize(
     ("budgets", "said"),
     [
@@ -234,12 +279,20 @@ def test_nothing_but_failures_is_exit_code_1(
             ["--optimizers", "cma,fide:budget=50"],
             "fide:budget=50 has a budget.*give .* --budget 50",
         ),
+        (["--optimizers", "cma,rnadom"], "unknown optimizer 'rnadom'.*did you mean 'random'"),
+        (["--optimizers", "cma:popsie=9"], "cma has no option 'popsie'; its options: .*popsize"),
+        (["--optimizers", "cma,cma"], "the optimizer 'cma' is named twice"),
         (["--suite", "image-fitting"], "unknown suite 'image-fitting'.*image-fitting-v1"),
     ],
 )
-def test_wrong_usage(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_usage_is_seen_before_a_scene_is_rendered(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(suites, "unavailable", lambda *_: pytest.fail("scenes were rendered"))
     out = tmp_path / "out"
     assert fide("compare", "--suite", "image-fitting-v1", *words, "--out", out) == 2
     assert re.search(message, capsys.readouterr().err)
