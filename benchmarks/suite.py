@@ -1,7 +1,8 @@
 """A suite for many optimizers: a run at a time, over days and machines.
 
     python benchmarks/suite.py                        # what is missing; can be stopped at any time
-    python benchmarks/suite.py --from runs/suite      # take over finished runs of `fide compare`
+    python benchmarks/suite.py --from runs/suite      # take over finished runs of `fide compare`,
+                                                      # of any budget of the suite
     python benchmarks/suite.py --table
     python benchmarks/suite.py --picture docs/images/suite.png          # data profile
     python benchmarks/suite.py --picture docs/images/suite_performance.png --performance
@@ -106,23 +107,41 @@ def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
-def taken_over(suite: Suite, found: results.Results) -> Iterator[Row]:
-    """Rows of the finished runs of a comparison of this suite, with its whole budget."""
+def take_over(suite: Suite, found: results.Results, out: Path) -> str:
+    """Add the finished runs of a comparison of this suite to the file; says how many, and why.
+
+    Exits for another suite's, and for one of a budget that the suite has not.
+    """
     if found.settings["task_options"] != {"suite": suite.name}:
         sys.exit(f"this is no comparison of {suite.name}")
-    for run in found.runs:
-        curve = run.curve
-        if run.status != "finished" or curve is None or curve.ends["renders"] < suite.budgets[-1]:
-            continue
-        at = curve.reaches("renders", suite.problem(run.key.task)[0].solved)
-        losses = curve.value("renders", suite.budgets).tolist()
-        yield row_of(
-            run.key.task,
-            run.key.configuration,
-            int(at) if np.isfinite(at) else None,
-            dict(zip(map(str, suite.budgets), losses, strict=True)),
-            curve.ends["seconds"],
-        )
+    budget = budget_of(suite, int(found.settings["budget"]))
+    days = [call["started"][:10] for call in found.calls]
+    made_by = {"date": days[-1], "commit": None, "packages": found.versions,
+               "machine": found.machine}  # fmt: skip
+    rows = [row_of_run(suite, run, budget) for run in found.runs if run.curve is not None]
+    taken = 0
+    for row in missing(rows, out, key, counts=long_enough(budget)):
+        append(out, row, made_by)
+        taken += 1
+    others = Counter(run.status for run in found.runs if run.curve is None)
+    there = {f"in {out} already": len(rows) - taken} if taken < len(rows) else {}
+    why = [f"{n} {status}" for status, n in (there | others).items()]
+    return f"{taken} of {len(found.runs)} runs are taken{'; '.join(['', *why])}"
+
+
+def row_of_run(suite: Suite, run: results.StoredRun, budget: int) -> Row:
+    """Row of a finished run of a comparison with that budget."""
+    assert run.curve is not None
+    at = run.curve.reaches("renders", suite.problem(run.key.task)[0].solved)
+    budgets = [b for b in suite.budgets if b <= budget]
+    losses = run.curve.value("renders", budgets).tolist()
+    return row_of(
+        run.key.task,
+        run.key.configuration,
+        int(at) if np.isfinite(at) else None,
+        dict(zip(map(str, budgets), losses, strict=True)),
+        run.curve.ends["seconds"],
+    )
 
 
 def row_of(
@@ -225,11 +244,7 @@ def main() -> None:
         chosen = [row for row in rows_of(out) if suite.parts(row["problem"])[0] in scenes]
         show(scores(suite, chosen, optimizers, budget), chosen, arguments)
     elif arguments.folder:
-        there = results.read(arguments.folder)
-        made_by = {"commit": None, "packages": there.versions, "machine": there.machine}
-        whole = long_enough(suite.budgets[-1])
-        for row in missing(taken_over(suite, there), out, key, counts=whole):
-            append(out, row, made_by)
+        print(take_over(suite, results.read(arguments.folder), out))
     else:
         targets = len(suite.targets) if arguments.targets is None else arguments.targets
         runs = planned(suite, scenes, optimizers, targets)

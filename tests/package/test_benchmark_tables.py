@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 
 from fide_plugins import optimizers
+from fide_plugins.experiments.compare import Results, RunKey, StoredRun
+from fide_plugins.experiments.compare.results import AXES, Curve
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 pytestmark = pytest.mark.skipif(not BENCHMARKS.exists(), reason="the benchmarks are not here")
@@ -143,6 +145,38 @@ def test_of_a_suite_the_longest_run_of_a_problem_counts(program: Any) -> None:
         np.testing.assert_array_equal(found.losses[:, 0, 0], 1e-6)
     with pytest.raises(SystemExit, match="two rows of one run"):
         suite.scores(definition, [rows[0], rows[0]], ["fide"], 2000)
+
+
+def test_finished_runs_of_a_comparison_are_taken_over_at_any_budget_of_the_suite(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    suite, out = program("suite"), tmp_path / "rows.jsonl"
+
+    def run(problem: str, status: str, found: Any = None) -> StoredRun:
+        return StoredRun(RunKey(problem, "mse", "cma", 0), tmp_path, status, curve=found)
+
+    at = {axis: np.array([1.0, 700.0]) for axis in AXES}
+    curve = Curve(at, dict.fromkeys(AXES, 2000.0), np.array([0.1, 1e-6]), {})
+    runs = [run("lamps-0", "finished", curve), run("lamps-1", "finished", curve)]
+    runs += [run("arm-0", "failed"), run("arm-1", "missing"), run("lens-0", "missing")]
+    settings = {"task_options": {"suite": "image-fitting-v1"}, "budget": 2000}
+    calls = [{"started": "2026-11-27T10:00:00+00:00"}]
+    there = Results(tmp_path, settings, calls, {"numpy": "2.4.6"}, {"cpu": "A"}, runs)
+    shorter = {"problem": "lamps-0", "optimizer": "cma", "solved_at": None, "losses": {"500": 0.1}}
+    as_long = shorter | {"problem": "lamps-1", "losses": {"500": 0.1, "2000": 0.1}}
+    out.write_text("".join(json.dumps(row) + "\n" for row in (shorter, as_long)))
+    monkeypatch.setattr(suite.results, "read", lambda folder: there)
+    monkeypatch.setattr(sys, "argv", ["suite.py", "--from", "runs", "--out", str(out)])
+    suite.main()
+    said = f"1 of 5 runs are taken; 1 in {out} already; 1 failed; 2 missing\n"
+    assert capsys.readouterr().out == said
+    row = json.loads(out.read_text().splitlines()[-1])
+    assert (row["problem"], row["solved_at"]) == ("lamps-0", 700)
+    assert row["losses"] == {"500": 0.1, "2000": 1e-6}
+    assert suite.origin([row]).machine["days"] == "2026-11-27 to 2026-11-27"
+    there.settings["budget"] = 600
+    with pytest.raises(SystemExit, match="no budget of 600 renders; it has 500, 2000, 10000"):
+        suite.main()
 
 
 def test_the_page_of_a_suite_says_what_made_its_rows(
