@@ -152,7 +152,7 @@ def test_finished_runs_of_a_comparison_are_taken_over_at_any_budget_of_the_suite
 ) -> None:
     suite, out = program("suite"), tmp_path / "rows.jsonl"
 
-    def run(problem: str, status: str, found: Any = None) -> StoredRun:
+    def run(problem: str, status: Any, found: Any = None) -> StoredRun:
         return StoredRun(RunKey(problem, "mse", "cma", 0), tmp_path, status, curve=found)
 
     at = {axis: np.array([1.0, 700.0]) for axis in AXES}

@@ -45,8 +45,8 @@ def _listed(runs: Iterable[tuple[str, str, str]]) -> str:
     for label, problem, status in runs:
         of.setdefault((label, status), []).append(problem)
     groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for (label, status), problems in of.items():
-        groups.setdefault((status, tuple(problems)), []).append(label)
+    for (label, status), its in of.items():
+        groups.setdefault((status, tuple(its)), []).append(label)
     parts = []
     for (status, problems), labels in groups.items():
         more = f" and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
