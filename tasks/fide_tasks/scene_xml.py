@@ -22,6 +22,7 @@ from xml.etree.ElementTree import Element
 __all__ = ["read", "text"]
 
 _PLUGIN = re.compile(r"\w*")  # names of plugins; with a dot or a slash they would be paths
+_REFERRING = ("include", "path", "default")  # elements that `_Reader.place` resolves
 
 
 def read(file: Path) -> Element:
@@ -30,7 +31,14 @@ def read(file: Path) -> Element:
     Raises FileNotFoundError if a file that it names is missing; ValueError if it is malformed, or
     names a file outside its folder.
     """
-    return _Reader(file).scene()
+    scene = _Reader(file).scene()
+    for element in scene.iter():  # as the root of an included file, where Mitsuba takes none
+        if element.tag in _REFERRING:
+            raise ValueError(
+                f"the scene {str(file)!r} includes a file whose root element is <{element.tag}>; "
+                "make <scene> its root and put that element into it"
+            )
+    return scene
 
 
 def text(scene: Element) -> str:

@@ -147,6 +147,18 @@ def test_names_lead_where_mitsuba_finds_them(tmp_path: Path, body: str, included
         checked_scene(xml(folder, SENSOR + EMITTER + body))
 
 
+@pytest.mark.parametrize("root", ["include", "path", "default"])
+def test_no_element_that_mitsuba_would_resolve_is_left(tmp_path: Path, root: str) -> None:
+    """Of an included file it stands in the place of the <include>."""
+    (tmp_path / "sub").mkdir()
+    xml(tmp_path, "", "c.xml")
+    attributes = 'filename="c.xml"' if root == "include" else 'name="n" value="sub"'
+    (tmp_path / "b.xml").write_text(f'<{root} version="3.0.0" {attributes}/>')
+    path = xml(tmp_path, SENSOR + EMITTER + '<include filename="b.xml"/>')
+    with pytest.raises(ValueError, match=f"root element is <{root}>; make <scene> its root"):
+        checked_scene(path)
+
+
 @pytest.mark.parametrize("kind", ["../court", "/tmp/court", "sub/court", "court.v2", "c\\court"])
 def test_types_that_are_paths_are_refused(tmp_path: Path, kind: str) -> None:
     path = xml(tmp_path, SENSOR + EMITTER + f'<shape type="{kind}"/>')

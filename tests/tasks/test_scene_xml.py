@@ -86,6 +86,25 @@ def test_a_mesh_beside_an_included_file_is_not_found_as_by_mitsuba(tmp_path: Pat
         mi.load_file(str(path))
 
 
+@pytest.mark.parametrize(
+    "root", ['include filename="c.xml"', 'path value="sub"', 'default name="file" value="one.obj"']
+)
+def test_an_included_file_is_a_scene_or_an_object_as_for_mitsuba(
+    tmp_path: Path, mi: Any, root: str
+) -> None:
+    """An <include> that stayed would be opened by Mitsuba, whatever file it names."""
+    mesh(tmp_path / "one.obj", 1)
+    write(tmp_path / "c.xml", SHAPE.format("one.obj"))
+    (tmp_path / "sub").mkdir()
+    write(tmp_path / "b.xml", "", root)
+    path = write(tmp_path / "scene.xml", LIT + '<include filename="b.xml"/>')
+    tag = root.split()[0]
+    with pytest.raises(ValueError, match=f"root element is <{tag}>"):
+        scene_xml.read(path)
+    with pytest.raises(RuntimeError, match=f'unexpected attribute "version" in element <{tag}>'):
+        mi.load_file(str(path))
+
+
 BODY = """
 <default name="size" value="2"/>
 <bsdf type="twosided" id="wall">
