@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from zlib import compress, crc32
 
 import numpy as np
 import optuna
@@ -79,6 +81,48 @@ def test_point_16_artifacts_of_another_sampler_s_trials(bench: Bench, tmp_path: 
     assert len(caught) == 1
     counts = bench.sampler_of(study).counts(study)
     assert counts == {"injected": 4, "member": 3, "image": 5}
+
+
+class ClientError(Exception):
+    """Of a store's client: a direct subclass of Exception, as that of S3."""
+
+
+class Closed(FileSystemArtifactStore):
+    def open_reader(self, artifact_id: str) -> BinaryIO:
+        raise ClientError("access denied")
+
+
+def bomb() -> bytes:
+    """PNG of a few bytes whose header says 20,000 x 20,000 pixels, which PIL refuses."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", crc32(kind + data))
+
+    size = struct.pack(">IIBBBBB", 20_000, 20_000, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", size) + chunk(b"IDAT", compress(b""))
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [(FileSystemArtifactStore, "decompression bomb"), (Closed, "access denied")],
+)
+def test_an_image_that_cannot_be_read_for_any_reason_costs_only_itself(
+    bench: Bench, tmp_path: Path, kind: type[FileSystemArtifactStore], message: str
+) -> None:
+    (tmp_path / "store").mkdir()
+    study = optuna.create_study(sampler=RandomSampler(seed=0))
+
+    def objective(trial: Trial) -> float:
+        upload(trial, study, FileSystemArtifactStore(tmp_path / "store"), bench.target, tmp_path)
+        return sum(bench.suggest(trial))
+
+    study.optimize(objective, n_trials=1)
+    for path in (tmp_path / "store").iterdir():
+        path.write_bytes(bomb())
+    study.sampler = bench.sampler(artifact_store=kind(tmp_path / "store"))
+    with pytest.warns(RuntimeWarning, match=f"counts without it: .*{message}"):
+        study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=2)
+    assert counts_of(study) == {"injected": 1, "member": 2, "image": 0}
 
 
 @pytest.mark.parametrize(
