@@ -25,14 +25,12 @@ from fide_plugins.fitting.failures import EvaluationError, Failures, GivenUpErro
 from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.base import Task, Workers
+from fide_plugins.fitting.workers.base import LOOK, Task, Workers, late
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64
 
 __all__ = ["Loop"]
-
-_LOOK = 0.25  # seconds between two looks at the clocks of renders that may take too long
 
 
 class Loop:
@@ -162,9 +160,9 @@ class Loop:
 
     def _next(self) -> Task | None:
         """A render that is done, or that has taken too long; None: look at the clock."""
-        late = self._late()
-        if late is not None:
-            return late
+        overdue = late(self.workers, self._running, self._timeout)
+        if overdue is not None:
+            return overdue
         try:
             with self._waiting_for_renders(), self._interrupts.stoppable():
                 task = self._arrived.get(timeout=self._patience())
@@ -183,7 +181,7 @@ class Loop:
 
     def _patience(self) -> float | None:
         """Seconds to wait at most."""
-        limits = [_LOOK if self._timeout is not None else None, self._left()]
+        limits = [LOOK if self._timeout is not None else None, self._left()]
         return min((limit for limit in limits if limit is not None), default=None)
 
     def _left(self) -> float | None:
@@ -192,17 +190,6 @@ class Loop:
             return None
         self.tick()
         return max(0.0, self._stopping.seconds - self.record.wall_s)
-
-    def _late(self) -> Task | None:
-        """A render that takes too long."""
-        if self._timeout is None:
-            return None
-        now = time.monotonic()
-        for task in self._running:
-            began = self.workers.began(task)
-            if began is not None and now - began > self._timeout and not task.done():
-                return task
-        return None
 
     def _outcome(self, task: Task) -> Outcome:
         if task.done():

@@ -284,6 +284,14 @@ def test_a_renderer_that_cannot_render_is_found_by_the_first_render(
     assert not Path("runs").exists()
 
 
+@pytest.mark.usefixtures("target")
+def test_the_time_of_the_first_render_is_counted_from_its_beginning() -> None:
+    """As in the fit: the start of the worker, which imports the renderer, is none of it."""
+    Path("slow.py").write_text("import time\ntime.sleep(1)\nfrom scene import render, space\n")
+    words = ["--renderer", "slow.py:render", "--workers", 1, "--timeout", 1, "--budget", 4]
+    assert fide("fit", "target.png", *words) == 0
+
+
 def test_a_program_that_writes_another_size_is_refused(
     program: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

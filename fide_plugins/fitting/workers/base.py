@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable
 from concurrent.futures import Future
 from typing import Any, Protocol, TypeAlias
 
 from fide_plugins.fitting.rendering import Outcome
 
-__all__ = ["Task", "Workers"]
+__all__ = ["LOOK", "Task", "Workers", "late"]
+
+LOOK = 0.25
+"""Seconds between two looks at the clocks of renders that may take too long."""
 
 Task: TypeAlias = "Future[Outcome]"
 """A render that was begun, or will be as soon as a worker is free."""
@@ -49,3 +54,18 @@ class Workers(Protocol):
 
     def close(self) -> None:
         """Stop all renders, and give back what was taken for them."""
+
+
+def late(workers: Workers, tasks: Iterable[Task], timeout: float | None) -> Task | None:
+    """First task that is not done `timeout` seconds after its render began; None: there is none.
+
+    timeout: None: a render may take any time.
+    """
+    if timeout is None:
+        return None
+    now = time.monotonic()
+    for task in tasks:
+        began = workers.began(task)
+        if began is not None and now - began > timeout and not task.done():
+            return task
+    return None
