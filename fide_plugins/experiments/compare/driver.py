@@ -147,7 +147,9 @@ def _work(
 
 def _lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:
     """Outcome of a run whose process died."""
-    files.write_text(out / item[0].folder / ERROR, why + "\n")
+    folder = out / item[0].folder
+    folder.mkdir(parents=True, exist_ok=True)  # it may have died before the run began
+    files.write_text(folder / ERROR, why + "\n")
     return Outcome(item[0], "failed", why)
 
 

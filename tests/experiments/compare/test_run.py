@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ import pytest
 from fide_plugins import optimizers
 from fide_plugins.baselines.random import Random
 from fide_plugins.experiments import compare, run as harness
-from fide_plugins.experiments.compare import Outcome, RunKey
+from fide_plugins.experiments.compare import Outcome, RunKey, processes
 from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.recording.directory import RunDirectoryError
-from fide_plugins.runtime import files
+from fide_plugins.runtime import files, machine
 
 from .conftest import Raises, contents, small
 
@@ -223,6 +224,21 @@ def test_a_failure_is_recorded_and_the_others_go_on(
     assert {r.key.configuration: r.status for r in compare.read(tmp_path).runs}[
         "raises"
     ] == "finished"
+
+
+def test_a_process_that_dies_before_its_run_begins_costs_that_run_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dying(work: Any, items: list[Any], jobs: int, lost: Any) -> Iterator[Outcome]:
+        yield lost(items[0])
+        yield from map(work, items[1:])
+
+    monkeypatch.setattr(processes, "in_processes", dying)
+    monkeypatch.setattr(machine, "cores", lambda: 2)
+    outcomes = compare.run(small("random", seeds=2), tmp_path, jobs=2)
+    assert [outcome.kind for outcome in outcomes] == ["failed", "done"]
+    said = (tmp_path / outcomes[0].key.folder / "error.txt").read_text()
+    assert said == f"{outcomes[0].note}\n" == "the process that ran it died\n"
 
 
 def test_a_failure_that_is_repeated_and_interrupted_is_one_no_more(
