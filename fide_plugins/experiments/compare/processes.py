@@ -76,12 +76,17 @@ class _Worker:
         self._pool, self._pid = _pool(), 0
 
     def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
-        """Start `work` on an item."""
+        """Start `work` on an item; where no process starts, its future has the error."""
         try:
             return self._submit(work, item)
         except BrokenProcessPool:  # the process died while it was idle
             self.restart()
+        try:
             return self._submit(work, item)
+        except BrokenProcessPool as error:
+            failed: Future[Any] = Future()
+            failed.set_exception(error)
+            return failed
 
     def _submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
         self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
