@@ -12,6 +12,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.fitting import Fitting
+from fide_plugins.fitting.progress import check_progress
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
@@ -176,6 +177,7 @@ def prepare(
     if switch("resume", resume) and out is None:
         raise OptionError("resume=True needs the run directory: give out=DIR")
     watchers = Callbacks(callbacks)
+    check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = whole_number("workers", workers, 0)
     options = dict(options or {})

@@ -9,7 +9,13 @@ from contextlib import contextmanager
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.record import Progress, Report
 
-__all__ = ["reporting"]
+__all__ = ["check_progress", "reporting"]
+
+
+def check_progress(progress: object) -> None:
+    """Raise OptionError (a ValueError) unless it is True, False, None or a function."""
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
+        raise OptionError(f"progress must be True, False, None or a function, not {progress!r}")
 
 
 @contextmanager
@@ -21,17 +27,16 @@ def reporting(progress: object) -> Iterator[Report | None]:
 
     Raises OptionError (a ValueError).
     """
+    check_progress(progress)
     if progress is None:
         progress = sys.stderr is not None and sys.stderr.isatty()
-    if progress is False:
-        yield None
-    elif progress is True:
+    if callable(progress):
+        yield progress
+    elif progress:
         with _bar() as report:
             yield report
-    elif callable(progress):
-        yield progress
     else:
-        raise OptionError(f"progress must be True, False, None or a function, not {progress!r}")
+        yield None
 
 
 @contextmanager

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 
 import pytest
 
 from fide_plugins import fit
+from fide_plugins.errors import OptionError
 from fide_plugins.experiments.run import Progress
 from fide_plugins.fitting import progress as bars
 
@@ -30,6 +32,15 @@ def test_a_function_hears_of_failures() -> None:
         result = fit(disk("raises"), target(), SPACE, 60, workers=0, seed=0, progress=seen.append)
     assert result.failures > 0
     assert seen[-1].remark == f"0 rendering, {result.failures} failed"
+
+
+@pytest.mark.parametrize("progress", ["yes", 1, []])
+def test_what_is_no_progress_is_refused_before_anything_is_written(
+    progress: object, tmp_path: Path
+) -> None:
+    with pytest.raises(OptionError, match="progress must be True, False, None or a function"):
+        fit(disk(), target(), SPACE, 4, workers=0, out=tmp_path / "run", progress=progress)
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_bar_names_the_stage_where_there_is_no_loss_yet(
