@@ -139,7 +139,7 @@ class Run:
                 interrupts.hold()
                 try:
                     self._leave("failed")
-                except OSError as unsaved:
+                except Exception as unsaved:  # of the disk, or of a user's optimizer
                     note_unsaved(error, unsaved)
                 raise
             interrupts.hold()

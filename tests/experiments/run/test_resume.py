@@ -282,6 +282,22 @@ def test_a_renderer_that_fails_loses_nothing(tmp_path: Path) -> None:
     assert same(resumed, harness.run(Tint(), "cma", **settings))
 
 
+def test_an_optimizer_that_cannot_be_saved_hides_no_error(tmp_path: Path) -> None:
+    class Unsaved(Random):
+        def save(self, path: object) -> None:
+            raise ArithmeticError("save is broken")
+
+    task = Tint()
+    task.at_call[2] = lambda: 1 // 0
+    optimizers.register("unsaved", Unsaved)
+    try:
+        with pytest.raises(RenderError, match="tint failed to render") as caught:
+            harness.run(task, "unsaved", budget=200, out=tmp_path, checkpoint_every=1e9)
+    finally:
+        optimizers._REGISTRY._factories.pop("unsaved")
+    assert any("save is broken" in note for note in caught.value.__notes__)
+
+
 def test_an_optimizer_that_fails_leaves_its_results(tmp_path: Path) -> None:
     class Breaks(Random):
         def ask_ready(self) -> Any:
