@@ -90,14 +90,20 @@ class Combination:
         return np.inf if np.isnan(value) else value
 
     def points(self, axis: str) -> list[Point]:
-        """Points along the runs if `anytime`; otherwise one point at their end."""
+        """Points along the runs if `anytime`; otherwise one point at their end.
+
+        Only those of finite loss: a run without any is infinite all along.
+        """
+        curves = [run.curve for run in self.runs if run.curve]
+        starts = [curve.at[axis][0] for curve in curves if len(curve.loss)]
         if not self.anytime:
             found = [Point(self.end(axis), self.final, self)]
-        else:
-            first = min(run.curve.at[axis][0] for run in self.runs if run.curve)
-            longest = max(run.curve.ends[axis] for run in self.runs if run.curve)
-            marks = np.geomspace(max(first, 1e-6), longest, MARKS).tolist()
+        elif starts:
+            longest = max(curve.ends[axis] for curve in curves)
+            marks = np.geomspace(max(min(starts), 1e-6), longest, MARKS).tolist()
             found = [Point(cost, self.loss_at(axis, cost), self) for cost in marks]
+        else:
+            found = []
         return [point for point in found if np.isfinite(point.loss)]
 
 

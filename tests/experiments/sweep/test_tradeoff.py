@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare import RunKey, StoredRun
 from fide_plugins.experiments.compare.results import Curve
 from fide_plugins.experiments.sweep import Combination, Grid, best_within, front, read
+from fide_plugins.experiments.sweep.front import AXES
 
 SMALL = ["--budget", "60", "--task-set", "cells=2", "--popsize", "6"]
 
@@ -70,6 +72,15 @@ def test_where_images_differ_a_run_counts_from_its_end_on() -> None:
     late = made("fide:late", [10, 20, 30], [0.8, 0.3, 0.1], anytime=False)
     assert best_within([late], "seconds", 29.9) is None
     assert [(p.cost, p.loss) for p in front([late], "seconds")] == [(30, 0.1)]
+
+
+def test_a_run_without_a_finite_loss_is_no_point_and_an_infinite_one_in_medians() -> None:
+    none = Curve({axis: np.empty(0) for axis in AXES}, dict.fromkeys(AXES, 3.0), np.empty(0), {})
+    lost = replace(QUICK.runs[0], curve=none)
+    assert not front([replace(QUICK, runs=(lost,), finals=(np.inf,))], "seconds")
+    two_of_three = replace(QUICK, runs=(*QUICK.runs * 2, lost), finals=(0.4, 0.4, np.inf))
+    points = [(p.cost, p.loss) for p in front([two_of_three], "seconds")]
+    assert points == [(p.cost, p.loss) for p in front([QUICK], "seconds")]
 
 
 def test_the_grid_is_every_combination_and_leaves_the_network_to_those_that_have_one() -> None:
