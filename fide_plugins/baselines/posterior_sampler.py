@@ -114,6 +114,7 @@ class PosteriorSampler:
         """Put back what `state_dict` gave; numpy arrays serve as tensors; ValueError if none."""
         check(state, _SCHEMA, {})
         self.proposer.load_state_dict(state["proposer"])
+        self._scale = None  # that of a state before training
         if state["scale"] is not None:
             mean, spread = (torch.as_tensor(part) for part in state["scale"])
             self._scale = mean, spread

@@ -55,6 +55,17 @@ def test_samples_lie_in_the_unit_cube_and_repeat_with_the_seed() -> None:
     assert first.max() <= 1
 
 
+def test_a_state_before_training_is_put_back_whole() -> None:
+    fresh, used = (PosteriorSampler(2, epochs=1, width=24, blocks=1) for _ in range(2))
+    before = fresh.state_dict()
+    x = np.random.default_rng(0).random((50, 2))
+    used.update(x, 5 + 3 * unordered(x))
+    used.load_state_dict(before)
+    assert used.state_dict()["scale"] is None
+    image = unordered(np.array([[0.2, 0.8]]))[0]
+    np.testing.assert_array_equal(used.sample(9, image), fresh.sample(9, image))
+
+
 def test_channels_that_never_vary_do_no_harm() -> None:
     x = np.random.default_rng(0).random((50, 2))
     tokens = torch.cat([unordered(x), torch.ones(50, 1, 3)], dim=2)
