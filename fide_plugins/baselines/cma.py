@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.penalty import quietly
+from fide_plugins.baselines.penalty import quietly, worse_than
 from fide_plugins.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
@@ -111,5 +111,5 @@ def _finite(losses: Float64) -> Float64:
     good = np.isfinite(losses)
     if good.all():
         return losses
-    worst = np.max(losses[good], initial=0.0)
-    return np.where(good, losses, worst + 1.0 + abs(worst))
+    worst = float(np.max(losses[good], initial=0.0))
+    return np.where(good, losses, worse_than(worst))

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
-__all__ = ["Penalty", "quietly"]
+__all__ = ["Penalty", "quietly", "worse_than"]
+
+
+def worse_than(loss: float) -> float:
+    """A finite loss above a finite one, unless that is the largest number there is."""
+    return min(loss + 1.0 + abs(loss), sys.float_info.max)
 
 
 class Penalty:
@@ -22,8 +28,7 @@ class Penalty:
         if np.isfinite(loss):
             self._worst = loss if self._worst is None else max(loss, self._worst)
             return loss
-        worst = 0.0 if self._worst is None else self._worst
-        return min(worst + 1.0 + abs(worst), float(np.finfo(float).max))
+        return worse_than(0.0 if self._worst is None else self._worst)
 
 
 @contextmanager

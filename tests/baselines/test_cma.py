@@ -38,6 +38,19 @@ def test_it_is_the_library_to_the_last_bit() -> None:
     np.testing.assert_array_equal(ours.recommend(), reference.result.xfavorite)
 
 
+@pytest.mark.parametrize("largest", [1e308, np.finfo(float).max, -3.0])
+def test_the_library_gets_finite_losses_with_the_same_ranking(
+    largest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[list[float]] = []
+    opt = CMA(2, popsize=4)
+    monkeypatch.setattr(opt._es, "tell", lambda X, losses: told.append(losses))
+    opt.tell(opt.ask(), losses=[-5.0, largest, np.nan, np.inf])
+    (losses,) = told
+    assert losses[:2] == [-5.0, largest] and np.isfinite(losses).all()
+    assert losses[2] == losses[3] >= largest
+
+
 @pytest.mark.parametrize("dim", [2, 5, 10])
 def test_rosenbrock_is_solved(dim: int) -> None:
     """By most searches: from four dimensions on there is a second minimum."""
