@@ -105,8 +105,12 @@ def resolve(
 
     A loss that is given by its name computes on the device, if it can; None: where it likes.
     Without a target (None) the loss is checked and has its name, and raises LossError for images.
-    A loss that was made by `make` must be one for this target's size.  The values of any other
-    callable are checked each time: n real numbers, or `LossError`.  NaN and infinity are values.
+    A loss that was made by `make` must be one for this very target; of a registered callable only
+    the target's shape can be compared.  The values of any other callable are checked each time: n
+    real numbers, or `LossError`.  NaN and infinity are values.
+
+    Raises `LossError` for a loss of another target, or what is no loss; what `make` raises for a
+    name.
     """
     from fide_plugins.losses.base import CallableLoss, LossOfTarget, LossWithoutTarget
     from fide_plugins.runtime.callables import name_of
@@ -121,6 +125,8 @@ def resolve(
         loss.check_target(target)
         return loss
     if isinstance(loss, CallableLoss):
+        if target is not None:
+            loss.check_target(target)
         return loss
     if not callable(loss):
         raise LossError(

@@ -152,6 +152,18 @@ class CallableLoss:
         self._function = function
         self._shape = as_target(target).shape
 
+    def check_target(self, target: object) -> None:
+        """Raise `LossError` unless `target` has the shape of the one that this loss was made for.
+
+        What else of the target the function depends on is not known.
+        """
+        shape = as_target(target).shape
+        if shape != self._shape:
+            raise LossError(
+                f"the loss {self.name!r} was made for images of shape {self._shape}, and the "
+                f"target of the optimizer has shape {shape}; make it for that target"
+            )
+
     def __call__(self, images: object) -> Float64:
         """Losses (n,) of images, after validation."""
         return self.compute(as_batch(images, self._shape))
