@@ -85,8 +85,9 @@ class ReverseCommunication:
             self._thread = threading.Thread(target=work, args=(self._search,), daemon=True)
             self._end = weakref.finalize(self, _cancel, self._channel, self._thread)
             self._go_on(self._thread.start)
-        if self._running:
-            self._wait()
+        if self._running:  # Ctrl-C came while it was waited for
+            with self._around():
+                self._wait()
         return self._point
 
     def answer(self, value: Any) -> None:

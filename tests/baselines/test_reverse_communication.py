@@ -92,6 +92,37 @@ def test_the_surroundings_are_those_of_the_library_while_it_runs() -> None:
     assert inside == ["in", "out"] * 4
 
 
+def test_the_surroundings_are_those_of_the_library_after_ctrl_c_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    depth, depths = 0, []
+
+    @contextmanager
+    def around() -> Iterator[None]:
+        nonlocal depth
+        depth += 1
+        try:
+            yield
+        finally:
+            depth -= 1
+
+    caller = ReverseCommunication(count, around)
+    wait = caller._wait
+
+    def interrupted() -> None:
+        depths.append(depth)
+        if len(depths) == 1:
+            raise KeyboardInterrupt
+        wait()
+
+    monkeypatch.setattr(caller, "_wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        caller.point()
+    assert caller.point() is not None
+    assert depths == [1, 1] and depth == 0
+    caller.close()
+
+
 def test_python_exits_while_a_search_waits() -> None:
     program = (
         "from fide_plugins.baselines.reverse_communication import ReverseCommunication\n"
