@@ -8,13 +8,15 @@ Every parameter moves along a sine of its own, slowly.  For every tenth frame a 
 until its loss is the one that counts as solved (in the suite image-fitting-v1), at most `--fresh`
 images (2,000).  The median of its losses, or the one that counts as solved if that is higher, is
 the goal: by `retarget` each frame is rendered until it has that, at most `--most` times.  Every
-frame is a line of the file `--out`, beside which the optimizer is saved after each: what is there
-already is not done again.
+frame is a line of the file `--out`, beside which the optimizer is saved after each, under a name of
+its own for all options of the video: what is there already is not done again.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -34,6 +36,8 @@ AMPLITUDE = 0.1  # of the box
 PERIODS = (40, 120)  # frames
 EVERY = 10  # frames, of which a fresh search is made
 BATCH = 5  # candidates asked at once
+CELL = ("task", "size", "seed", "frames", "fresh", "preset", "proposer")  # of one video
+USUAL: Row = {"frames": 60, "fresh": 2000, "preset": "balanced"}  # not named in the table
 
 
 def frames_of(task: fide_tasks.Task, n: int, seed: int) -> Float32:
@@ -63,9 +67,8 @@ def run(arguments: argparse.Namespace) -> None:
     task = fide_tasks.make(arguments.task, size=arguments.size, seed=arguments.seed)
     solved = suite.read("image-fitting-v1").scenes[arguments.task].solved
     frames = frames_of(task, arguments.frames, arguments.seed)
-    names = ("task", "size", "seed", "frames", "fresh", "preset", "proposer")
-    cell = {name: getattr(arguments, name) for name in names}
-    known = {row["frame"]: row for row in of_video(arguments.out, cell) if row["kind"] == "fresh"}
+    cell = {name: getattr(arguments, name) for name in CELL}
+    known = of_video(arguments.out, cell, "fresh")
     options = {"preset": arguments.preset, "seed": arguments.seed, "proposer": arguments.proposer}
     for t in range(0, arguments.frames, EVERY):
         if t not in known:
@@ -73,25 +76,45 @@ def run(arguments: argparse.Namespace) -> None:
             known[t] = {"renders": n, "loss": loss}
             append(arguments.out, {**cell, "kind": "fresh", "frame": t, **known[t]})
     goal = max(solved, float(np.median([row["loss"] for row in known.values()])))
-    done = len([row for row in of_video(arguments.out, cell) if row["kind"] == "retarget"])
-    # without its checkpoint a video begins again; of the same frame the last line counts
-    saved = arguments.out.with_suffix(f".{arguments.task}.{arguments.seed}.checkpoint")
-    done = done if saved.exists() else 0
-    opt = FIDE.load(saved) if done else FIDE(task.dim, frames[0], **options)
-    for t in range(done, arguments.frames):
+    there = of_video(arguments.out, cell, "retarget")
+    saved = arguments.out.with_suffix(f".{digest(cell)}.checkpoint")
+    if len(there) == arguments.frames:
+        saved.unlink(missing_ok=True)  # of a call that was killed at its end
+        return
+    if not saved.exists():  # then a video begins again; of the same frame the last line counts
+        there = {}
+    opt = FIDE.load(saved) if there else FIDE(task.dim, frames[0], **options)
+    for t in range(frames_in(opt, there), arguments.frames):
         if t:
             opt.retarget(frames[t])
         n, loss = search(opt, task, arguments.most if t else 10 * arguments.fresh, goal)
         print(f"frame {t}: {n} renders, loss {loss:.3g}, goal {goal:.3g}", flush=True)
-        opt.save(saved)
         found = {"kind": "retarget", "frame": t, "renders": n, "loss": loss, "goal": goal}
-        append(arguments.out, {**cell, **found})
+        if t not in there:  # or the call was killed before the optimizer was saved
+            append(arguments.out, {**cell, **found})
+        opt.save(saved)
     saved.unlink(missing_ok=True)
 
 
-def of_video(path: Path, cell: Row) -> list[Row]:
-    """Rows of the file that belong to one video."""
-    return [row for row in rows_of(path) if all(row[name] == cell[name] for name in cell)]
+def of_video(path: Path, cell: Row, kind: str) -> dict[int, Row]:
+    """Rows of the file of that kind that belong to one video, by frame."""
+    whole = {**cell, "kind": kind}
+    return {
+        row["frame"]: row
+        for row in rows_of(path)
+        if all(row[name] == value for name, value in whole.items())
+    }
+
+
+def digest(cell: Row) -> str:
+    """Of all that defines a video."""
+    return hashlib.sha256(json.dumps(cell, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def frames_in(opt: FIDE, there: dict[int, Row]) -> int:
+    """How many of the first frames the optimizer has searched; there: rows of the video."""
+    rendered = np.cumsum([there[t]["renders"] for t in sorted(there)])
+    return int(np.searchsorted(rendered, opt.evaluations, side="right"))
 
 
 def table(rows: list[Row]) -> str:
@@ -104,13 +127,15 @@ def table(rows: list[Row]) -> str:
     videos: dict[tuple[Any, ...], dict[int, Row]] = {}
     fresh: dict[tuple[Any, ...], dict[int, int]] = {}
     for row in rows:
-        key = (row["task"], row["size"], row["seed"], row["proposer"])
+        key = tuple(row[name] for name in CELL)
         if row["kind"] == "retarget":
             videos.setdefault(key, {})[row["frame"]] = row
         else:
             fresh.setdefault(key, {})[row["frame"]] = row["renders"]
     for key, found in sorted(videos.items()):
-        task, size, seed, proposer = key
+        cell = dict(zip(CELL, key, strict=True))
+        others = [f"{name} {cell[name]}" for name in USUAL if cell[name] != USUAL[name]]
+        scene = f"{cell['task']}, {cell['size']} px, seed {cell['seed']}, {cell['proposer']}"
         alone = float(np.mean(list(fresh[key].values())))
         later = [row for frame, row in found.items() if frame]
         renders = [row["renders"] for row in later]
@@ -119,7 +144,7 @@ def table(rows: list[Row]) -> str:
             f"{np.median(renders):.0f}, {np.mean(renders):.0f}, {np.quantile(renders, 0.9):.0f}"
         )
         lines.append(
-            f"| {task}, {size} px, seed {seed}, {proposer} | {len(found)} | {found[0]['goal']:.2g} "
+            f"| {', '.join([scene, *others])} | {len(found)} | {found[0]['goal']:.2g} "
             f"| {alone:,.0f} | {spread} | {np.mean(renders) / alone:.2f} "
             f"| {reached} of {len(later)} |"
         )
@@ -131,12 +156,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("what", choices=("run", "table"))
     parser.add_argument("task", nargs="?", default="voronoi")
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=USUAL["frames"])
     parser.add_argument("--size", type=int, default=112)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--fresh", type=int, default=2000, help="renders of a fresh search")
+    fresh = {"default": USUAL["fresh"], "help": "renders of a fresh search"}
+    parser.add_argument("--fresh", type=int, **fresh)
     parser.add_argument("--most", type=int, default=1000, help="renders of a frame, at most")
-    parser.add_argument("--preset", default="balanced")
+    parser.add_argument("--preset", default=USUAL["preset"])
     parser.add_argument("--proposer", default="linear")
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import json
 import os
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
+from fide_plugins import FIDE, optimizers
 from fide_plugins.experiments.compare import Results, RunKey, StoredRun
 from fide_plugins.experiments.compare.results import AXES, Curve
 
@@ -201,3 +202,56 @@ def test_the_page_of_a_suite_says_what_made_its_rows(
     assert "A, B" in page and "2.4.6, 2.5.2" in page and "suite.py --budget 500" in page
     assert "| fide      |         **1** |" in text and "1 of 110 problems" in text
     assert (tmp_path / "page" / "figures" / "performance-500.png").is_file()
+
+
+def test_a_video_is_gone_on_with_where_it_was_killed(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether before a row was written, or between that and the optimizer's checkpoint."""
+    retarget, out = program("retarget"), tmp_path / "rows.jsonl"
+    usual = {"task": "voronoi", "frames": 3, "size": 24, "seed": 0, "fresh": 20, "most": 10,
+             "preset": "balanced", "proposer": "linear"}  # fmt: skip
+
+    def run(path: Path, **more: Any) -> None:
+        retarget.run(argparse.Namespace(**{**usual, **more, "out": path}))
+
+    def losses(path: Path, proposer: str) -> list[float]:
+        return [
+            row["loss"] for row in retarget.rows_of(path) if row["kind"] == "retarget"
+            and row["proposer"] == proposer
+        ]  # fmt: skip
+
+    for proposer in ("linear", "none"):
+        run(tmp_path / "whole.jsonl", proposer=proposer)
+    save, kills = FIDE.save, iter([False, True, True, False, True])
+
+    def killed(opt: FIDE, path: Any) -> None:
+        if next(kills, False):
+            raise KeyboardInterrupt
+        save(opt, path)
+
+    monkeypatch.setattr(FIDE, "save", killed)
+    for proposer in ("linear", "none", "linear"):  # after frames 1, 0 and 2
+        with pytest.raises(KeyboardInterrupt):
+            run(out, proposer=proposer)
+    for proposer in ("linear", "none"):
+        run(out, proposer=proposer)
+        whole = losses(tmp_path / "whole.jsonl", proposer)
+        assert len(whole) == 3 and losses(out, proposer)[-3:] == whole
+    assert len(losses(out, "linear")) == 3, "no frame is there twice"
+    before = out.read_text()
+    run(out)
+    assert out.read_text() == before, "a finished video is not rendered again"
+    assert [path.name for path in tmp_path.glob("*checkpoint")] == []
+
+
+def test_the_table_of_videos_tells_configurations_apart(program: Any) -> None:
+    retarget = program("retarget")
+    rows = [
+        {"task": "arm", "size": 64, "seed": 0, "frames": 60, "fresh": 2000, "preset": preset,
+         "proposer": "linear", "kind": kind, "frame": frame, "renders": 10, "loss": 0.1,
+         "goal": 0.2}
+        for preset in ("balanced", "fast") for kind in ("fresh", "retarget") for frame in (0, 1)
+    ]  # fmt: skip
+    names = [line.split(" | ")[0] for line in retarget.table(rows).splitlines()[2:]]
+    assert names == ["| arm, 64 px, seed 0, linear", "| arm, 64 px, seed 0, linear, preset fast"]
