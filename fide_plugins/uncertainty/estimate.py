@@ -15,8 +15,7 @@ and the ends of searches.  Four steps:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 from torch import Tensor
@@ -63,6 +62,7 @@ class LocalEstimate:
     axes: Axes
     discrete: Mask | None = None
     blocks: Indices | None = None
+    _found: Estimated | None = field(default=None, init=False, repr=False)
 
     @property
     def std(self) -> Float64 | None:
@@ -74,18 +74,18 @@ class LocalEstimate:
         """(d,), integers and choices of which another value may be the true one."""
         return self._estimated.ambiguous
 
-    @cached_property
+    @property
     def _estimated(self) -> Estimated:
-        estimated = self._compute()
-        self.samples = ()
-        return estimated
+        samples = self.samples  # before the question: another thread empties them after its answer
+        if self._found is None:
+            self._found = self._compute(samples)
+            self.samples = ()
+        return self._found
 
     @one_thread
-    def _compute(self) -> Estimated:
+    def _compute(self, samples: Sequence[TrainingSample]) -> Estimated:
         std, ambiguous = np.full(len(self.x), np.nan), np.zeros(len(self.x), bool)
-        around = surroundings(
-            self.x, self.samples, self.channels, self.axes, self.discrete, self.blocks
-        )
+        around = surroundings(self.x, samples, self.channels, self.axes, self.discrete, self.blocks)
         if around is None:
             return Estimated(None, ambiguous)
         target = features_of([self.target], self.channels)[0]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,6 +67,25 @@ def test_it_is_computed_when_it_is_read_and_once(monkeypatch: pytest.MonkeyPatch
     assert first is not None and best.std is first and len(calls) == 1
 
 
+def test_two_threads_that_read_it_at_once_get_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One has its answer, and has emptied the samples, while the other is about to compute."""
+    opt = run(200)
+    first, second = opt.best, opt.best
+    assert first is not None and second is not None and first.estimate is not second.estimate
+    compute, other = LocalEstimate._compute, threading.Thread(target=lambda: first.std)
+
+    def late(self: LocalEstimate, *samples: Any) -> Any:
+        if self is first.estimate and threading.current_thread() is not other:
+            other.start()
+            other.join(20)
+            assert not other.is_alive()
+        return compute(self, *samples)
+
+    monkeypatch.setattr(LocalEstimate, "_compute", late)
+    assert first.std is not None and second.std is not None
+    np.testing.assert_array_equal(first.std, second.std)
+
+
 def test_a_solution_keeps_the_std_of_its_time() -> None:
     first, second = run(150), run(150)
     early, late = first.best, second.best
@@ -81,6 +102,7 @@ def test_saved_and_pickled_it_is_the_same(tmp_path: Path) -> None:
     opt = run(250)
     opt.save(tmp_path / "opt")
     for one, other in zip(opt.solutions(), FIDE.load(tmp_path / "opt").solutions(), strict=True):
+        assert one.std is not None and other.std is not None
         np.testing.assert_array_equal(one.std, other.std)
         np.testing.assert_array_equal(pickle.loads(pickle.dumps(one)).std, one.std)
 
