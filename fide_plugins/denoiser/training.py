@@ -15,8 +15,8 @@ eps ~ N(0, Sigma) with all correlations would need a change; the paper finds the
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from typing import Any, Protocol
 
@@ -129,17 +129,29 @@ def fit(
 
         def step(piece: slice, order: Tensor = order, total: Tensor = losses[epoch]) -> None:
             batch = order[piece]
-            with computing():
-                context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
-                denoise = precondition(partial(network, context=context))
-                loss = objective(denoise, x[batch], std, generator)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            with _rewound(generator):
+                with computing():
+                    context = network.encode_context(tokens[batch.to(tokens.device)].to(x))
+                    denoise = precondition(partial(network, context=context))
+                    loss = objective(denoise, x[batch], std, generator)
+                optimizer.zero_grad()
+                loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
             total += loss.detach() * (len(batch) / len(x))
 
         batch_size.each(step, len(order))
     return losses
+
+
+@contextmanager
+def _rewound(generator: torch.Generator) -> Iterator[None]:
+    """After an error, as of memory, the generator draws again what it drew in this block."""
+    state = generator.get_state()
+    try:
+        yield
+    except Exception:
+        generator.set_state(state)
+        raise
 
 
 class Backup:
