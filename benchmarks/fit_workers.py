@@ -20,7 +20,6 @@ from __future__ import annotations
 import argparse
 import heapq
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
@@ -70,34 +69,26 @@ def main() -> None:
 
 
 class SimulatedWorkers(Executor):
-    """Renders at once, and hands out a result when all workers are taken: the one due first."""
+    """Renders at once, and hands out a result when all workers are taken: the one due first.
 
-    def __init__(self, number: int, seed: int) -> None:
-        self._number, self._rng = number, np.random.default_rng(seed)
+    budget: renders that are submitted in all; with the last one all others are handed out, too.
+    """
+
+    def __init__(self, number: int, seed: int, budget: int) -> None:
+        self._number, self._rng, self._budget = number, np.random.default_rng(seed), budget
         self._now, self._count = 0.0, 0
         self._running: list[tuple[float, int, Future[Any], Any]] = []
-        self._full = threading.Condition()
-        threading.Thread(target=self._hand_out, daemon=True).start()
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        result = function(*args, **kwargs)
-        with self._full:
-            due = self._now + SECONDS * self._rng.uniform(0.9, 1.1)
-            heapq.heappush(self._running, (due, self._count, future, result))
-            self._count += 1
-            self._full.notify()
+        due = self._now + SECONDS * self._rng.uniform(0.9, 1.1)
+        heapq.heappush(self._running, (due, self._count, future, function(*args, **kwargs)))
+        self._count += 1
+        least = self._number if self._count < self._budget else 1
+        while len(self._running) >= least:
+            self._now, _, first, result = heapq.heappop(self._running)
+            first.set_result(result)
         return future
-
-    def _hand_out(self) -> None:
-        while True:
-            with self._full:
-                full = self._full.wait_for(lambda: len(self._running) >= self._number, timeout=0.5)
-                if not self._running:
-                    continue
-                due, _, future, result = heapq.heappop(self._running)
-                self._now = due if full else self._now
-            future.set_result(result)
 
 
 def cells(seeds: range, kind: str) -> Iterator[Row]:
@@ -130,7 +121,7 @@ def losses(kind: str, seed: int, workers: int) -> dict[str, float]:
             told = np.append(told, opt.tell(X, task.render(X)))
         curve = np.minimum.accumulate(told)
     else:
-        several = {"workers": workers, "executor": SimulatedWorkers(workers, seed)}
+        several = {"workers": workers, "executor": SimulatedWorkers(workers, seed, BUDGET)}
         options |= {"workers": 0} if workers == 1 else several
         result = fit(render, task.target, task.dim, BUDGET, seed=seed, progress=False, **options)
         curve = result.curve[:, 1]

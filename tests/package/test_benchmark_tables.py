@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import sys
+import threading
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -255,3 +256,20 @@ def test_the_table_of_videos_tells_configurations_apart(program: Any) -> None:
     ]  # fmt: skip
     names = [line.split(" | ")[0] for line in retarget.table(rows).splitlines()[2:]]
     assert names == ["| arm, 64 px, seed 0, linear", "| arm, 64 px, seed 0, linear, preset fast"]
+
+
+def test_simulated_workers_hand_out_what_is_due_first_when_all_are_taken(program: Any) -> None:
+    """The last submitted render ends the waiting for others; no thread or time is in it."""
+    workers = program("fit_workers").SimulatedWorkers(3, seed=0, budget=6)
+    before, done = threading.active_count(), []
+    for i in range(6):
+        workers.submit(lambda i=i: i).add_done_callback(lambda future: done.append(future.result()))
+        assert len(done) == (0, 0, 1, 2, 3, 6)[i]
+    now, due, expected = 0.0, [], []
+    for i, factor in enumerate(np.random.default_rng(0).uniform(0.9, 1.1, 6)):
+        due.append((now + 0.1 * factor, i))
+        while len(due) >= (3 if i < 5 else 1):
+            now, first = min(due)
+            due.remove((now, first))
+            expected.append(first)
+    assert done == expected and threading.active_count() == before
