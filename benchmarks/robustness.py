@@ -158,8 +158,8 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
             }
             for kind in PICTURES
         ]
-        for row in rows:  # at once, so that a model is either judged or not
-            append(out, row)
+        append(out, *rows)  # at once, so that a model is either judged or not
+        for row in rows:
             report(row)
 
 

@@ -35,17 +35,18 @@ def rows_of(path: Path) -> list[Row]:
     return read(path) if path.exists() else []
 
 
-def append(path: Path, row: Row, made_by: Row | None = None) -> None:
-    """Add a row with its provenance to a file, whose folder need not be there.
+def append(path: Path, *rows: Row, made_by: Row | None = None) -> None:
+    """Add rows with their provenance to a file, all or none; its folder need not be there.
 
     made_by: of a run that this process has not made.
     """
     made_by = made_by or provenance()
-    if twice := row.keys() & made_by.keys():
+    if twice := made_by.keys() & {name for row in rows for name in row}:
         raise ValueError(f"a row has {', '.join(sorted(twice))} already; append adds them")
+    lines = "".join(json.dumps({**row, **made_by}) + "\n" for row in rows)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
-        file.write(json.dumps({**row, **made_by}) + "\n")
+        file.write(lines)
 
 
 def provenance() -> Row:

@@ -154,7 +154,7 @@ def main() -> None:
     elif set(what) <= set(ROWS):
         for run in missing(planned(what), RESULTS, key):
             row, made_by = measure_apart(run)
-            append(RESULTS, row, made_by)
+            append(RESULTS, row, made_by=made_by)
             report(row)
     else:
         parser.error(f"rows are {', '.join(ROWS)}; or table")

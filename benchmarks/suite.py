@@ -121,7 +121,7 @@ def take_over(suite: Suite, found: results.Results, out: Path) -> str:
     rows = [row_of_run(suite, run, budget) for run in found.runs if run.curve is not None]
     taken = 0
     for row in missing(rows, out, key, counts=long_enough(budget)):
-        append(out, row, made_by)
+        append(out, row, made_by=made_by)
         taken += 1
     others = Counter(run.status for run in found.runs if run.curve is None)
     there = {f"in {out} already": len(rows) - taken} if taken < len(rows) else {}

@@ -102,8 +102,17 @@ def test_a_row_has_no_provenance_of_its_own(rows: ModuleType, tmp_path: Path) ->
 
 def test_a_row_of_another_process_keeps_its_provenance(rows: ModuleType, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    rows.append(out, {"run": 1}, {"date": "2026-01-01", "commit": None})
+    rows.append(out, {"run": 1}, made_by={"date": "2026-01-01", "commit": None})
     assert rows.read(out) == [{"run": 1, "date": "2026-01-01", "commit": None}]
+
+
+def test_rows_that_belong_together_are_added_all_or_none(rows: ModuleType, tmp_path: Path) -> None:
+    out, made_by = tmp_path / "results.jsonl", {"commit": None}
+    with pytest.raises(TypeError):
+        rows.append(out, {"run": 1}, {"run": object()}, made_by=made_by)
+    assert not out.exists()
+    rows.append(out, {"run": 1}, {"run": 2}, made_by=made_by)
+    assert rows.read(out) == [{"run": 1, "commit": None}, {"run": 2, "commit": None}]
 
 
 def test_a_line_that_is_cut_off_is_named(rows: ModuleType, tmp_path: Path) -> None:
