@@ -43,7 +43,9 @@ def test_true_values_are_those_of_the_example(name: str) -> None:
 
 
 def test_every_picture_of_the_gallery_is_shown_by_its_example() -> None:
-    for file in (ROOT / "docs" / "images" / "gallery").iterdir():
+    files = list((ROOT / "docs" / "images" / "gallery").iterdir())
+    assert files
+    for file in files:
         assert f"images/gallery/{file.name}" in section(file.stem)
 
 
