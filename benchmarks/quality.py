@@ -90,10 +90,10 @@ def run_configurations(
 
     run: makes the row of a cell with its optimizer and options; None: `measure`.
     """
-    measured = run or measure
+    row_of = run or measure
     run_missing(
         cells,
-        lambda cell: measured(cell, *configurations[cell["configuration"]]),
+        lambda cell: row_of(cell, *configurations[cell["configuration"]]),
         out,
         key,
         share,

@@ -268,7 +268,7 @@ class State:
 
     @property
     def remembered(self) -> list[TrainingSample]:
-        """The memory, and the best of each search."""
+        """The memory, and the best of each search; nothing where the memory is empty."""
         samples = self.memory.samples
         if not samples:
             return []

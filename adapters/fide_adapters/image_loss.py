@@ -43,8 +43,8 @@ class ImageLoss(float):
         one real number, the lower the better; NaN and infinity are allowed.
     image
         anything that `fide_plugins.validation.images.as_target` takes, or an `ImageRef`; for a
-        list of targets a list of them.  It is
-        neither copied nor checked before the optimizer gets it.
+        list of targets a list of them.  It is neither copied nor checked before the optimizer gets
+        it.
     features
         in place of an image: its tokens (T, C), computed with the optimizer's own encoder.  Prefer
         a NumPy array, which can be sent between processes cheaply.

@@ -6,9 +6,8 @@
         def tell(self, X, losses): ...              # or tell(self, X, images, losses)
 
 The other parameters of the constructor are its options, as of ``--set``; any, if it has
-``**options``.  Two more attributes are
-optional: `popsize`, the n that it is asked for, by default 4 + 3 ln dim; and `recommend()`, a point
-(dim,), by default the best.
+``**options``.  Two more attributes are optional: `popsize`, the n that it is asked for, by default
+4 + 3 ln dim; and `recommend()`, a point (dim,), by default the best.
 
 `tell` gets the points (n, dim) of one `ask`, all of them, as they were asked; the images (n, H, W,
 3), float32 in [0, 1]; and the losses (n,), infinite where a loss was NaN.  A generation that the

@@ -32,9 +32,8 @@ injected  all others: never asked, or asked in an earlier search
 
 All but injected and spare candidates count towards the generation in which they arrive, altered and
 late ones with their steps cut to what a sample's may be (`search.cma_es`): they are
-`off_distribution`.
-Injected ones count as in `FIDE.tell`.  Where a generation needs just its own candidates, late and
-repeated ones are spare (`population.candidate.Kind`).
+`off_distribution`.  Injected ones count as in `FIDE.tell`.  Where a generation needs just its own
+candidates, late and repeated ones are spare (`population.candidate.Kind`).
 """
 
 from __future__ import annotations

@@ -80,10 +80,10 @@ class SavedRun:
         if restored is None:
             return None
         record, _ = restored
-        self._check_loss(optimizer, record)
+        self._check_loss(optimizer)
         return record
 
-    def _check_loss(self, optimizer: FIDE, record: Record) -> None:
+    def _check_loss(self, optimizer: FIDE) -> None:
         best = optimizer.state.best
         image = None if best is None else best.solution.image
         if best is None or image is None or optimizer.evaluator.loss_name is not None:

@@ -40,8 +40,8 @@ def fill(
 
     workers: processes, 0 and 1: this one; with more than one the renderer must be picklable, and a
         render that ends its process (for lack of memory, say) is one that failed.
-    executor: renders in their place, see `fitting.workers.workers_for`; None: processes.  workers
-        says how many shards it gets at a time.
+    executor: renders in their place, see `fitting.workers.choice.workers_for`; None: processes.
+        workers says how many shards it gets at a time.
     seconds: no shard is begun after this time; None: no limit.
     on_progress: called with the number of renders done so far.
 

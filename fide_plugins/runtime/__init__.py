@@ -8,7 +8,7 @@
 `fingerprints`          whether a file or a function of the user has changed
 `background`            work in a background thread
 `locks`                 locks for objects that are copied, pickled and forked
-`threads`               threads of PyTorch in forked processes
+`threads`               one thread for what is small, those of the user for networks
 `machine`               versions and hardware
 `timing`                seconds by part
 `cluster`               a Dask cluster by the address of its scheduler

@@ -9,7 +9,7 @@ from functools import wraps
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 from weakref import WeakSet
 
-__all__ = ["Lock", "one_at_a_time"]
+__all__ = ["Lock", "Locked", "one_at_a_time"]
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -92,7 +92,7 @@ def _member(table: str, data: object) -> Member:
             'type = "float", low = 0, high = 1'
         )
     try:
-        return _parameter(table, data) if _is_parameter(data) else _group(table, data)
+        return _parameter(data) if _is_parameter(data) else _group(table, data)
     except SpaceError as error:
         if str(error).startswith("["):  # an inner table has said where
             raise
@@ -109,7 +109,7 @@ def _is_parameter(data: Mapping[str, Any]) -> bool:
     )
 
 
-def _parameter(table: str, data: Mapping[str, Any]) -> Kind:
+def _parameter(data: Mapping[str, Any]) -> Kind:
     kind = data.get("type")
     if not isinstance(kind, str) or kind not in _KINDS:
         given = "has no type" if "type" not in data else f"type: unknown type {kind!r}"

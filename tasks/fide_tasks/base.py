@@ -124,7 +124,8 @@ class Task(ABC):
         image, or use more than a hundred frames.
         """
         values = self._one(x)
-        if whole_number("frames", frames, minimum=2) and not self.stochastic:
+        whole_number("frames", frames, minimum=2)
+        if not self.stochastic:
             return np.zeros(self.shape, np.float32)
         deviation: Image = self._frames(values, frames).std(axis=0, ddof=1)
         return deviation

@@ -68,7 +68,7 @@ class ComparisonDirectory:
             key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
         }
         there = [] if before is None else [key for key, _ in runs_of(before)]
-        check_versions(self.path, plan, sources, self.states, there)
+        check_versions(self.path, sources, self.states, there)
         files.check_writable(self.path)
         files.remove_leftovers(self.path)
 

@@ -2,8 +2,7 @@
 
 A run is finished when `run.json` says so and the tables have the checksums that it names.  A
 damaged run is deleted and repeated, and so is one that was begun with another version of a file of
-the user.  A run that fails leaves its traceback in `error.txt`; the
-next call tries it again.
+the user.  A run that fails leaves its traceback in `error.txt`; the next call tries it again.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fide_plugins.experiments.compare.configuration import as_file_name, split
 from fide_plugins.experiments.compare.one_run import State
-from fide_plugins.experiments.compare.plan import Plan, RunKey
+from fide_plugins.experiments.compare.plan import RunKey
 from fide_plugins.recording.directory import RunDirectoryError, read_run
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.runtime.warn import warn_user
@@ -23,14 +23,13 @@ __all__ = ["check_versions"]
 
 def check_versions(
     path: Path,
-    plan: Plan,
     sources: Mapping[str, str],
     states: Mapping[RunKey, State],
     there: Iterable[RunKey],
 ) -> None:
     """Compare the versions of finished runs with the present ones.
 
-    path: folder of the comparison; sources: those of `plan`, see `Plan.sources`.
+    path: folder of the comparison; sources: those of its plan, see `Plan.sources`.
     states: of the runs of the plan; there: all runs of the comparison so far.
 
     Warns once for each file that has changed since all its runs of an optimizer or a task were

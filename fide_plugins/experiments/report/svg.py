@@ -46,8 +46,8 @@ def png(figure: Figure) -> bytes:
 
 
 def _shortened(path: str) -> str:
-    """Path data rounded down to hundredths of a point."""
-    return re.sub(r"(\.\d\d)\d+", r"\1", " ".join(path.split())).join((" ", ""))
+    """Path data rounded down to hundredths of a point, after a space."""
+    return " " + re.sub(r"(\.\d\d)\d+", r"\1", " ".join(path.split()))
 
 
 def in_page(file: bytes, name: str, description: str) -> str:

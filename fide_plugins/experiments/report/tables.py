@@ -162,7 +162,7 @@ def _aligned(table: Table, written: Callable[[str, bool], str]) -> str:
 def escaped(text: str, strong: bool = False) -> str:
     """Escape `text` for Markdown; strong: in bold."""
     for sign in "\\`*_[]<>|":
-        text = text.replace(sign, f"\\{sign}" if sign != "|" else "\\|")
+        text = text.replace(sign, f"\\{sign}")
     return _bold(text, strong)
 
 
