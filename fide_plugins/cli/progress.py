@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from fide_plugins.cli.messages import duration, note, number
+from fide_plugins.cli.messages import note, number
 from fide_plugins.experiments.run import Progress
 from fide_plugins.recording.record import PARTS, Report
 
 __all__ = ["lines", "reporting", "shares"]
 
 _EVERY = 5.0  # seconds between lines
+_FEW = 8  # renders that an estimate of the time left needs
 
 
 @contextmanager
@@ -32,20 +34,14 @@ def lines(what: str) -> Report:
 
 
 def shares(progress: Progress) -> str:
-    """Percentage of the time of each part."""
+    """Percentage of the time of each part; empty before the first evaluation."""
+    if not progress.evaluations:
+        return ""
     total = max(progress.wall_s, 1e-9)
     return "  ".join(f"{part} {progress.times[part] / total:.0%}" for part in PARTS)
 
 
-def _facts(progress: Progress, speed: float) -> str:
-    """Best loss, where there is one, and renders per second, where something was rendered."""
-    facts = [] if progress.doing else [f"best {number(progress.best_loss)}"]
-    if speed > 0 or not progress.doing:
-        facts.append(f"{speed:.0f} renders/s")
-    return "  ".join(facts)
-
-
-class _Speed:
+class _Pace:
     """Renders per second since the first call, which after resuming is not the start of the run.
 
     What is done before the search counts by itself.
@@ -54,28 +50,72 @@ class _Speed:
     def __init__(self) -> None:
         self._first: tuple[int, float] | None = None
         self._doing = ""
+        self._done, self._rate = 0, 0.0
 
-    def __call__(self, progress: Progress) -> float:
+    def note(self, progress: Progress) -> None:
+        """Take the present state into account."""
         if self._first is None or progress.doing != self._doing:
             self._first, self._doing = (progress.evaluations, progress.wall_s), progress.doing
-        done, seconds = self._first
-        return (progress.evaluations - done) / max(progress.wall_s - seconds, 1e-9)
+        before, seconds = self._first
+        self._done = progress.evaluations - before
+        self._rate = self._done / max(progress.wall_s - seconds, 1e-9)
+
+    def facts(self, progress: Progress) -> str:
+        """Best loss and speed, as far as they are known.
+
+        Below one render per second the speed is in seconds, all workers together.
+        """
+        facts = []
+        if not progress.doing and math.isfinite(progress.best_loss):
+            facts.append(f"best {number(progress.best_loss)}")
+        if self._rate >= 1:
+            facts.append(f"{self._rate:.0f} renders/s")
+        elif self._rate > 0:
+            facts.append(f"{1 / self._rate:.1f} s a render")
+        return "  ".join(facts)
+
+    def left(self, progress: Progress) -> str:
+        """Time until the budget or the time limit ends the run; empty where it is not known."""
+        limits = []
+        if progress.budget:
+            limits.append((progress.budget - progress.evaluations) / max(self._rate, 1e-9))
+        if progress.time is not None:
+            limits.append(progress.time - progress.wall_s)
+        if progress.doing or self._done < _FEW or not limits or min(limits) <= 0:
+            return ""
+        return f"about {_rounded(min(limits))} left"
+
+
+def _rounded(seconds: float) -> str:
+    """A duration in one unit.
+
+    >>> _rounded(40.2), _rounded(1500), _rounded(14000)
+    ('40 s', '25 min', '4 h')
+    """
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.0f} h"
+
+
+def _joined(*parts: str) -> str:
+    return "  ".join(filter(None, parts))
 
 
 class _Lines:
     def __init__(self, what: str) -> None:
-        self._what, self._speed, self._last = what, _Speed(), time.monotonic()
+        self._what, self._pace, self._last = what, _Pace(), time.monotonic()
 
     def __call__(self, progress: Progress) -> None:
-        speed, now = self._speed(progress), time.monotonic()
+        pace, now = self._pace, time.monotonic()
+        pace.note(progress)
         at_end = 0 < progress.budget <= progress.evaluations
         if now - self._last < _EVERY and not at_end:
             return
         self._last = now
-        of = f"/{progress.budget}" if progress.budget else ""
-        rest = progress.doing or shares(progress)
-        rest += f"  {progress.remark}" if progress.remark else ""
-        note(f"{self._what}  {progress.evaluations}{of}  {_facts(progress, speed)}  {rest}")
+        done = f"{progress.evaluations}/{progress.budget}".removesuffix("/0")
+        doing = progress.doing or shares(progress)
+        facts = pace.facts(progress), pace.left(progress)
+        note(_joined(self._what, done, *facts, doing, progress.remark))
 
 
 @contextmanager
@@ -93,7 +133,7 @@ def _bar(what: str) -> Iterator[Report]:
             yield from super().get_renderables()
             yield Text(self.below, style="dim", overflow="ellipsis", no_wrap=True)
 
-    speed = _Speed()
+    pace = _Pace()
     columns = [  # without markup, since names may hold brackets
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=16),
@@ -104,12 +144,9 @@ def _bar(what: str) -> Iterator[Report]:
         line = bar.add_task(what, total=1, facts="")
 
         def report(progress: Progress) -> None:
-            rate = speed(progress)
-            left = (progress.budget - progress.evaluations) / rate if rate > 0 else 0.0
-            bar.below = progress.doing or shares(progress)
-            if left > 0 and not progress.doing:
-                bar.below += f"  {duration(left)} left"
-            facts = _facts(progress, rate)
+            pace.note(progress)
+            bar.below = _joined(progress.doing or shares(progress), pace.left(progress))
+            facts = pace.facts(progress)
             bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
 
         yield report

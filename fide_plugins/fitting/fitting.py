@@ -110,6 +110,7 @@ class Fitting:
             if not self.record.evaluations:
                 self._learn(self._rounds, interrupts, report)
             self._rounds.remove_renders()  # also where an earlier call was killed before that
+        self._show(report, last=stopped is not None)  # from where the speed counts
         while stopped is None:
             stopped = loop.step()
             self._show(report, last=stopped is not None)
@@ -213,9 +214,10 @@ class Fitting:
         if report is None or (now - self._shown_at < _SHOW_INTERVAL and not last):
             return
         self._shown_at, loop = now, self._loop
+        loop.tick()  # a render that failed has not entered its time
         failed = f", {loop.failures.count} failed" if loop.failures.count else ""
         at = self.record.progress(self._stopping.budget or 0)
-        report(replace(at, remark=f"{loop.busy} rendering{failed}"))
+        report(replace(at, remark=f"{loop.busy} rendering{failed}", time=self._stopping.seconds))
 
     def _save_if_due(self) -> None:
         if self.saved is not None and self._checkpoints.due(self.optimizer):

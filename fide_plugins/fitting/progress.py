@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,7 +56,9 @@ def _bar() -> Iterator[Report]:
         line = bar.add_task("", total=None)
 
         def report(progress: Progress) -> None:
-            words = progress.doing or f"best {progress.best_loss:.3g}  {progress.remark}"
+            words = progress.doing or progress.remark
+            if not progress.doing and math.isfinite(progress.best_loss):
+                words = f"best {progress.best_loss:.3g}  {words}"
             total = progress.budget or None
             bar.update(line, total=total, completed=progress.evaluations, description=words)
 

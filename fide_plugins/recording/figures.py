@@ -89,7 +89,8 @@ def _title(figure: Any, result: RunResult) -> None:
         0.03, 0.955, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
         fontsize=14, fontweight="bold", color=_INK, va="center",
     )  # fmt: skip
-    facts = f"{result.dim} parameters   {result.evaluations:,} renders   seed {result.seed}"
+    n = result.parameters
+    facts = f"{n} parameter{'s' * (n != 1)}   {result.evaluations:,} renders   seed {result.seed}"
     figure.text(
         0.975, 0.955, facts,
         fontsize=10, color=_MUTED, va="center", ha="right",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fide_plugins.recording.record import Record, RunResult
+from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Verdict", "result_of"]
@@ -55,6 +56,7 @@ def result_of(
         seed=s["seed"],
         task_seed=s["task_seed"],
         dim=s["dim"],
+        parameters=_parameters(s),
         budget=budget,
         evaluations=r.evaluations,
         best_loss=r.best_loss,
@@ -80,6 +82,12 @@ def result_of(
         samples=samples,
         status=status,
     )
+
+
+def _parameters(settings: Mapping[str, Any]) -> int:
+    """Number of parameters; without a space each coordinate is one."""
+    dim, space = int(settings["dim"]), settings.get("space")
+    return dim if space is None else len(Space.from_dict(space).names)
 
 
 def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:

@@ -58,6 +58,7 @@ class Progress:
     times: seconds by `PARTS`; the loop itself takes the rest.
     doing: what is done before the search, such as "first model, pass 2/10"; then "".
     remark: what else is known, such as "3 rendering, 1 failed".
+    time: seconds that are allowed; None: no limit.
     """
 
     evaluations: int
@@ -67,6 +68,7 @@ class Progress:
     times: dict[str, float]
     doing: str = ""
     remark: str = ""
+    time: float | None = None
 
 
 Report: TypeAlias = Callable[[Progress], object]
@@ -83,7 +85,8 @@ class RunResult:
 
     task, optimizer, loss: their names.
     seed, task_seed: of the optimizer, and of the target; None for a picture of the user's.
-    dim: number of parameters.
+    dim: number of coordinates.  parameters: their number; a choice of three values is one of them,
+        and has three coordinates.
     budget, evaluations: renders that were allowed, and done.
     losses, seconds: (evaluations,), in the order of evaluation; seconds since the start.
     best_loss: lowest loss; biased low for a noisy task.  best_evaluation: its index, from 0.
@@ -109,6 +112,7 @@ class RunResult:
     seed: int
     task_seed: int | None
     dim: int
+    parameters: int
     budget: int
     evaluations: int
     best_loss: float

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fide_plugins.recording.figures import _curve, _time_bar
-from fide_plugins.recording.record import PARTS
+from fide_plugins import Choice, Float, Space
+from fide_plugins.recording.figures import _curve, _time_bar, _title
+from fide_plugins.recording.outcome import Verdict, result_of
+from fide_plugins.recording.record import PARTS, Record
 
 
 def drawn(*losses: float) -> Any:
@@ -36,6 +39,24 @@ def test_the_axis_is_logarithmic_wherever_it_can_be(
     assert axes.get_yscale() == scale
     np.testing.assert_allclose(axes.lines[0].get_ydata(), best)
     assert len(axes.collections[0].get_offsets()) == int(np.isfinite(losses).sum())
+
+
+@pytest.mark.parametrize(
+    ("space", "words"),
+    [
+        (None, "5 parameters"),
+        (Space(x=Float(0, 1), floor=Choice("a", "b", "c", "d")), "2 parameters"),
+        (Space(floor=Choice("a", "b", "c", "d", "e")), "1 parameter"),
+    ],
+)
+def test_the_title_counts_parameters_not_coordinates(space: Space | None, words: str) -> None:
+    known = dict.fromkeys(("task", "optimizer", "loss", "seed", "task_seed"), 0)
+    settings = {**known, "dim": 5, "space": None if space is None else space.to_dict()}
+    result = result_of(settings, Record(), Verdict(), budget=1)
+    figure = Figure()
+    _title(figure, replace(result, task="t", optimizer="fide"))
+    assert figure.texts[1].get_text() == f"{words}   0 renders   seed 0"
+    assert result.dim == 5
 
 
 def test_without_a_finite_loss_it_is_empty() -> None:
