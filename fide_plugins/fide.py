@@ -62,6 +62,7 @@ from fide_plugins.validation.points import (
     starting_point,
 )
 from fide_plugins.views.grain import Grain
+from fide_plugins.views.same_images import SameImages
 
 __all__ = ["FIDE"]
 
@@ -151,6 +152,7 @@ class FIDE(Asking):
             device=device,
             for_network=o.has_network,
         )
+        self.same_images = SameImages(self.popsize)
         self._lock = Lock()
         self._decision: tuple[bool | None, bool | None] = None, None
         self.begin_with(learned)
@@ -271,6 +273,7 @@ class FIDE(Asking):
         with timed(self.times, "encode"):
             encode = self.state.proposer is not None
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
+        self.same_images.note(points, batch)
         with timed(self.times, "search"):
             self._enter(results.of(points))
         return results.losses

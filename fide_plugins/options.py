@@ -9,7 +9,7 @@ of `Options` itself; the groups hold what ablations change.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import Field, asdict, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from typing import Any, TypeAlias
@@ -24,6 +24,7 @@ __all__ = [
     "NetworkOptions",
     "Options",
     "ProposalOptions",
+    "check_known",
     "flat",
     "make_options",
     "without_images",
@@ -165,6 +166,7 @@ GLOBAL = "global"
 
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
+_OTHER_ARGUMENTS = ("dim", "target", "weights", "learned")
 _FORMER_NAMES = {
     "share": "proposal_fraction",
     "smallest_share": "smallest_fraction",
@@ -238,16 +240,29 @@ def _all_fields() -> Iterator[tuple[str, Field[Any]]]:
         yield from ((f.name, f) for f in fields(group) if f.name not in _GROUPS)
 
 
-def _unknown(name: str) -> str:
-    if name in (*_FIRST, "dim", "target", "weights", "learned"):
+def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None:
+    """Raise OptionError for a name that is no option of an optimizer.
+
+    of: who takes these options, and hands them on; own: its own, which are known, too.
+    """
+    known = {*_FIRST, *_OTHER_ARGUMENTS, *_FORMER_NAMES, *own, *dict(_all_fields())}
+    for name in options:
+        if name not in known:
+            raise OptionError(_unknown(name, of, own))
+
+
+def _unknown(name: str, of: str = "FIDE", own: Sequence[str] = ()) -> str:
+    """Error for a name that is no option; arguments as of `check_known`."""
+    if name in (*_FIRST, *_OTHER_ARGUMENTS):
         return f"{name} is an argument of FIDE itself, not one of the options that are taken here"
     others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST)]
     rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *others)]
-    close = get_close_matches(name, [*_FIRST, *others, *rare], n=1)
+    close = get_close_matches(name, [*own, *_FIRST, *_OTHER_ARGUMENTS, *others, *rare], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
+    first = f"its own: {', '.join(own)}; of FIDE, those" if own else "those"
     return (
-        f"FIDE has no option {name!r}{hint}; those that matter most: {', '.join(_FIRST)}; others: "
-        f"{', '.join(others)}; for ablations also: {', '.join(rare)}"
+        f"{of} has no option {name!r}{hint}; {first} that matter most: {', '.join(_FIRST)}; "
+        f"others: {', '.join(others)}; for ablations also: {', '.join(rare)}"
     )
 
 

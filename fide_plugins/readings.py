@@ -25,6 +25,7 @@ from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of
+from fide_plugins.views.same_images import SameImages
 
 __all__ = ["Readings"]
 
@@ -46,6 +47,7 @@ class Readings(Saved):
     space: Space | None
     evaluator: Evaluator
     state: State
+    same_images: SameImages
 
     @property
     def target(self) -> Any:
@@ -104,6 +106,7 @@ class Readings(Saved):
             forgotten=state.moves.known.optima.forgotten,
             grain=self._grain_left(),
             solved=self._is_solved(),
+            same=self.same_images.number,
         )
         return status_of(facts)
 
@@ -234,6 +237,7 @@ class Readings(Saved):
         fresh = self._initial_state()
         fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
         self.state = fresh
+        self.same_images.forget()
 
     @abstractmethod
     def _initial_state(self, posterior: Posterior | None = None) -> State:

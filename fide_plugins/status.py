@@ -43,6 +43,8 @@ class Facts:
         by such noise alone; None otherwise, and where that is not known (`views.grain`).
     solved: whether the image equals the target to 8 bits: no pixel that counts differs by more than
         1/255, and their mean squared error is at most that of rounding, (1/255)^2 / 12.
+    same: how many candidates have had the same image, if all have, see `views.same_images`; 0
+        otherwise.
     """
 
     evaluations: int
@@ -53,6 +55,7 @@ class Facts:
     forgotten: int = 0
     grain: float | None = None
     solved: bool = False
+    same: int = 0
 
 
 def status_of(facts: Facts) -> Status:
@@ -68,6 +71,12 @@ def status_of(facts: Facts) -> Status:
             f"At the noise floor: loss {best:.3g}. The image differs from the target from pixel to "
             "pixel only, hardly more than two renders of one candidate do (standard deviation of "
             f"a pixel {facts.grain:.2g}). More samples per pixel would tell more.",
+        )
+    if facts.same:
+        return Status(
+            "stalled",
+            f"All {facts.same:,} candidates have the same image: loss {best:.3g}. Does render use "
+            "its parameters, and do their ranges change what is seen?",
         )
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:

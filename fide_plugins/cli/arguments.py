@@ -107,18 +107,19 @@ def add_run_arguments(
     optimizer: str | None = "fide",
     budget: int | None = 5000,
     side: int | None = 224,
+    renders: str = "number of renders",
 ) -> None:
     """Add the arguments that `fide run` and `fide fit` share.
 
-    size: explanation of --size.  optimizer, budget, side: defaults, None where they depend on
-    other arguments.
+    size, renders: explanation of --size and of --budget.  optimizer, budget, side: defaults, None
+    where they depend on other arguments.
     """
     add = parser.add_argument
     add("--optimizer", default=optimizer, metavar="NAME",
         help="see: fide list optimizers; or FILE.py:NAME")  # fmt: skip
-    add("--loss", default="mse", metavar="NAME", help="see: fide list losses")
+    add("--loss", default="mse", metavar="NAME", help="see: fide list losses (mse)")
     add("--budget", type=whole(1), default=budget, metavar="N",
-        help=f"number of renders{_shown(budget)}")  # fmt: skip
+        help=f"{renders}{_shown(budget)}")  # fmt: skip
     add("--size", type=whole(1), default=side, metavar="PX", help=f"{size}{_shown(side)}")
     add("--seed", type=whole(0), default=0, metavar="N", help="seed of the optimizer (0)")
     add("--preset", metavar="NAME", help="preset of fide: fast, balanced, accurate, paper, global")

@@ -52,11 +52,11 @@ def _summary() -> str:
 
     versions, computer = machine.versions(), machine.machine()
     first = ("fide-plugins", "python", "torch", "numpy")
-    extras = _versions_of_extras()
+    extras, cores = _versions_of_extras(), _counted(computer["cores"], "core")
     missing = [extra for extra, version in extras.items() if not version]
     lines = [
         ", ".join(f"{name} {versions[name]}" for name in first if name in versions),
-        f"{computer['cpu']}, {computer['cores']} cores; {_gpu(str(versions.get('torch')))}",
+        f"{computer['cpu']}, {cores}; {_gpu(str(versions.get('torch')))}",
         f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
     ]
     if missing:
@@ -66,6 +66,10 @@ def _summary() -> str:
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' * (number != 1)}"
 
 
 def _versions_of_extras() -> dict[str, str | None]:
@@ -128,7 +132,8 @@ def _try_mitsuba() -> dict[str, str]:
 def _text(facts: dict[str, Any]) -> str:
     versions, machine = facts["versions"], facts["machine"]
     lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
-    lines.append(f"{machine['cpu']}, {machine['cores']} cores, {machine['threads']} threads")
+    counts = _counted(machine["cores"], "core"), _counted(machine["threads"], "thread")
+    lines.append(", ".join([machine["cpu"], *counts]))
     lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the CPU'}")
     lines.append(f"OpenCV: {facts['opencv'] or 'ok'}")
     lines.append("\nvariants of Mitsuba; the first one that runs is the default")

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         size="longer side of the picture, at most (as it is; with --model 224)",
         optimizer=None,
         budget=None,
+        renders="number of renders (2000; with --model 5000; with --time or --until-stalled: any)",
         side=None,
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import ImageError, OptionError
 
 __all__ = ["pictures", "weights_of"]
 
@@ -36,8 +36,13 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
         raise OptionError(
             f"{len(given)} of --{name} for {len(targets)} targets; give --{name} once for each"
         )
-    read = [  # pixels as they are: what transparency means is known where the mask is used
-        alpha_of(read_pixels(target, side), target) if one == ALPHA else read_pixels(one, side)
-        for one, target in zip(given, targets, strict=True)
-    ]
+    try:
+        read = [  # pixels as they are: what transparency means is known where the mask is used
+            alpha_of(read_pixels(target, side), target) if one == ALPHA else read_pixels(one, side)
+            for one, target in zip(given, targets, strict=True)
+        ]
+    except ImageError as error:
+        if ALPHA not in given:
+            raise
+        raise ImageError(f"{error}; or give a picture, --{name} FILE") from error
     return read[0] if len(read) == 1 else read

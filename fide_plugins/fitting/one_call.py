@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from inspect import signature
 from textwrap import shorten
 from typing import Any
 
@@ -19,6 +20,7 @@ from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, se
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
+from fide_plugins.options import check_known
 from fide_plugins.recording.directory import is_saved
 from fide_plugins.recording.sources import of_files
 from fide_plugins.renderers.fingerprint import fingerprint_of
@@ -128,6 +130,7 @@ def fit(
 
     Whatever ends the fit after it has begun has the attribute `result`: what was computed by then.
     """
+    check_known(options, "fit", [name for name in signature(fit).parameters if name != "options"])
     return prepare(
         render,
         _with_views(target, views),
@@ -171,7 +174,11 @@ def prepare(
     is written, and may raise.  All others, and errors, as for `fit`.
     """
     if not callable(render):
-        raise OptionError(f"render must be a function of the parameters, not {render!r}")
+        raise OptionError(
+            f"render must be a function of the parameters, not {_short(render)}; the order is "
+            "fit(render, target, space)"
+        )
+    _check_call(render, named=isinstance(space, Space))
     if out == "":
         raise OptionError("out is empty: name a folder, or leave it out to write nothing")
     if switch("resume", resume) and out is None:
@@ -236,6 +243,33 @@ def _saved_run(
     return SavedRun(
         out, settings, stopping.record(), facts, resume=resume, command=command, sources=files
     )
+
+
+def _check_call(render: Callable[[Any], object], named: bool) -> None:
+    """Raise OptionError for a function that cannot be called with one argument.
+
+    named: whether it gets a dictionary.
+    """
+    try:
+        form = signature(render, follow_wrapped=False)
+    except (TypeError, ValueError):  # of some functions of C nobody knows it
+        return
+    try:
+        form.bind(None)
+    except TypeError as error:
+        what, adapted = "dictionary", "lambda p: render(**p)"
+        if not named:
+            what, adapted = "array", "lambda x: render(*x)"
+        raise OptionError(
+            f"fit calls render(params) with one {what}, and render{form} does not take it "
+            f"({error}); {adapted} adapts it"
+        ) from None
+
+
+def _short(value: object) -> str:
+    """What a value is, without the numbers of an array."""
+    shape = getattr(value, "shape", None)
+    return shorten(repr(value), 60) if shape is None else f"an array of shape {tuple(shape)}"
 
 
 def _given(**options: Any) -> dict[str, Any]:

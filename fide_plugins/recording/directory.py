@@ -187,8 +187,9 @@ class RunDirectory:
         changed = {key: self.settings[key] for key in may_change}
         check_settings({**there, **changed}, self.settings, f"{self.path} holds a run")
         if not resume:
+            how = "--resume" if self._run["command"] else "resume=True"
             raise RunDirectoryError(
-                f"{self.path} already holds a run with these settings; resume it (--resume), "
+                f"{self.path} already holds a run with these settings; resume it ({how}), "
                 "or name another directory"
             )
 

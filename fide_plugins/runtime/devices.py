@@ -13,6 +13,7 @@ from fide_plugins.types import Float32
 
 __all__ = ["as_here", "has_bfloat16", "on_device", "repeatable", "resolve_device"]
 
+_GPU = ("gpu", "nvidia")  # what people call a device that PyTorch calls "cuda"
 _CUDNN = threading.RLock()  # its settings belong to the whole process
 
 
@@ -36,6 +37,8 @@ def resolve_device(
         torch.empty(0, device=resolved)
     except (RuntimeError, AssertionError, TypeError, NotImplementedError) as e:
         reason = str(e).splitlines()[0]
+        if str(device).lower() in _GPU:
+            reason = "write 'cuda'"
         raise DeviceError(f"no device {device!r} here ({reason}); 'auto' or 'cpu' works") from e
     if resolved.type == "cuda" and resolved.index is None:  # each thread has its own current device
         return torch.device("cuda", torch.cuda.current_device())

@@ -119,7 +119,10 @@ def _parameter(data: Mapping[str, Any]) -> Kind:
     for key in data:
         if key not in keys:
             hint = did_you_mean(key, keys)
-            raise SpaceError(f"{key}: unknown key of a {kind}; known are {', '.join(keys)}{hint}")
+            article = "an" if kind == "int" else "a"
+            raise SpaceError(
+                f"{key}: unknown key of {article} {kind}; known are {', '.join(keys)}{hint}"
+            )
     for key in _REQUIRED[kind]:
         if key not in data:
             raise SpaceError(f"{key}: missing; a {kind} needs {' and '.join(_REQUIRED[kind])}")

@@ -280,7 +280,8 @@ def _whole(kind: Any, name: str, value: Any) -> int:
     except TypeError:
         number = None
     if number is None or abs(number) > _LARGEST_INT:
-        remedy = "use Float for real numbers"
+        whole = isinstance(value, float) and value.is_integer() and abs(value) <= _LARGEST_INT
+        remedy = f"write {int(value)}" if whole else "use Float for real numbers"
         _refuse(kind, f"{name} must be a whole number of at most 2^53, not {value!r}", remedy)
     assert number is not None
     return number

@@ -21,7 +21,7 @@ from fide_plugins.space.group import (
 from fide_plugins.space.kinds import Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
-from fide_plugins.validation.points import as_points
+from fide_plugins.validation.points import as_point, as_points
 
 __all__ = ["Space"]
 
@@ -119,11 +119,14 @@ class Space:
 
         Groups are dictionaries, repeated ones lists of dictionaries.  Raises PointsError.
         """
-        return self.decode_many([x])[0]
+        return self._decoded(as_point(x, self.dim)[None])[0]
 
     def decode_many(self, X: object) -> list[Params]:
         """Values of points X (n, dim) of the cube, see `decode`."""
-        numbers = self.layout.numbers(as_points(X, self.dim)).tolist()
+        return self._decoded(as_points(X, self.dim))
+
+    def _decoded(self, X: Float64) -> list[Params]:
+        numbers = self.layout.numbers(X).tolist()
         return [self._nested(row) for row in numbers]
 
     def encode(self, params: Mapping[str, Any]) -> Float64:

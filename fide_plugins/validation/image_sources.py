@@ -121,7 +121,10 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
     except ImageError:
         raise
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
-        raise ImageError(f"cannot read {os.fspath(path)!r} as an image: {e}") from e
+        raise ImageError(
+            f"cannot read {os.fspath(path)!r} as an image: {e}; PNG, JPEG, TIFF and PPM can be "
+            "read, EXR and HDR cannot: convert it, with the tone mapping of your renderer"
+        ) from e
     if frames > 1:
         name = os.path.basename(os.fspath(path))
         warn_user(f"{name} has {frames} frames or pages, of which the first one is taken")

@@ -13,6 +13,7 @@ from fide_plugins.errors import OptionError, PointsError, SpaceError
 from fide_plugins.types import Float64
 
 __all__ = [
+    "as_point",
     "as_points",
     "new_seed",
     "number_of_parameters",
@@ -52,6 +53,26 @@ def as_points(X: object, dim: int) -> Float64:
     return np.array(points, np.float64, order="C")
 
 
+def as_point(x: object, dim: int, name: str = "x") -> Float64:
+    """`x` as float64 (dim,), a copy; name: of `x` in errors.
+
+    Raises PointsError (a ValueError) as `as_points` does.
+    """
+    try:
+        point: Float64 = as_points([x], dim)[0]
+    except PointsError:
+        try:
+            shape = np.shape(x)  # type: ignore[arg-type]
+        except (TypeError, ValueError, RuntimeError):  # no array at all
+            shape = (dim,)
+        if shape == (dim,):
+            raise
+        got = "one number" if shape == () else f"the shape {shape}"
+        got = f"{shape[0]}" if len(shape) == 1 else got
+        raise PointsError(f"{name} must have {dim} numbers, not {got}") from None
+    return point
+
+
 def whole_number(name: str, value: object, minimum: int) -> int:
     """`value` as an int; OptionError (a ValueError) unless it is a whole number >= `minimum`."""
     try:
@@ -59,7 +80,9 @@ def whole_number(name: str, value: object, minimum: int) -> int:
     except TypeError:
         number = None
     if number is None or number < minimum:
-        raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}")
+        whole = isinstance(value, float) and value.is_integer() and value >= minimum
+        hint = f"; write {int(value)}" if whole else ""
+        raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}{hint}")
     return number
 
 
@@ -137,13 +160,12 @@ def starting_point(value: object, dim: int, space: _Encodes | None = None) -> Fl
     if isinstance(value, Mapping):
         return _encoded(value, space)
     try:
-        point: Float64 = as_points([value], dim)[0]
+        return as_point(value, dim, "it")
     except PointsError as error:
-        hint = "" if space is None else "; to give values, pass a dictionary of them"
+        hint = "" if space is None else "; to give values, pass a dictionary of them (Python only)"
         raise PointsError(
             f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
         ) from error
-    return point
 
 
 def _encoded(params: Mapping[str, Any], space: _Encodes | None) -> Float64:

@@ -38,6 +38,7 @@ One view without weights is not changed in any way.
 `weights`       reads masks and weights
 `loss`          the loss of views
 `encoder`       the tokens of views
+`same_images`   notices a renderer that does not use its parameters
 `grain`         whether an image differs from the target by noise of its pixels alone
 ==============  ==================================================================
 """

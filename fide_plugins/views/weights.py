@@ -26,7 +26,10 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
     if given is None:
         return None
     if isinstance(given, str) and given == ALPHA:
-        weights = alpha_of(target, f"the target of {what}='alpha'")
+        try:
+            weights = alpha_of(target, f"the target of {what}='alpha'")
+        except ImageError as error:
+            raise ImageError(f"{error}; or give a {what} of its own, {what}=ARRAY") from error
     else:
         picture = as_target(given, what=what, size=size, behind=0.0)
         weights = picture[..., 0].copy()

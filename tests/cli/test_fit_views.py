@@ -118,7 +118,8 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
         losses.append(summary(capsys)["best_loss"])
     assert losses == pytest.approx(losses[:1] * 3, rel=1e-6)
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
-    assert "target.png must have an alpha channel" in last_line(capsys)
+    line = last_line(capsys)
+    assert "target.png must have an alpha channel" in line and "give a picture, --mask FILE" in line
 
 
 @pytest.fixture

@@ -149,6 +149,7 @@ def test_a_guess_that_is_the_best_is_recommended(
     np.testing.assert_array_equal(opt.recommend(), answer)
 
 
+@pytest.mark.filterwarnings("ignore:all images of")
 def test_injected_candidates_are_not_remembered_for_ever(target: Float32) -> None:
     opt = FIDE(2, target, seed=0)
     image = np.zeros((500, *target.shape), np.float32)

@@ -93,6 +93,7 @@ def test_a_search_leaves_a_region_in_which_all_renders_fail(target: Float32, res
         assert opt.best is not None
 
 
+@pytest.mark.filterwarnings("ignore:all images of")
 def test_an_image_that_never_changes(target: Float32) -> None:
     opt = FIDE(4, target, seed=0)
     for _ in range(60):

@@ -37,6 +37,12 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
         (replace(RUN, ended=[0, 3]), "unsure", "places none ended in this one, the others in 1"),
         (replace(RUN, ended=[3, 3]), "unsure", "the others in 1:"),
         (replace(RUN, best=-1.0), "unsure", "loss -1"),
+        (
+            replace(RUN, same=3000),
+            "stalled",
+            "All 3,000 candidates have the same image: loss 0.01",
+        ),
+        (replace(RUN, same=3000, solved=True), "solved", "0.01"),
     ],
 )
 def test_what_is_known(facts: Facts, code: str, says: str) -> None:

@@ -138,7 +138,8 @@ def test_a_hopeless_fit_stops_when_it_stalls() -> None:
     def constant(params: dict[str, float]) -> Any:
         return np.full((16, 16), 0.3)
 
-    result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
+    with pytest.warns(RuntimeWarning, match="all images of 32 different candidates are equal"):
+        result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
     assert result.stopped == "until_stalled"
     assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
     solved = fit(disk(), target(), SPACE, None, until_stalled=True, workers=0, seed=0)
@@ -211,7 +212,7 @@ def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"until_stalled": "no"}, "until_stalled must be True or False, not 'no'"),
         ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
         ({"progress": 3, "workers": 0}, "progress must be True, False, None or a function"),
-        ({"popsiz": 3}, "FIDE has no option 'popsiz'"),
+        ({"popsiz": 3}, "fit has no option 'popsiz' .did you mean 'popsize'"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_is_rendered(

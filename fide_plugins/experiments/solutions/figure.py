@@ -16,6 +16,7 @@ _INK, _MUTED = "#1a1a1a", "#6b7280"
 _WIDTH = 2.4  # inches of one panel
 _LINE = 0.16  # inches of a line of text
 _MOST = 24  # lines of parameters
+_NO_IMAGE = "no image stored\n(fide fit renders them,\nfit(out=) does not)"
 
 
 def figure(found: Found) -> bytes:
@@ -49,7 +50,7 @@ def _panel(axes: Any, name: str, note: str, image: Float32 | None) -> None:
     axes.set_title(name, fontsize=10, color=_INK, loc="left", pad=4)
     axes.set_title(note, fontsize=8, color=_MUTED, loc="right", pad=4)
     if image is None:
-        axes.text(0.5, 0.5, "not stored", fontsize=8, color=_MUTED, ha="center", va="center")
+        axes.text(0.5, 0.5, _NO_IMAGE, fontsize=8, color=_MUTED, ha="center", va="center")
     else:
         axes.imshow(image, vmin=0, vmax=1, interpolation="nearest")
     axes.set_xticks([])

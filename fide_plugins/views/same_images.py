@@ -1,0 +1,53 @@
+"""Notices a renderer that does not use its parameters: all its images are equal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fide_plugins.runtime.warn import warn_user
+from fide_plugins.types import Float64
+
+__all__ = ["SameImages"]
+
+_LEAST = 32  # candidates; where 9/10 of a space show the same, all 32 do in 3 % of the cases
+
+
+class SameImages:
+    """Whether all images that were told so far are equal; a run that was loaded does not know.
+
+    generation: candidates of a generation, of which each counts before anything is said.
+    """
+
+    def __init__(self, generation: int) -> None:
+        self._enough = max(generation, _LEAST)
+        self._points: set[bytes] | None = set()  # None: two images differ, or it is not known
+        self._image: Any = None
+
+    @property
+    def number(self) -> int:
+        """How many candidates have the same image, if these are enough to say so; 0 otherwise."""
+        number = 0 if self._points is None else len(self._points)
+        return number if number >= self._enough else 0
+
+    def forget(self) -> None:
+        """Say nothing from now on."""
+        self._points = self._image = None
+
+    def note(self, points: Float64, images: Any) -> None:
+        """Note images (n, H, W, 3), or None, of points (n, d); warns once if all are equal."""
+        if self._points is None or images is None or not len(points):
+            return
+        if self._image is None:
+            image = images[0]
+            self._image = image.clone() if hasattr(image, "clone") else image.copy()
+        if not bool((images == self._image).all()):
+            self.forget()
+            return
+        known = self.number
+        self._points.update(x.tobytes() for x in points)
+        if self.number and not known:
+            warn_user(
+                f"all images of {self.number} different candidates are equal: no parameter has "
+                "changed the image so far; does render use its parameters, and do their ranges "
+                "change what is seen?"
+            )

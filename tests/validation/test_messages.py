@@ -1,0 +1,112 @@
+"""Messages about what a user gave name the remedy in the terms of where it was given."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import FIDE, Float, Int, Space, fit
+from fide_plugins.errors import DeviceError, FideError, OptionError, PointsError
+from fide_plugins.validation import images
+
+SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
+TARGET = np.linspace(0, 1, 64).reshape(8, 8)
+
+
+def render(params: dict[str, float]) -> Any:
+    return TARGET * params["x"]
+
+
+def tried(render: Any = render, target: Any = TARGET, space: Any = SPACE, **options: Any) -> Any:
+    return fit(render, target, space, **{"budget": 5, "workers": 0, "seed": 0, **options})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Int(3.0, 5), r"not 3\.0; write 3$"),
+        (lambda: Int(0.5, 5), r"not 0\.5; use Float for real numbers"),
+        (lambda: Int(1e300, 5), "use Float for real numbers"),
+        (lambda: tried(budget=20.0), r"budget must be a whole number >= 1, not 20\.0; write 20$"),
+        (lambda: tried(budget=2.5), r"not 2\.5$"),
+        (lambda: tried(budget=-2.0), r"not -2\.0$"),
+        (lambda: tried(budget=np.inf), "not inf$"),
+        (lambda: SPACE.decode([0, 1]), "^x must have 3 numbers, not 2$"),
+        (lambda: SPACE.decode(np.zeros((2, 3))), r"^x must have 3 numbers, not the shape \(2, 3\)"),
+        (lambda: SPACE.decode(0.5), "^x must have 3 numbers, not one number"),
+        (lambda: SPACE.decode([0, 1, 2]), "must lie in"),
+        (lambda: SPACE.decode([[0], [1, 2], 0]), "."),
+        (lambda: tried(x0=[0.5, 0.5]), "it must have 3 numbers, not 2; to give values, pass a"),
+        (lambda: tried(x0=0.5), "must have 3 numbers, not one number; .*Python only"),
+        (lambda: tried(mask="alpha"), r"an alpha channel.*; or give a mask of its own, mask=ARRAY"),
+        (lambda: fit(TARGET, render, SPACE), r"^render must be a function of the parameters, not "  # type: ignore[arg-type]
+         r"an array of shape \(8, 8\); the order is fit\(render, target, space\)$"),
+        (lambda: fit("a.png", TARGET, SPACE), "not 'a.png'; the order is"),  # type: ignore[arg-type]
+        (lambda: tried(budgt=3), r"^fit has no option 'budgt' \(did you mean 'budget'\?\); its own:"
+         " render, target, space, budget,.*; of FIDE, those that matter most: loss"),
+        (lambda: tried(pop_size=8), r"did you mean 'popsize'"),
+        (lambda: tried(weight=TARGET), r"did you mean 'weights'"),
+        (lambda: Space.from_toml('[a]\ntype = "int"\nlow = 0\nhihg = 1'), "unknown key of an int"),
+    ],
+)  # fmt: skip
+def test_the_remedy_is_named(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(FideError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("name", ["gpu", "GPU", "nvidia"])
+def test_the_device_that_people_call_gpu_is_cuda(name: str) -> None:
+    with pytest.raises(DeviceError) as error:
+        FIDE(3, TARGET, device=name)
+    assert str(error.value) == f"no device '{name}' here (write 'cuda'); 'auto' or 'cpu' works"
+
+
+@pytest.mark.parametrize("name", ["b.hdr", "b.exr"])
+def test_a_file_that_is_no_picture_names_those_that_are(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"#?RADIANCE\n")
+    with pytest.raises(FideError, match="as an image: .*; PNG, JPEG, TIFF and PPM can be read"):
+        images.load(tmp_path / name)
+
+
+def keywords(x: float, y: float, r: float) -> Any:
+    return TARGET * x
+
+
+@pytest.mark.parametrize("wrong", [keywords, lambda: TARGET, lambda *, x: TARGET])
+def test_a_function_of_other_arguments_is_refused_before_it_is_called(wrong: Any) -> None:
+    with pytest.raises(OptionError, match=r"one dictionary, and render\(.*lambda p: render\(\*\*p"):
+        tried(wrong)
+    with pytest.raises(OptionError, match=r"one array, .*; lambda x: render\(\*x\) adapts it"):
+        tried(wrong, space=3)
+
+
+def test_functions_that_take_one_argument_are_not_refused() -> None:
+    @functools.wraps(keywords)
+    def adapted(params: dict[str, float]) -> Any:
+        return keywords(**params)
+
+    class Scene:
+        def __call__(self, params: dict[str, float], samples: int = 1) -> Any:
+            return keywords(**params)
+
+    for good in (adapted, Scene(), lambda *all: keywords(**all[0]), lambda p: keywords(**p)):
+        assert tried(good).evaluations == 5
+
+
+def test_a_second_fit_in_a_directory_is_told_how_python_resumes(tmp_path: Path) -> None:
+    tried(out=tmp_path / "a")
+    with pytest.raises(FideError, match=r"resume it \(resume=True\), or name another"):
+        tried(out=tmp_path / "a")
+    assert tried(out=tmp_path / "a", resume=True, budget=7).evaluations == 7
+
+
+def test_a_point_is_a_copy() -> None:
+    x = np.full(3, 0.5)
+    with pytest.raises(PointsError):
+        SPACE.snap(np.zeros(2))
+    assert FIDE(SPACE, TARGET, x0=x).x0 is not x

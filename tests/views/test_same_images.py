@@ -1,0 +1,95 @@
+"""A renderer that does not use its parameters is noticed, and no other one."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import FIDE, Float, Int, Space, fit
+from fide_plugins.views.same_images import SameImages
+
+SPACE = Space(x=Float(0, 1), y=Float(0, 1), n=Int(1, 5))
+TARGET = np.linspace(0, 1, 64).reshape(8, 8)
+SAYS = "all images of 32 different candidates are equal: .* does render use its parameters"
+
+
+def constant(p: dict[str, Any]) -> Any:
+    return TARGET * 0.5
+
+
+def mostly(p: dict[str, Any]) -> Any:
+    """Three quarters of the space have one image."""
+    return TARGET * (0.7 if int(p["x"] * 40) % 4 == 0 else 0.5)
+
+
+def test_a_fit_says_once_that_all_images_are_equal() -> None:
+    with pytest.warns(RuntimeWarning, match=SAYS) as seen:
+        result = fit(constant, TARGET, SPACE, 60, workers=0, seed=0)
+    assert len(seen) == 1 and seen[0].filename == __file__
+    assert result.status.code == "stalled" and result.evaluations == 60
+    assert "candidates have the same image" in result.status.sentence
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_where_only_some_images_differ_nothing_is_said(seed: int) -> None:
+    result = fit(mostly, TARGET, SPACE, 60, workers=0, seed=seed)
+    assert "same image" not in result.status.sentence
+
+
+def test_ask_and_tell_notice_it_too(tmp_path: Path) -> None:
+    """Also of tensors; a run that was loaded does not know, and says nothing."""
+    opt = FIDE(SPACE, TARGET, seed=0)
+    with pytest.warns(RuntimeWarning, match=SAYS) as seen:
+        for _ in range(50):
+            opt.tell(opt.ask(1), torch.full((1, 8, 8, 3), 0.5))
+    assert len(seen) == 1 and opt.status.code == "stalled"
+    assert opt.status.sentence.startswith("All ")
+    opt.save(tmp_path / "a.ckpt")
+    again = FIDE.load(tmp_path / "a.ckpt")
+    again.tell(again.ask(40), np.full((40, 8, 8), 0.5))
+    assert again.status.sentence.startswith("Still improving")
+
+
+def test_an_error_of_the_warning_changes_nothing() -> None:
+    opt = FIDE(SPACE, TARGET, seed=0)
+    X = opt.ask(40)
+    with warnings.catch_warnings(), pytest.raises(RuntimeWarning):
+        warnings.simplefilter("error")
+        opt.tell(X, [TARGET] * 40)
+    assert opt.evaluations == 0
+    opt.tell(X, [TARGET] * 40)
+    assert opt.evaluations == 40
+
+
+@pytest.mark.parametrize(
+    ("points", "images", "number"),
+    [
+        (lambda i: [i], lambda i: 0.5, 40),
+        (lambda i: [0], lambda i: 0.5, 0),  # one candidate, again and again
+        (lambda i: [i], lambda i: 0.5 + (i == 15) / 9, 0),
+        (lambda i: [i], lambda i: 0.5 + (i == 39) / 9, 0),  # said too early, and taken back
+    ],
+)
+def test_different_candidates_count(
+    points: Callable[[int], list[float]], images: Callable[[int], float], number: int
+) -> None:
+    same = SameImages(8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for i in range(40):
+            same.note(np.array([points(i)], float), np.full((1, 2, 2, 3), images(i)))
+    assert same.number == number
+
+
+def test_a_large_generation_counts_as_a_whole() -> None:
+    same = SameImages(50)
+    same.note(np.arange(49.0)[:, None], np.zeros((49, 2, 2, 3)))
+    assert same.number == 0
+    with pytest.warns(RuntimeWarning, match="all images of 50 different candidates"):
+        same.note(np.array([[0.5]]), np.zeros((1, 2, 2, 3)))
