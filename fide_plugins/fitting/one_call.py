@@ -173,12 +173,7 @@ def prepare(
     `CheckpointTimer`.  command: command line to record.  check: gets the optimizer before anything
     is written, and may raise.  All others, and errors, as for `fit`.
     """
-    if not callable(render):
-        raise OptionError(
-            f"render must be a function of the parameters, not {_short(render)}; the order is "
-            "fit(render, target, space)"
-        )
-    _check_call(render, named=isinstance(space, Space))
+    _check_render(render, named=isinstance(space, Space))
     if out == "":
         raise OptionError("out is empty: name a folder, or leave it out to write nothing")
     if switch("resume", resume) and out is None:
@@ -245,11 +240,16 @@ def _saved_run(
     )
 
 
-def _check_call(render: Callable[[Any], object], named: bool) -> None:
+def _check_render(render: object, named: bool) -> None:
     """Raise OptionError for a function that cannot be called with one argument.
 
     named: whether it gets a dictionary.
     """
+    if not callable(render):
+        raise OptionError(
+            f"render must be a function of the parameters, not {_short(render)}; the order is "
+            "fit(render, target, space)"
+        )
     try:
         form = signature(render, follow_wrapped=False)
     except (TypeError, ValueError):  # of some functions of C nobody knows it

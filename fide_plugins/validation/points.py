@@ -61,8 +61,9 @@ def as_point(x: object, dim: int, name: str = "x") -> Float64:
     try:
         point: Float64 = as_points([x], dim)[0]
     except PointsError:
+        given: Any = x
         try:
-            shape = np.shape(x)  # type: ignore[arg-type]
+            shape = np.shape(given)
         except (TypeError, ValueError, RuntimeError):  # no array at all
             shape = (dim,)
         if shape == (dim,):
@@ -80,8 +81,9 @@ def whole_number(name: str, value: object, minimum: int) -> int:
     except TypeError:
         number = None
     if number is None or number < minimum:
-        whole = isinstance(value, float) and value.is_integer() and value >= minimum
-        hint = f"; write {int(value)}" if whole else ""
+        hint = ""
+        if isinstance(value, float) and value.is_integer() and value >= minimum:
+            hint = f"; write {int(value)}"
         raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}{hint}")
     return number
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,14 +22,12 @@ def every_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_EVERY", 0.0)
 
 
-def last_line(
-    capsys: pytest.CaptureFixture[str], *states: tuple[int, float], **facts: object
-) -> str:
+def last_line(capsys: pytest.CaptureFixture[str], *states: tuple[int, float], **facts: Any) -> str:
     """Last line of a run that had so many evaluations after so many seconds."""
     report = progress.lines("x")
     for done, seconds in states:
-        report(Progress(done, **{"budget": 0, "best_loss": 0.5, "wall_s": seconds,
-                                 "times": NO_TIME, **facts}))  # fmt: skip
+        known: dict[str, Any] = {"budget": 0, "best_loss": 0.5, "wall_s": seconds}
+        report(Progress(done, **{**known, "times": NO_TIME, **facts}))
     return capsys.readouterr().err.splitlines()[-1]
 
 

@@ -15,6 +15,9 @@ from fide_plugins.errors import DeviceError, FideError, OptionError, PointsError
 from fide_plugins.validation import images
 
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
+THREE: Any = 3.0
+HALF: Any = 0.5
+HUGE: Any = 1e300
 TARGET = np.linspace(0, 1, 64).reshape(8, 8)
 
 
@@ -29,9 +32,9 @@ def tried(render: Any = render, target: Any = TARGET, space: Any = SPACE, **opti
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Int(3.0, 5), r"not 3\.0; write 3$"),
-        (lambda: Int(0.5, 5), r"not 0\.5; use Float for real numbers"),
-        (lambda: Int(1e300, 5), "use Float for real numbers"),
+        (lambda: Int(THREE, 5), r"not 3\.0; write 3$"),
+        (lambda: Int(HALF, 5), r"not 0\.5; use Float for real numbers"),
+        (lambda: Int(HUGE, 5), "use Float for real numbers"),
         (lambda: tried(budget=20.0), r"budget must be a whole number >= 1, not 20\.0; write 20$"),
         (lambda: tried(budget=2.5), r"not 2\.5$"),
         (lambda: tried(budget=-2.0), r"not -2\.0$"),
