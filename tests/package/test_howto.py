@@ -87,16 +87,8 @@ def prepare(page: Path, folder: Path) -> None:
     names: dict[str, Any] = {}
     exec(compile(scene.code, "scene.py", "exec"), names)
     image = np.repeat(names["render"](TRUTH)[..., None], 3, axis=-1)
-    pictures = {
-        "target": image, "front": image, "side": image[:, ::-2],
-        "photo": image, "front-mask": np.ones_like(image), "side-mask": np.ones_like(image[:, ::2]),
-    }  # fmt: skip
-    for name, picture in pictures.items():
-        Image.fromarray((255 * picture).astype(np.uint8)).save(folder / f"{name}.png")
-    (folder / "views.py").write_text(
-        "from scene import render, space\n\n\ndef both(p):\n"
-        "    return [render(p), render({**p, 'x': 1 - p['x']})[:, ::2]]\n"
-    )
+    for name in ("target", "photo"):
+        Image.fromarray((255 * image).astype(np.uint8)).save(folder / f"{name}.png")
 
 
 def run(page: Path) -> dict[str, Any]:
