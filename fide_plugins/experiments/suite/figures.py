@@ -44,4 +44,4 @@ def performance_profile(
     tau = np.unique([1.0, *ratios[np.isfinite(ratios)]])
     tau = np.append(tau, max(2.0, 1.3 * tau[-1]))
     shares = profiles.performance_profile(t, tau)
-    return plots.profile(tau, shares, names, "tau, renders over those of the fastest", legend)
+    return plots.profile(tau, shares, names, "renders / renders of the fastest optimizer", legend)
