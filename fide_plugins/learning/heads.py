@@ -106,14 +106,32 @@ class Autoregressive(nn.Module):
     def _of(self, vector: Tensor, u: Tensor) -> Components:
         """Components (B, d, K), those of u_i given features and the parameters before i."""
         d, hidden = len(self.periodic), self.hidden
-        mask = self.before.repeat_interleave(frequencies(), 0).repeat_interleave(hidden, 1)
         waves = fourier(u, self.periodic).flatten(1)  # (B, d * 9)
-        h = F.gelu(self.context(vector) + waves @ (self.earlier * mask))
+        earlier = self._earlier() * self.before[:, None, :, None]
+        h = F.gelu(self.context(vector) + waves @ earlier.view_as(self.earlier))
         h = h.view(-1, d, hidden).transpose(0, 1)  # (d, B, hidden)
         h = F.gelu(torch.baddbmm(self.second_bias, h, self.second)) + h
         raw = torch.baddbmm(self.out_bias, h, self.out).transpose(0, 1)
-        found = Components.of(raw.view(-1, d, self.components, NUMBERS), self.periodic)
-        return found.widened(self.scale)
+        return self._components(raw, self.periodic)
+
+    def _of_one(self, i: int, context: Tensor, waves: Tensor) -> Components:
+        """Components (n, 1, K) of u_i alone, as `_of` has them but for rounding.
+
+        context: (d, hidden), of one picture.  waves: (n, i * 9), of the parameters before i.
+        """
+        h = F.gelu(context[i] + waves @ self._earlier()[:i, :, i].flatten(0, 1))
+        h = F.gelu(self.second_bias[i] + h @ self.second[i]) + h
+        return self._components(self.out_bias[i] + h @ self.out[i], self.periodic[i : i + 1])
+
+    def _components(self, raw: Tensor, periodic: Tensor) -> Components:
+        """Components (B, d, K) of as many numbers as they need."""
+        raw = raw.reshape(len(raw), len(periodic), self.components, NUMBERS)
+        return Components.of(raw, periodic).widened(self.scale)
+
+    def _earlier(self) -> Tensor:
+        """Weights (d, 9, d, hidden) from the waves of each parameter to the units of each."""
+        d = len(self.periodic)
+        return self.earlier.view(d, frequencies(), d, self.hidden)
 
     def log_prob(self, places: Tensor, vector: Tensor, u: Tensor) -> Tensor:
         """See `Head`."""
@@ -122,10 +140,21 @@ class Autoregressive(nn.Module):
 
     def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """See `Head`."""
-        d = len(self.periodic)
-        u, vector = torch.full((n, d), 0.5), vector.expand(n, -1)
-        for i in range(d):  # the i-th is right once those before it are
-            u[:, i] = self._of(vector, u).draw_mixture(generator)[:, i]
+        d, k = len(self.periodic), self.components
+        u, context = torch.empty(n, d), self.context(vector).view(d, self.hidden)
+        waves = torch.empty(n, d, frequencies())
+        # each step draws for all axes, so that a seed draws the same in every version
+        found = Components(
+            torch.zeros(n, d, k), torch.full((n, d, k), 0.5), torch.ones(n, d, k),
+            self.periodic[:, None],
+        )  # fmt: skip
+        for i in range(d):
+            one = self._of_one(i, context, waves[:, :i].flatten(1))
+            found.weight[:, i], found.mean[:, i], found.std[:, i] = (
+                part[:, 0] for part in (one.weight, one.mean, one.std)
+            )
+            u[:, i] = found.draw_mixture(generator)[:, i]
+            waves[:, i] = fourier(u[:, i : i + 1], self.periodic[i : i + 1])[:, 0]
         return u
 
 
