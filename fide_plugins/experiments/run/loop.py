@@ -275,6 +275,7 @@ class Run:
             self._save()
 
     def _save(self) -> None:
+        self._tick()  # the optimizer's last step may be in `times` alone
         with self._checkpoints.writing():
             if self._directory is not None:
                 self._directory.save(self.record, self.optimizer)
@@ -290,7 +291,6 @@ class Run:
         if self._directory is None:
             return
         if self._whole:
-            self._tick()
             self._save()
         else:
             with suppress(Exception):  # of a record that is not whole; the totals matter more

@@ -20,7 +20,8 @@ from fide_plugins.errors import (
 )
 from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
-from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.recording.checkpointing import CheckpointTimer
+from fide_plugins.recording.directory import RunDirectory, RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 
@@ -165,6 +166,31 @@ def test_a_signal_inside_the_optimizer_waits_for_the_step_to_end(tmp_path: Path)
         assert same(resumed, harness.run(Tint(), "random", budget=40, options={"popsize": 5}))
     finally:
         optimizers._REGISTRY._factories.pop("slow")
+
+
+def test_times_of_every_checkpoint_add_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of one that is written between a long step of the optimizer and the first render."""
+
+    class Slow(Random):
+        def ask_ready(self) -> Any:
+            time.sleep(0.05)
+            return super().ask_ready()
+
+    saved, save = [], RunDirectory.save
+
+    def noted(self: RunDirectory, record: Any, optimizer: Any) -> None:
+        saved.append((record.wall_s, sum(record.times.values())))
+        save(self, record, optimizer)
+
+    monkeypatch.setattr(RunDirectory, "save", noted)
+    monkeypatch.setattr(CheckpointTimer, "due", lambda self, optimizer: True)
+    optimizers.register("slow", Slow)
+    try:
+        harness.run(Tint(), "slow", budget=10, options={"popsize": 5}, out=tmp_path)
+    finally:
+        optimizers._REGISTRY._factories.pop("slow")
+    assert len(saved) == 5  # after each ask and each tell, and at the end
+    assert all(parts <= wall for wall, parts in saved)
 
 
 def test_a_second_signal_stops_no_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
