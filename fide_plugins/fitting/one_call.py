@@ -103,7 +103,8 @@ def fit(
         cannot be killed: it is forgotten, and missing until it ends.
     resume
         go on with the fit in `out`, if there is one.  `budget`, `time`, `stop_at`, `workers` and
-        the like may be others; what defines the fit must be the same.
+        the like may be others; what defines the fit must be the same, the budget too where
+        `preset` is "global".
     progress
         True: a bar; False: none; None: a bar in a terminal; or a function of a
         `recording.record.Progress`, which is called some ten times a second at most.
@@ -231,7 +232,7 @@ def _saved_run(
 ) -> SavedRun:
     """The run directory `out`, checked; nothing is read or written of the search yet."""
     name = own_name(render)
-    settings = settings_of(name, optimizer, options)
+    settings = settings_of(name, optimizer, options, stopping.budget)
     own = callable(options.get("encoder"))  # others are known by name and version
     facts = {"features": features_of(optimizer)} if own else None
     files = of_files({name: fingerprint_of(render)})

@@ -16,6 +16,7 @@ import numpy as np
 
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
+from fide_plugins.options import GLOBAL
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.directory import RunDirectory, RunDirectoryError, is_saved, read_run
 from fide_plugins.recording.outcome import Verdict, result_of
@@ -132,12 +133,15 @@ class SavedRun:
         try_each(*writes)
 
 
-def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[str, Any]:
+def settings_of(
+    name: str, optimizer: FIDE, options: Mapping[str, Any], budget: int | None
+) -> dict[str, Any]:
     """What defines a fit.
 
     name: of what renders; options: of the optimizer, as the user gave them.  Arrays are recorded by
     their digest, mask and weights by that of their product; a starting point, its width and groups
-    as the optimizer has made them, in whatever form they were given.
+    as the optimizer has made them, in whatever form they were given.  The budget is a limit, which
+    may change, unless rounds of learning divide it.
     """
     target = optimizer.evaluator.target
     space = optimizer.space
@@ -163,6 +167,7 @@ def settings_of(name: str, optimizer: FIDE, options: Mapping[str, Any]) -> dict[
         "weights": _recorded(optimizer.weights),
         "loss": optimizer.evaluator.loss.name,
         "seed": optimizer.seed,
+        **({"budget": budget} if options.get("preset") == GLOBAL else {}),
     }
 
 

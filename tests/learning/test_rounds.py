@@ -16,6 +16,7 @@ from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.learning import Model, rounds
+from fide_plugins.recording.directory import RunDirectoryError
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
@@ -140,15 +141,19 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
 
 @pytest.mark.usefixtures("few")
 def test_a_round_that_is_done_is_not_done_again(tmp_path: Path) -> None:
-    """Also where a time limit, or a larger budget, would make another model of it."""
+    """Also where a time limit would make another model of it."""
     render = Disk(stop=280)
     with pytest.raises(Stop):
         fitted(render, out=tmp_path)
     first = (tmp_path / "rounds" / "first.fide").read_bytes()
-    result = fitted(render, out=tmp_path, resume=True, budget=700, time=600)
+    with pytest.raises(RunDirectoryError, match="budget is 500 there and 700 here"):
+        fitted(render, out=tmp_path, resume=True, budget=700)
+    result = fitted(render, out=tmp_path, resume=True, time=600)
     assert (tmp_path / "rounds" / "first.fide").read_bytes() == first
-    assert result.evaluations == 700
-    assert np.isinf(result.curve[:, 1]).sum() == SHARES[0] + round(0.3 * 700) // 100 * 100
+    assert result.evaluations == BUDGET
+    assert np.isinf(result.curve[:, 1]).sum() == sum(SHARES)
+    with pytest.raises(RunDirectoryError, match="budget is 500 there and 700 here"):
+        fitted(render, out=tmp_path, resume=True, budget=700)  # after the end, too
 
 
 @pytest.mark.usefixtures("few")
