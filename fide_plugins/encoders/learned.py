@@ -92,6 +92,8 @@ def _read(variant: str | None) -> Model:
     path = Path(variant)
     try:
         return Model.load(path)
+    except IsADirectoryError as error:
+        raise WeightsNotFoundError(f"the encoder 'learned': {error}; {_HOW}") from error
     except OSError as error:
         reason = error.strerror or "No such file"  # a ModelNotFoundError has no number
         why = f"no model at {path.absolute()}: {reason}; {_HOW}"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -39,7 +40,8 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.space import Space
+from fide_plugins.space import Choice, Space
+from fide_plugins.space.kinds import Kind
 from fide_plugins.types import Float64
 from fide_plugins.validation.images import as_target
 from fide_plugins.validation.points import as_points, torch_seed, whole_number
@@ -226,7 +228,7 @@ class Model:
     def check_space(self, space: Space | int) -> None:
         """Raise OptionError, naming the difference, unless the model has learned this space.
 
-        A number of parameters fits a model of so many, named or not.
+        A number of parameters fits a model of so many, named or not.  Units are for people.
         """
         dim = space.dim if isinstance(space, Space) else space
         if dim != self.dim:
@@ -234,9 +236,11 @@ class Model:
                 f"the model of {self.renderer!r} has {self.dim} parameters, and the optimizer "
                 f"{dim}: learn a model of this space"
             )
-        if not isinstance(space, Space) or self.space is None or space == self.space:
+        if not isinstance(space, Space) or self.space is None:
             return
-        old, new = self.space.parameters, space.parameters
+        old, new = _without_units(self.space), _without_units(space)
+        if list(old.items()) == list(new.items()):
+            return
         different = [
             f"{name!r} is {old.get(name, 'missing')} in the model and {new.get(name, 'missing')} "
             "here"
@@ -278,6 +282,8 @@ class Model:
         Raises ModelNotFoundError (a FileNotFoundError), which says what makes a model, another
         OSError, or CheckpointError (a ValueError) if the file is damaged or no model.
         """
+        if Path(path).is_dir():
+            raise IsADirectoryError(f"{os.fspath(path)!r} is a folder; name the model's file")
         try:
             state = checkpoint.read(path, _KIND)
         except FileNotFoundError as error:
@@ -323,3 +329,9 @@ class Model:
             emulator,
             state["picture"],
         )
+
+
+def _without_units(space: Space) -> dict[str, Kind]:
+    """Parameters by flat name, without what is for people alone."""
+    found = space.parameters
+    return {n: k if isinstance(k, Choice) else replace(k, unit=None) for n, k in found.items()}

@@ -145,6 +145,22 @@ def test_impossible_contents_are_refused(
         Model.load(tmp_path / "odd")
 
 
+def test_units_make_no_other_space(model: Model) -> None:
+    model.check_space(Space({name: Float(0, 1, unit="m") for name in ("x", "y", "gray", "hidden")}))
+    assert model.space is not None
+    in_another_order = Space(dict(reversed(model.space.parameters.items())))
+    with pytest.raises(OptionError, match="the parameters come in another order"):
+        model.check_space(in_another_order)
+
+
+@pytest.mark.parametrize("name", ["", "m.fide.renders"])
+def test_a_folder_is_no_model(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("m.fide.renders").mkdir()
+    with pytest.raises(IsADirectoryError, match=f"^'{name}' is a folder; name the model's file"):
+        Model.load(name)
+
+
 def test_another_space_is_refused_with_the_difference(model: Model) -> None:
     model.check_space(4)
     with pytest.raises(OptionError, match="has 4 parameters, and the optimizer 5"):
