@@ -12,7 +12,7 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
-from fide_plugins.errors import FeaturesError, LossError
+from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.losses.base import LossOfTarget, as_losses
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
@@ -133,15 +133,20 @@ class Evaluator:
         }
 
     def check_versions(self, saved: Mapping[str, object]) -> None:
-        """Raise ValueError unless saved features and losses are of the versions used here.
+        """Raise CheckpointError unless saved features and losses are of the versions used here.
 
-        Versions of a user's own loss are not known.
+        A ValueError for what are no versions.  Versions of a user's own loss are not known.
         """
         own = self.versions
         check(saved, dict.fromkeys(own, anything), {}, "versions")
         if saved["encoder"] != own["encoder"]:
-            raise ValueError(
-                f"features of the encoder {saved['encoder']}; the one here is {own['encoder']}"
+            name = self.encoder.name
+            remedy = "take the version of FIDE, and the weights, that wrote it"
+            if name.startswith("learned:"):
+                remedy = f"put that model back, which encoder={name!r} reads"
+            raise CheckpointError(
+                f"the saved state has features of the encoder {saved['encoder']}; the one here is "
+                f"{own['encoder']}: {remedy}, or start again"
             )
         loss, same = saved["loss"], saved["loss_name"] == own["loss_name"]
         if loss is not None and same and loss != own["loss"]:

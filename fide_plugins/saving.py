@@ -147,7 +147,10 @@ class Saved(Locked, ABC):
             there, here = saved["settings"], self.settings()
             other = [name for name in here if not _same(there.get(name), here[name])]
             if other:
-                raise ValueError(f"it was saved with another {', '.join(other)}")
+                raise CheckpointError(
+                    f"{os.fspath(path)}: it was saved with another {', '.join(other)}; give the "
+                    "same here, or name another checkpoint"
+                )
             self.load_state_dict(saved["state"])
 
 

@@ -134,8 +134,10 @@ def test_a_saved_optimizer_refuses_another_model(
     opt = FIDE(3, pictures(1)[0], encoder=f"learned:{saved}", seed=4)
     opt.save(saved.parent / "run")
     random_model((SIDE, SIDE), seed=1).save(saved)
-    with pytest.raises(CheckpointError, match="features of the encoder learned-1-"):
+    with pytest.raises(CheckpointError, match="features of the encoder learned-1-") as raised:
         FIDE.load(saved.parent / "run")
+    assert f"put that model back, which encoder='learned:{saved}' reads" in str(raised.value)
+    assert "impossible contents" not in str(raised.value)
     saved.unlink()
     with pytest.raises(WeightsNotFoundError, match="no model at"):
         FIDE.load(saved.parent / "run")
@@ -144,3 +146,8 @@ def test_a_saved_optimizer_refuses_another_model(
 def test_views_of_two_sizes_have_tokens_of_one_model(saved: Path) -> None:
     opt = FIDE(3, [pictures(1)[0], pictures(1, 64)[0]], encoder=f"learned:{saved}", seed=0)
     assert opt.features_shape == (128, 96)
+
+
+def test_a_folder_is_no_model(saved: Path) -> None:
+    with pytest.raises(WeightsNotFoundError, match="is a folder; name the model's file"):
+        encoders.make(f"learned:{saved.parent}")

@@ -181,6 +181,15 @@ def test_a_mistake_in_loading_is_not_the_checkpoint_s(target: Float32, tmp_path:
         FIDE.load(tmp_path / "c", device="abacus")
 
 
+def test_going_on_asks_for_the_same_arguments(target: Float32, tmp_path: Path) -> None:
+    """A checkpoint of another target is whole, and nobody needs to start again."""
+    FIDE(6, target, popsize=8, seed=0).save(tmp_path / "a")
+    other = FIDE(6, 1 - target, popsize=8, seed=0)
+    with pytest.raises(CheckpointError, match="/a: it was saved with another target; give the"):
+        other.continue_from(tmp_path / "a")
+    assert other.best is None
+
+
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
 def test_cut_short(share: float, target: Float32, render: Render, tmp_path: Path) -> None:
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")
