@@ -126,7 +126,7 @@ def learn(
     OptionError, ImageError, DeviceError
         all ValueErrors: an argument is not what it must be, this machine has no such device, or the
         folder of renders holds others: their settings differ, or the renderer's images do, see
-        `learning.identity`.
+        `learning.identity`; or another call is learning the same file.
     CheckpointError
         a ValueError: a file is damaged, or of something else: a shard of renders, a training that
         was interrupted, or the model `after`.

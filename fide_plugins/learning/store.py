@@ -25,7 +25,7 @@ from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.files import atomic_writer, check_writable, remove_leftovers
+from fide_plugins.runtime.files import atomic_writer, check_writable, locked, remove_leftovers
 from fide_plugins.types import Float64
 
 __all__ = ["SHARD", "RenderStore", "check_room", "folder_of"]
@@ -34,6 +34,7 @@ SHARD = 100
 """Renders of a shard: what a kill loses, at most, for each worker."""
 
 _KIND = "renders"
+_LOCK = ".learn.lock"
 _NUMBER = re.compile("[0-9]{6,}")
 _DIGESTS = {"after": "they were made after another model", "picture": "they are of another picture"}
 
@@ -61,7 +62,6 @@ class RenderStore:
         self.folder, self.settings = Path(folder), dict(settings)
         self._draw, self._drawn = draw or self._uniform, dict[int, Float64]()
         self.folder.mkdir(parents=True, exist_ok=True)
-        remove_leftovers(self.folder)
         self.fingerprint, self.version = fingerprint, self.settings.get("version")
         self._agreed = False  # whether the folder's settings are known to be these
         if self._all():  # without any, settings bind nobody: all renders failed, or none was made
@@ -232,7 +232,9 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
 
     It is a temporary one, which is removed, where nothing is kept (None).
 
-    Raises OSError where the file cannot be written.
+    It is locked, for two calls that write there would remove each other's temporary files.
+
+    Raises OSError where the file cannot be written, OptionError where another call has the folder.
     """
     if out is None:
         with tempfile.TemporaryDirectory(prefix="fide-renders-") as folder:
@@ -241,7 +243,16 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
     if Path(out).is_dir():
         raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
     check_writable(Path(out).absolute().parent)
-    yield Path(f"{os.fspath(out)}.renders")
+    folder = Path(f"{os.fspath(out)}.renders")
+    folder.mkdir(exist_ok=True)
+    with locked(folder / _LOCK, remove=True) as mine:
+        if not mine:
+            raise OptionError(
+                f"the model {os.fspath(out)} is being learned, in another process or in this one; "
+                "wait until that ends or stop it, and go on then, or name another file"
+            )
+        remove_leftovers(folder)  # of nobody who still writes
+        yield folder
 
 
 def check_room(settings: Mapping[str, Any], renders: int, limit: float) -> None:

@@ -99,11 +99,15 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
         raise type(error)(error.errno, message) from error
 
 
-def remove_leftovers(folder: str | os.PathLike[str]) -> None:
-    """Remove temporary files that a killed process left in `folder`."""
+def remove_leftovers(folder: str | os.PathLike[str], *, age: float = 0.0) -> None:
+    """Remove temporary files that a killed process left in `folder`.
+
+    age: seconds since they were last written, at least, where others may be writing; 0: whatever.
+    """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
         with suppress(OSError):
-            leftover.unlink()
+            if not age or time.time() - leftover.stat().st_mtime >= age:
+                leftover.unlink()
 
 
 _O_BINARY = getattr(os, "O_BINARY", 0)  # Windows would translate line ends without it

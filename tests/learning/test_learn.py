@@ -246,6 +246,26 @@ def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["m"]
 
 
+def test_one_call_at_a_time_learns_a_file(tmp_path: Path) -> None:
+    """A second one would remove what the first is writing."""
+    live = tmp_path / "m.renders" / ".000000.npz.0123.tmp"
+    seen = []
+
+    def render(x: Float64) -> Float64:
+        if live.parent.exists() and not seen:
+            live.touch()
+            with pytest.raises(OptionError, match="m is being learned, in another process or in"):
+                learn(plain, 2, renders=100, size=SIDE, passes=1, out=tmp_path / "m", seed=1)
+            seen.append(live.exists())
+        return plain(x)
+
+    learn(render, 2, renders=100, size=SIDE, passes=1, out=tmp_path / "m", seed=0)
+    assert seen == [True]
+    learn(render, 2, renders=100, size=SIDE, passes=1, out=tmp_path / "m", seed=0)
+    assert not live.exists()  # that of a call that was killed
+    assert not list(live.parent.glob(".learn*"))
+
+
 def test_too_little_time_is_said() -> None:
     with pytest.raises(OptionError, match="0 renders are too few.*allow more time"):
         learn(plain, 2, size=SIDE, time=1e-9)

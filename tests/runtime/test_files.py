@@ -9,6 +9,7 @@ import stat
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,14 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     files.remove_leftovers(tmp_path)
     assert sorted(os.listdir(tmp_path)) == [".hidden", "mine.tmp"]
+
+
+def test_what_another_process_may_be_writing_stays(tmp_path: Path) -> None:
+    for name in (".new.0123.tmp", ".old.0123.tmp"):
+        (tmp_path / name).touch()
+    os.utime(tmp_path / ".old.0123.tmp", (0, time.time() - 100))
+    files.remove_leftovers(tmp_path, age=50)
+    assert os.listdir(tmp_path) == [".new.0123.tmp"]
 
 
 HOLDER = """

@@ -33,6 +33,8 @@ from fide_plugins.runtime import files, machine
 
 __all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of", "target_file"]
 
+_OLD = 3600.0  # seconds; nothing that is written here takes so long
+
 
 class ComparisonDirectory:
     """Directory `path` of a comparison, made or reopened for `plan`.
@@ -70,7 +72,7 @@ class ComparisonDirectory:
         there = [] if before is None else [key for key, _ in runs_of(before)]
         check_versions(self.path, sources, self.states, there)
         files.check_writable(self.path)
-        files.remove_leftovers(self.path)
+        files.remove_leftovers(self.path, age=_OLD)  # another process may be at work here
 
     def _check(self, theirs: dict[str, Any], resume: bool) -> None:
         mine = self._settings

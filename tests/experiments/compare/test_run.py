@@ -273,11 +273,14 @@ def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> No
 
 def test_what_others_write_meanwhile_is_kept(tmp_path: Path) -> None:
     first = prepare(small("cma", seeds=1), tmp_path)
+    live = tmp_path / ".study.json.0123.tmp"
 
     def extend(_: Outcome) -> None:
+        live.touch()
         compare.run(small("random", seeds=1), tmp_path, resume=True, command=["second"])
 
     first.execute(extend)
+    assert live.exists()
     found = compare.read(tmp_path)
     assert {r.key.configuration: r.status for r in found.runs} == {
         "cma": "finished",
