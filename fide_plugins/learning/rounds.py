@@ -29,9 +29,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.learning.hypotheses import model_for, with_model
 from fide_plugins.options import GLOBAL
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 
 if TYPE_CHECKING:
@@ -224,9 +225,15 @@ def search_options(options: Mapping[str, Any], render: object, *, resumed: bool)
 
     A model takes the place of its file, see `model_for`, which raises and warns.
     resumed: whether the search goes on from a saved state, which has its hypotheses: the model is
-        checked, and left out.
+        checked, and left out; a warning where its file is gone.
     """
-    found = with_model(options, render)
+    try:
+        found = with_model(options, render)
+    except ModelNotFoundError as error:
+        if not resumed:
+            raise
+        warn_user(f"{error}; the saved search has its hypotheses and goes on without the file")
+        found = dict(options)
     if resumed:
         found.pop("learned", None)
     if found.get("preset") == GLOBAL:

@@ -116,6 +116,10 @@ class RunDirectory:
             }
             before = read_run(self.path)
             if before is not None:
+                if resume and is_saved(self.path):
+                    self.settings = sources_module.with_model_there(
+                        before["settings"], self.settings, self.path
+                    )
                 self._check(before["settings"], resume, may_change)
                 self._run = {**before, "settings": self.settings, "status": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]

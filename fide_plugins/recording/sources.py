@@ -14,7 +14,14 @@ from typing import Any
 from fide_plugins.runtime.fingerprints import changed, kind_of
 from fide_plugins.runtime.warn import warn_user
 
-__all__ = ["edited", "file_of", "of_files", "versions_there", "versions_with"]
+__all__ = [
+    "edited",
+    "file_of",
+    "of_files",
+    "versions_there",
+    "versions_with",
+    "with_model_there",
+]
 
 
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
@@ -83,3 +90,21 @@ def versions_with(
             if newest.get(reference) != [now]
         },
     }
+
+
+def with_model_there(there: Mapping[str, Any], here: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Settings of a fit that goes on from its saved state, with the model that it began with.
+
+    The state has that model's hypotheses, and the file may be anywhere now.  Warns of another name.
+    there, here: settings in `path`, and those of this call.  Others than FIDE need their model.
+    """
+    found = [settings.get("options") for settings in (there, here)]
+    before, now = (one.get("learned") if isinstance(one, dict) else None for one in found)
+    if here.get("optimizer") != "fide" or before is None or before == now:
+        return here
+    if now is not None:
+        warn_user(
+            f"the search in {path} goes on with the hypotheses of {before}, with which it began: "
+            f"learned={now!r} is not used; to use it, start again in another directory"
+        )
+    return {**here, "options": {**here["options"], "learned": before}}

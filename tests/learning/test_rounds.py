@@ -12,7 +12,7 @@ import pytest
 
 from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.cli import progress
-from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.errors import CheckpointError, OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.learning import Model, rounds
@@ -280,8 +280,13 @@ def test_a_search_gets_its_own_preset_and_the_model_unless_its_state_has_hypothe
     assert new == rounds.search_options(given, disk, resumed=True)
     assert new == {"preset": "balanced", "popsize": 8}
     assert given == kept
-    with pytest.raises(FileNotFoundError):  # the file is checked nevertheless
-        rounds.search_options({"learned": learned.with_name("none")}, disk, resumed=True)
+    missing = {"learned": learned.with_name("none")}
+    with pytest.raises(FileNotFoundError):
+        rounds.search_options(missing, disk, resumed=False)
+    with pytest.warns(RuntimeWarning, match="has its hypotheses and goes on without the file"):
+        assert rounds.search_options(missing, disk, resumed=True) == {}
+    with pytest.raises(CheckpointError):  # a file that is there is checked nevertheless
+        rounds.search_options({"learned": __file__}, disk, resumed=True)
 
 
 @pytest.mark.parametrize("budget", [None, 2000, 9999])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
 from fide_plugins.learning.hypotheses import posterior_of
+from fide_plugins.recording.directory import RunDirectoryError
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
@@ -198,3 +201,31 @@ def test_a_file_that_is_missing_is_named_with_what_makes_one(tmp_path: Path) -> 
         FIDE(SPACE, PICTURE, learned=absent)
     with pytest.raises(ModelNotFoundError, match=said):
         fit(disk, PICTURE, SPACE, budget=10, learned=absent, workers=0)
+
+
+def test_a_saved_fit_goes_on_without_the_file_of_its_model(learned: Path, tmp_path: Path) -> None:
+    here, moved = tmp_path / "here.fide", tmp_path / "moved.fide"
+    shutil.copy(learned, here)
+    settings: dict[str, Any] = {"workers": 0, "seed": 0, "popsize": 8}
+
+    def fitted(budget: int, **more: Any) -> Any:
+        return fit(disk, PICTURE, SPACE, budget=budget, out=tmp_path / "run", **settings, **more)
+
+    whole = fit(disk, PICTURE, SPACE, budget=65, learned=here, **settings)
+    fitted(50, learned=here)
+    here.rename(moved)
+    with pytest.warns(RuntimeWarning, match="no model at .*goes on without the file"):
+        fitted(55, learned=here, resume=True)
+    fitted(60, resume=True)
+    with pytest.warns(RuntimeWarning, match="hypotheses of .*here.fide.*moved.fide' is not used"):
+        result = fitted(65, learned=moved, resume=True)
+    np.testing.assert_array_equal(result.curve, whole.curve)
+    recorded = json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["options"]
+    assert recorded["learned"] == str(here)
+
+
+def test_a_fit_without_a_model_gets_none_later(learned: Path, tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path}
+    fit(disk, PICTURE, SPACE, budget=10, **settings)
+    with pytest.raises(RunDirectoryError, match="other settings: options"):
+        fit(disk, PICTURE, SPACE, budget=20, learned=learned, resume=True, **settings)
