@@ -237,8 +237,8 @@ def folder_of(out: str | os.PathLike[str] | None) -> Iterator[Path]:
     Raises OSError where the file cannot be written, OptionError where another call has the folder.
     """
     if out is None:
-        with tempfile.TemporaryDirectory(prefix="fide-renders-") as folder:
-            yield Path(folder)
+        with tempfile.TemporaryDirectory(prefix="fide-renders-") as made:
+            yield Path(made)
         return
     if Path(out).is_dir():
         raise IsADirectoryError(f"{os.fspath(out)} is a folder; name a file for the model")
