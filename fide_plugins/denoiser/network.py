@@ -143,7 +143,7 @@ class ParameterTransformer(nn.Module):
                 Block(width, heads, mlp_ratio * width, noise_width) for _ in range(blocks)
             )
             self.parameter_out = nn.Linear(n * width, dim)
-        self.to_empty(device="cpu")
+        self.float().to_empty(device="cpu")  # whatever PyTorch's default is
         self._initialize(generator)
 
     @torch.no_grad()

@@ -65,6 +65,11 @@ class Objective(Protocol):
         ...
 
 
+def _normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
+    """Draw from N(0, 1), in the precision of `like` and where it is."""
+    return torch.randn(shape, generator=generator, device=like.device, dtype=like.dtype)
+
+
 class XLoss:
     """Objective of the paper: || x_hat(x + s * eps, s) - x ||^2, s = t * std, t ~ U(0, 1)."""
 
@@ -72,9 +77,9 @@ class XLoss:
         self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
     ) -> Tensor:
         """One draw of time and noise for each example."""
-        t = torch.rand(len(x), 1, generator=generator, device=x.device)  # ~ U(0, 1)
+        t = torch.rand(len(x), 1, generator=generator, device=x.device, dtype=x.dtype)  # ~ U(0, 1)
         s = t * std  # (B, d)
-        eps = torch.randn(x.shape, generator=generator, device=x.device)  # ~ N(0, I)
+        eps = _normal(x.shape, x, generator)  # ~ N(0, I)
         return (denoise(x + s * eps, s) - x).square().mean()
 
 
@@ -92,10 +97,10 @@ class WhitenedLoss:
         self, denoise: Denoise, x: Tensor, std: Tensor, generator: torch.Generator
     ) -> Tensor:
         """One draw of time and noise for each example."""
-        normal = torch.randn(len(x), 1, generator=generator, device=x.device)
+        normal = _normal((len(x), 1), x, generator)
         t = (self.log_mean + self.log_std * normal).exp()
         s = t * std  # (B, d)
-        eps = torch.randn(x.shape, generator=generator, device=x.device)  # ~ N(0, I)
+        eps = _normal(x.shape, x, generator)  # ~ N(0, I)
         error = (denoise(x + s * eps, s) - x) / s
         return ((1 + t * t) * error.square()).mean()
 
@@ -123,7 +128,7 @@ def fit(
     Returns the mean loss of each epoch, [epochs], on the device: reading it would wait for the
     device.
     """
-    losses = torch.zeros(epochs, device=x.device)
+    losses = torch.zeros(epochs, device=x.device, dtype=x.dtype)
     for epoch in range(epochs):
         order = torch.randperm(len(x), generator=generator, device=x.device)
 
@@ -198,7 +203,9 @@ def load_adam_state(optimizer: torch.optim.Optimizer, state: dict[str, Any]) -> 
     if sorted(map(int, state)) not in ([], list(range(len(weights)))):
         raise ValueError(f"moments of {len(state)} weights, and there are {len(weights)}")
     moments = {
-        int(number): {name: torch.as_tensor(value).clone() for name, value in entry.items()}
+        int(number): {
+            name: torch.as_tensor(value, device="cpu").clone() for name, value in entry.items()
+        }
         for number, entry in state.items()
     }
     for number, entry in moments.items():

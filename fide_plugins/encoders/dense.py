@@ -174,7 +174,7 @@ class DenseEncoder(PatchEncoder):
 
     def _encode(self, images: torch.Tensor) -> torch.Tensor:
         samples = images.permute(0, 3, 1, 2).contiguous()  # (n, 3, 2 gh, 2 gw)
-        weights = torch.tensor(LUMINANCE).to(samples.device)[:, None, None]
+        weights = torch.tensor(LUMINANCE, dtype=torch.float32).to(samples.device)[:, None, None]
         luminance = (samples * weights).sum(1)
         features = torch.cat([*_haar(samples), _edges(luminance)], dim=1)
         return features.flatten(2).transpose(1, 2)  # (n, T, C)

@@ -50,7 +50,7 @@ def augmented(images: Tensor, generator: torch.Generator, augment: str = "photog
 
 def _uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
     """Numbers (n, values)."""
-    drawn = torch.rand(n, values, generator=generator, device=generator.device)
+    drawn = torch.rand(n, values, generator=generator, device=generator.device, dtype=torch.float32)
     return low + (high - low) * drawn
 
 
@@ -68,7 +68,7 @@ def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _middles(pixels: int, device: torch.device) -> Tensor:
-    return (torch.arange(pixels, device=device) + 0.5) / pixels
+    return (torch.arange(pixels, device=device, dtype=torch.float32) + 0.5) / pixels
 
 
 def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
@@ -99,7 +99,9 @@ def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
 
 def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
     deviation = _uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
-    noise = torch.randn(images.shape, generator=generator, device=generator.device)
+    noise = torch.randn(
+        images.shape, generator=generator, device=generator.device, dtype=images.dtype
+    )
     return images + deviation * noise
 
 

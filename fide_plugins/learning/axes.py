@@ -52,7 +52,7 @@ class Components:
         wraps = periodic[:, None]
         angle = torch.atan2(second, first + 1e-6) / (2 * math.pi)
         mean = torch.where(wraps, angle - angle.floor(), torch.sigmoid(first))
-        largest = torch.where(wraps, _LARGEST_PERIODIC, _LARGEST)  # (d, 1)
+        largest = _largest(wraps)  # (d, 1)
         std = _SMALLEST * (largest / _SMALLEST) ** torch.sigmoid(scale + _OFFSET)
         if normalize:
             weight = F.log_softmax(weight, dim=-1)
@@ -62,7 +62,7 @@ class Components:
         """Return the same with standard deviations times `scale`, see `calibration`."""
         if scale == 1.0:
             return self
-        largest = torch.where(self.periodic, _LARGEST_PERIODIC, _LARGEST)
+        largest = _largest(self.periodic)
         std = torch.minimum(self.std * scale, largest)  # what wraps stays within three turns
         return Components(self.weight, self.mean, std, self.periodic)
 
@@ -86,11 +86,11 @@ class Components:
         """Draw (..., d) from the component `which` (..., d) of each axis."""
         mean, std = (t.gather(-1, which[..., None])[..., 0] for t in (self.mean, self.std))
         low, high = _phi(-mean / std), _phi((1 - mean) / std)
-        v = torch.rand(mean.shape, generator=generator)
+        v = torch.rand(mean.shape, generator=generator, dtype=mean.dtype)
         p = (low + v * (high - low)).clamp(1e-6, 1 - 1e-6)
         quantile = math.sqrt(2) * torch.erfinv(2 * p - 1)
         straight = (mean + std * quantile).clamp(0.0, 1.0)
-        around = mean + std * torch.randn(mean.shape, generator=generator)
+        around = mean + std * torch.randn(mean.shape, generator=generator, dtype=mean.dtype)
         return torch.where(self.periodic[:, 0], around - around.floor(), straight)
 
     def draw_mixture(self, generator: torch.Generator) -> Tensor:
@@ -114,7 +114,7 @@ def fourier(u: Tensor, periodic: Tensor) -> Tensor:
 
     periodic: (d,) bool; on these axes 0 and 1 give the same.
     """
-    turns = 2 * math.pi * u[..., None] * torch.tensor(_FREQUENCIES, device=u.device)
+    turns = 2 * math.pi * u[..., None] * u.new_tensor(_FREQUENCIES)
     line = torch.where(periodic, u.new_zeros(()), 2 * u - 1)
     return torch.cat([line[..., None], turns.cos(), turns.sin()], dim=-1)
 
@@ -122,6 +122,11 @@ def fourier(u: Tensor, periodic: Tensor) -> Tensor:
 def frequencies() -> int:
     """How many numbers `fourier` gives for each coordinate."""
     return 1 + 2 * len(_FREQUENCIES)
+
+
+def _largest(periodic: Tensor) -> Tensor:
+    """Standard deviations in single precision, for axes that wrap around and for others."""
+    return torch.where(periodic, _LARGEST_PERIODIC, _LARGEST).float()
 
 
 def _phi(z: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ from torch.nn import functional as F
 
 from fide_plugins.learning.attention import attend, split
 from fide_plugins.learning.axes import fourier, frequencies
-from fide_plugins.learning.trainable import Trainable, mean_and_variance
+from fide_plugins.learning.trainable import Trainable, linear, mean_and_variance
 
 __all__ = ["Emulator"]
 
@@ -71,8 +71,8 @@ class Emulator(Trainable):
         }
         for name, constant in constants.items():
             self.register_buffer(name, constant, persistent=False)
-        self.register_buffer("mean", torch.zeros(size[0] * size[1], 3))
-        self.register_buffer("variance", torch.ones(()))
+        self.register_buffer("mean", torch.zeros(size[0] * size[1], 3, dtype=torch.float32))
+        self.register_buffer("variance", torch.ones((), dtype=torch.float32))
         with torch.random.fork_rng(devices=[]):  # the global generator stays as it was
             torch.default_generator.manual_seed(seed)
             self.block = _perceptron(index.shape[1] * frequencies(), _WIDTH)
@@ -153,9 +153,11 @@ class _Gather(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.query, self.key_value = nn.Linear(_WIDTH, _WIDTH), nn.Linear(_WIDTH, 2 * _WIDTH)
-        self.sharpness = nn.Parameter(torch.zeros(_HEADS, 1, 1))  # an edge is a narrow softmax
-        self.here, self.there = nn.Linear(_WIDTH, _SUMMED), nn.Linear(_WIDTH, _SUMMED)
+        self.query, self.key_value = linear(_WIDTH, _WIDTH), linear(_WIDTH, 2 * _WIDTH)
+        self.sharpness = nn.Parameter(  # an edge is a narrow softmax
+            torch.zeros(_HEADS, 1, 1, dtype=torch.float32)
+        )
+        self.here, self.there = linear(_WIDTH, _SUMMED), linear(_WIDTH, _SUMMED)
         self.mix = _perceptron(_WIDTH + _SUMMED, _WIDTH)
 
     def forward(self, places: Tensor, blocks: Tensor) -> Tensor:
@@ -172,14 +174,14 @@ class _Gather(nn.Module):
 
 def _perceptron(inputs: int, outputs: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(inputs, _WIDTH), nn.ReLU(), nn.Linear(_WIDTH, _WIDTH), nn.ReLU(),
-        nn.Linear(_WIDTH, outputs),
+        linear(inputs, _WIDTH), nn.ReLU(), linear(_WIDTH, _WIDTH), nn.ReLU(),
+        linear(_WIDTH, outputs),
     )  # fmt: skip
 
 
 def _pixels(size: tuple[int, int]) -> Tensor:
     """Waves (H * W, 18) of the middle of each pixel, row by row; the longer side is 1."""
-    y, x = ((torch.arange(side) + 0.5) / max(size) for side in size)
+    y, x = ((torch.arange(side, dtype=torch.float32) + 0.5) / max(size) for side in size)
     return fourier(torch.cartesian_prod(y, x), torch.tensor([False, False])).flatten(1)
 
 

@@ -7,13 +7,14 @@ places; one more and a linear layer make a vector of it, for the others.
 from __future__ import annotations
 
 import math
+from functools import partial
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.trainable import mean_and_variance
+from fide_plugins.learning.trainable import linear, mean_and_variance
 
 __all__ = ["Encoder"]
 
@@ -38,24 +39,24 @@ class Encoder(nn.Module):
 
     def __init__(self, size: tuple[int, int], width: int) -> None:
         super().__init__()
-        self.register_buffer("mean", torch.zeros(3, *size))
-        self.register_buffer("std", torch.ones(()))
+        self.register_buffer("mean", torch.zeros(3, *size, dtype=torch.float32))
+        self.register_buffer("std", torch.ones((), dtype=torch.float32))
         steps = _steps(max(size))
         channels = [3, *(_CHANNELS[min(i, len(_CHANNELS) - 1)] for i in range(len(steps)))]
         self.down = nn.ModuleList(
-            nn.Conv2d(a, b, _SIDES[step], step, 1)
+            _convolution(a, b, _SIDES[step], step, 1)
             for (a, b), step in zip(pairwise(channels), steps, strict=True)
         )
         self.channels = channels[-1]
-        self.mix = nn.Conv2d(self.channels, self.channels, 1)
-        self.top = nn.Conv2d(self.channels, _TOP, 3, 2, 1)
+        self.mix = _convolution(self.channels, self.channels, 1)
+        self.top = _convolution(self.channels, _TOP, 3, 2, 1)
         with torch.no_grad():
-            places = self._map(torch.zeros(1, 3, *size))
+            places = self._map(torch.zeros(1, 3, *size, dtype=torch.float32))
             inputs = self.top(places).numel()
         self.grid = (int(places.shape[2]), int(places.shape[3]))
         self.places = self.grid[0] * self.grid[1]
-        self.project = nn.Linear(inputs, width)
-        self.normalize = nn.LayerNorm(width)
+        self.project = linear(inputs, width)
+        self.normalize = nn.LayerNorm(width, dtype=torch.float32)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d | nn.Linear):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
@@ -80,6 +81,9 @@ class Encoder(nn.Module):
         top = F.relu(self.top(places))
         vector = F.gelu(self.normalize(self.project(top.flatten(1))))
         return places.flatten(2).transpose(1, 2), vector
+
+
+_convolution = partial(nn.Conv2d, dtype=torch.float32)  # whatever PyTorch's default is
 
 
 def _steps(side: int) -> list[int]:

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from fide_plugins.learning.axes import NUMBERS, Components, choose, fourier, frequencies
+from fide_plugins.learning.trainable import linear
 
 __all__ = ["Autoregressive", "Head", "Mixture"]
 
@@ -57,7 +58,7 @@ class Mixture(nn.Module):
         self.components, self.scale = components, 1.0
         self.register_buffer("periodic", periodic, persistent=False)
         numbers = len(periodic) * components * NUMBERS
-        self.layers = nn.Sequential(nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, numbers))
+        self.layers = nn.Sequential(linear(width, hidden), nn.GELU(), linear(hidden, numbers))
 
     def _of(self, vector: Tensor) -> tuple[Tensor, Components]:
         """Log weights (B, K) and components (B, d, K)."""
@@ -94,12 +95,14 @@ class Autoregressive(nn.Module):
         self.components, self.hidden, self.scale = components, hidden, 1.0
         self.register_buffer("periodic", periodic, persistent=False)
         self.register_buffer("before", _before(d), persistent=False)
-        self.context = nn.Linear(width, d * hidden)
+        self.context = linear(width, d * hidden)
         self.earlier = nn.Parameter(_uniform((d * frequencies(), d * hidden), d * frequencies()))
         self.second = nn.Parameter(_uniform((d, hidden, hidden), hidden))
         self.out = nn.Parameter(_uniform((d, hidden, components * NUMBERS), hidden))
-        self.second_bias = nn.Parameter(torch.zeros(d, 1, hidden))
-        self.out_bias = nn.Parameter(0.5 * torch.randn(d, 1, components * NUMBERS))
+        self.second_bias = nn.Parameter(torch.zeros(d, 1, hidden, dtype=torch.float32))
+        self.out_bias = nn.Parameter(
+            0.5 * torch.randn(d, 1, components * NUMBERS, dtype=torch.float32)
+        )
 
     before: Tensor
 
@@ -160,9 +163,9 @@ class Autoregressive(nn.Module):
 
 def _before(d: int) -> Tensor:
     """(d, d), 1 where the row comes before the column."""
-    return torch.ones(d, d).triu(1)
+    return torch.ones(d, d, dtype=torch.float32).triu(1)
 
 
 def _uniform(shape: tuple[int, ...], inputs: int) -> Tensor:
-    drawn: Tensor = (2 * torch.rand(shape) - 1) / inputs**0.5
+    drawn: Tensor = (2 * torch.rand(shape, dtype=torch.float32) - 1) / inputs**0.5
     return drawn

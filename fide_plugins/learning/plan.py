@@ -158,6 +158,8 @@ class Plan:
             picture=None if self.region is None else pixels_of(self.region.picture, self.size),
         )  # fmt: skip
 
+    @torch.inference_mode(False)  # the caller may be in it, or in `no_grad`
+    @torch.enable_grad()
     def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
         """Trained network, and its training."""
         network = Network(self.size, self.renderer.periodic, self.head, self.blocks, self.seed)
@@ -170,6 +172,8 @@ class Plan:
         network.to("cpu").eval()
         return network, training
 
+    @torch.inference_mode(False)
+    @torch.enable_grad()
     def _emulator(
         self, x: Float64, images: Pixels, folder: Path
     ) -> tuple[Emulator | None, float | None]:

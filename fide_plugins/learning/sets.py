@@ -25,6 +25,7 @@ from torch.nn import functional as F
 from fide_plugins.learning.attention import attend, split
 from fide_plugins.learning.axes import NUMBERS, Components, fourier
 from fide_plugins.learning.heads import Autoregressive
+from fide_plugins.learning.trainable import linear
 
 __all__ = ["Blocks"]
 
@@ -59,12 +60,12 @@ class Blocks(nn.Module):
         self.rest = Autoregressive(width, periodic[others]) if others else None
         self._scale = 1.0
         n, length = index.shape
-        self.place_in = nn.Linear(channels, _WIDTH)
+        self.place_in = linear(channels, _WIDTH)
         self.register_buffer("waves", _waves(grid), persistent=False)
-        self.position = nn.Linear(self.waves.shape[1], _WIDTH)
-        self.query = nn.Parameter(torch.randn(n, _WIDTH))
+        self.position = linear(self.waves.shape[1], _WIDTH)
+        self.query = nn.Parameter(torch.randn(n, _WIDTH, dtype=torch.float32))
         self.layers = nn.ModuleList(_Layer() for _ in range(_LAYERS))
-        self.out = nn.Linear(_WIDTH, length * NUMBERS)
+        self.out = linear(_WIDTH, length * NUMBERS)
 
     def _of(self, places: Tensor) -> Components:
         """One component (B, n, L, 1) for each query."""
@@ -106,7 +107,7 @@ class Blocks(nn.Module):
         found = self._of(places)
         many = (n, *found.mean.shape[1:])
         weight, mean, std = (t.expand(many) for t in (found.weight, found.mean, found.std))
-        u = torch.empty(n, self.dim)
+        u = torch.empty(n, self.dim, dtype=torch.float32)
         u[:, self.blocks] = Components(weight, mean, std, found.periodic).draw_mixture(generator)
         if self.rest is not None:
             u[:, self.others] = self.rest.sample(places, vector, n, generator)
@@ -120,7 +121,7 @@ class _Layer(nn.Module):
         super().__init__()
         self.among = _Attention()
         self.image = _Attention()
-        self.inner, self.outer = nn.Linear(_WIDTH, 2 * _WIDTH), nn.Linear(2 * _WIDTH, _WIDTH)
+        self.inner, self.outer = linear(_WIDTH, 2 * _WIDTH), linear(2 * _WIDTH, _WIDTH)
 
     def forward(self, h: Tensor, image: Tensor) -> Tensor:
         """Queries (B, n, W), image (B, places, W) -> (B, n, W)."""
@@ -135,8 +136,8 @@ class _Layer(nn.Module):
 class _Attention(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.query, self.key_value = nn.Linear(_WIDTH, _WIDTH), nn.Linear(_WIDTH, 2 * _WIDTH)
-        self.out = nn.Linear(_WIDTH, _WIDTH)
+        self.query, self.key_value = linear(_WIDTH, _WIDTH), linear(_WIDTH, 2 * _WIDTH)
+        self.out = linear(_WIDTH, _WIDTH)
 
     def forward(self, h: Tensor, of: Tensor) -> Tensor:
         keys, values = self.key_value(of).chunk(2, dim=-1)
@@ -147,7 +148,7 @@ class _Attention(nn.Module):
 
 def _waves(grid: tuple[int, int]) -> Tensor:
     """Waves (h * w, 18) of the middle of each place of a map of h x w places, row by row."""
-    y, x = ((torch.arange(side) + 0.5) / side for side in grid)
+    y, x = ((torch.arange(side, dtype=torch.float32) + 0.5) / side for side in grid)
     middles = torch.cartesian_prod(y, x)  # (h * w, 2)
     return fourier(middles, torch.tensor([False, False])).flatten(1)
 

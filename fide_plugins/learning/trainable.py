@@ -9,7 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-__all__ = ["Trainable", "mean_and_variance"]
+__all__ = ["Trainable", "linear", "mean_and_variance"]
+
+
+def linear(inputs: int, outputs: int) -> nn.Linear:
+    """Layer in single precision, whatever PyTorch's default is."""
+    return nn.Linear(inputs, outputs, dtype=torch.float32)
 
 
 class Trainable(nn.Module, ABC):

@@ -265,13 +265,16 @@ class DiffusionProposer(ProposerDefaults):
         self._weights_seed = int(state["weights_seed"])
         if "weights" in state:
             network, optimizer = self._parts(int(state["image_tokens"]), int(state["channels"]))
-            network.load_state_dict({k: torch.as_tensor(v) for k, v in state["weights"].items()})
+            weights = {k: torch.as_tensor(v, device="cpu") for k, v in state["weights"].items()}
+            network.load_state_dict(weights)
             load_adam_state(optimizer, state["adam"])
         else:
             self._network = self._optimizer = None
         self._batch.size, self._proposals.size = map(int, state["room"])
         self.updates = int(state["updates"])
-        self._generator.set_state(torch.as_tensor(state["generator"], dtype=torch.uint8))
+        self._generator.set_state(
+            torch.as_tensor(state["generator"], dtype=torch.uint8, device="cpu")
+        )
 
     @torch.inference_mode(False)
     def _parts(

@@ -85,6 +85,17 @@ def test_state_continues_bit_for_bit(generations: int) -> None:
     assert original.updates == copy.updates == generations + 1
 
 
+@pytest.mark.parametrize("generations", [0, 1])
+def test_a_state_is_loaded_where_another_device_is_the_default(generations: int) -> None:
+    original, copy = make(3), make(99)
+    for _ in range(generations):
+        original.update(*scene(30), None, STD)
+    with torch.device("meta"):  # stands for a GPU
+        copy.load_state_dict(as_numpy(original.state_dict()))
+    x, tokens = scene(30, seed=5)
+    assert torch.equal(original.update(x, tokens, None, STD), copy.update(x, tokens, None, STD))
+
+
 def as_numpy(state: dict[str, Any]) -> dict[str, Any]:
     def convert(value: Any) -> Any:
         if isinstance(value, dict):

@@ -1,0 +1,111 @@
+"""Global settings of PyTorch and NumPy that a user has made: they change no result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins.encoders.dense import DenseEncoder
+from fide_plugins.fide import FIDE
+from fide_plugins.learning import learn
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.network import Network
+from fide_plugins.types import Float64
+
+_GRID = (np.arange(16) + 0.5) / 16
+BLOCKS = [[0, 1], [2, 3]]
+
+
+def disks(x: Float64) -> Float64:
+    """Two soft disks at (x_0, x_1) and (x_2, x_3)."""
+    pairs = np.asarray(x).reshape(2, 2)
+    each = [np.hypot(_GRID[None] - a, _GRID[:, None] - b) for a, b in pairs]
+    image: Float64 = sum(0.5 / (1 + np.exp((distance - 0.2) * 15)) for distance in each)
+    return image
+
+
+@pytest.fixture
+def double() -> Iterator[Any]:
+    """Calls a function where double precision is PyTorch's default."""
+    before = torch.get_default_dtype()
+
+    def call(function: Any, *args: Any, **options: Any) -> Any:
+        torch.set_default_dtype(torch.float64)
+        try:
+            return function(*args, **options)
+        finally:
+            torch.set_default_dtype(before)
+
+    yield call
+    torch.set_default_dtype(before)
+
+
+def same(one: torch.nn.Module, other: torch.nn.Module) -> bool:
+    mine, theirs = one.state_dict(), other.state_dict()
+    return mine.keys() == theirs.keys() and all(
+        torch.equal(value, theirs[name]) and value.dtype == theirs[name].dtype
+        for name, value in mine.items()
+    )
+
+
+def test_tokens_are_the_same_where_double_precision_is_the_default(double: Any) -> None:
+    images = np.random.default_rng(0).random((3, 40, 40, 3))
+    assert torch.equal(double(DenseEncoder(), images), DenseEncoder()(images))
+
+
+@pytest.mark.parametrize("options", [{}, {"preset": "paper", "popsize": 8, "epochs": 2}])
+def test_candidates_are_the_same_where_double_precision_is_the_default(
+    double: Any, options: dict[str, Any]
+) -> None:
+    def second_generation() -> Float64:
+        opt = FIDE(4, disks(np.array([0.3, 0.4, 0.7, 0.6])), seed=0, **options)
+        for _ in range(2):
+            X = opt.ask()
+            opt.tell(X, np.stack([disks(x) for x in X]))
+        return opt.ask()
+
+    np.testing.assert_array_equal(double(second_generation), second_generation())
+
+
+@pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
+def test_a_new_network_is_the_same_where_double_precision_is_the_default(
+    double: Any, head: str
+) -> None:
+    make = partial(Network, (16, 16), [False, True, False, True], head, BLOCKS)
+    assert same(double(make), make())
+    emulator = partial(Emulator, (16, 16), [False, True, False, True], BLOCKS)
+    assert same(double(emulator), emulator())
+
+
+@pytest.mark.parametrize(("head", "groups"), [("mixture", []), ("set", BLOCKS)])
+def test_learning_is_the_same_where_double_precision_is_the_default(
+    double: Any, head: str, groups: list[list[int]]
+) -> None:
+    options: dict[str, Any] = {"renders": 200, "passes": 1, "size": 16}
+    made = partial(learn, disks, 4, head=head, groups=groups, **options)
+    expected, model = made(), double(made)
+    assert same(model.network, expected.network) and model.report.curve == expected.report.curve
+    picture = disks(np.array([0.3, 0.4, 0.7, 0.6]))
+    np.testing.assert_array_equal(double(model.sample, picture, 5), expected.sample(picture, 5))
+    if expected.emulator is not None:
+        assert same(model.emulator, expected.emulator)
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_learning_is_the_same_where_the_caller_wants_no_gradients(
+    mode: type[AbstractContextManager[None]],
+) -> None:
+    made = partial(learn, disks, 4, renders=200, passes=1, size=16, groups=BLOCKS)
+    expected = made()
+    with mode():
+        model = made()
+    assert same(model.network, expected.network) and model.report.curve == expected.report.curve
+    assert model.emulator is not None and expected.emulator is not None
+    assert same(model.emulator, expected.emulator)
+    assert not any(weight.is_inference() for weight in model.network.parameters())
