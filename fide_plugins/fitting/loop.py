@@ -32,6 +32,8 @@ from fide_plugins.types import Float64
 
 __all__ = ["Loop"]
 
+_LONGEST = 86400.0  # seconds of one waiting; the system takes no longer ones than 292 years
+
 
 class Loop:
     """Asks, renders and tells until a rule says stop.
@@ -182,7 +184,8 @@ class Loop:
     def _patience(self) -> float | None:
         """Seconds to wait at most."""
         limits = [LOOK if self._timeout is not None else None, self._left()]
-        return min((limit for limit in limits if limit is not None), default=None)
+        given = [limit for limit in limits if limit is not None]
+        return min(*given, _LONGEST) if given else None
 
     def _left(self) -> float | None:
         """Seconds until the fit is over; None: it may take any time."""

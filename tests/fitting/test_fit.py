@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -112,6 +114,38 @@ def test_what_cannot_be_sent_to_processes_runs_in_threads() -> None:
         fit(render, target(), SPACE, budget=10, executor="processes")
 
 
+def in_a_pool(_: int) -> tuple[int, list[str], str]:
+    """What a fit does in a process that is daemonic: evaluations, its warnings, its refusal."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = fit(disk(), target(), SPACE, budget=6, seed=0)
+    try:
+        fit(disk(), target(), SPACE, budget=6, executor="processes")
+    except OptionError as error:
+        return result.evaluations, [str(one.message) for one in caught], str(error)
+    return result.evaluations, [], ""
+
+
+def test_a_process_that_may_start_no_other_renders_in_threads() -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        evaluations, warned, refused = pool.map(in_a_pool, [0])[0]
+    assert evaluations == 6 and len(warned) == 1
+    assert "cannot start others, so render runs in threads" in warned[0]
+    assert "cannot start others; give executor='threads', or workers=0" in refused
+
+
+def test_a_working_directory_that_is_gone_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(FileNotFoundError, match="the working directory no longer exists; change"):
+        fit(disk(), target(), SPACE, budget=4, workers=1)
+    assert fit(disk(), target(), SPACE, budget=4, workers=0).evaluations == 4
+
+
 # -- stopping --------------------------------------------------------------------------------------
 
 
@@ -132,6 +166,10 @@ def test_it_stops_at_a_loss_and_by_time_and_when_told() -> None:
 
     told = fit(disk(), target(), SPACE, callbacks=[Stopper()], **arguments)
     assert told.stopped == "callback" and told.evaluations == 1
+
+
+def test_a_time_of_centuries_is_waited_for_in_days() -> None:
+    assert fit(disk(), target(), SPACE, budget=4, time=1e10, workers=1).evaluations == 4
 
 
 def test_a_hopeless_fit_stops_when_it_stalls() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from multiprocessing import current_process
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
@@ -18,6 +19,9 @@ from fide_plugins.runtime.warn import warn_user
 __all__ = ["workers_for"]
 
 _Renderer: TypeAlias = Callable[[Any], Outcome]
+
+_DAEMON = "a daemonic process, such as those of multiprocessing.Pool, cannot start others"
+_REMEDY = "give executor='threads', or workers=0"
 
 
 def workers_for(
@@ -49,6 +53,9 @@ def workers_for(
 
 
 def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
+    if current_process().daemon:
+        warn_user(f"{_DAEMON}, so render runs in threads of this one; to silence this, {_REMEDY}")
+        return _threads(renderer, number)
     try:
         return Processes(renderer, number)
     except Exception as error:  # whatever the user's objects raise when they are pickled
@@ -61,6 +68,8 @@ def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
 
 
 def _processes(renderer: _Renderer, number: int) -> Workers:
+    if current_process().daemon:
+        raise OptionError(f"{_DAEMON}; {_REMEDY}")
     try:
         return Processes(renderer, number)
     except Exception as error:

@@ -112,6 +112,7 @@ class _Worker:
     """One process, and the executor that feeds it."""
 
     def __init__(self, portable: Portable) -> None:
+        _check_directory()
         self._context = _Context()
         self._folder = tempfile.mkdtemp(prefix="fide-worker-")
         self._executor = ProcessPoolExecutor(
@@ -157,6 +158,18 @@ class _Worker:
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _check_directory() -> None:
+    """Raise FileNotFoundError, with a remedy, if a process would have no directory to start in."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise FileNotFoundError(
+            error.errno,
+            "no worker can start, since the working directory no longer exists; change to one that "
+            "does (os.chdir), or give workers=0",
+        ) from error
 
 
 def _exit_code(process: SpawnProcess) -> int | None:
