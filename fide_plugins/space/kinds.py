@@ -125,8 +125,7 @@ class Float(_Number):
 class Int(_Number):
     """A whole number in [low, high], both included.
 
-    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.  From 2^50 on doubles
-        are too coarse for equal cells: that of low is up to half narrower, that of high wider.
+    low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
     unit: for people.
     log: whether its logarithm is searched; low must be above 0.
     step: only low, low + step, ... are meant; high becomes the last of them.

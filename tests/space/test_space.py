@@ -123,8 +123,13 @@ def test_the_ends_are_the_bounds(space: Space) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [Int(3, 8), Float(0, 1, step=0.25), Choice("a", "b"), Int(-9, 9, step=3)]
-)
+    "kind",
+    [
+        Int(3, 8), Float(0, 1, step=0.25), Choice("a", "b"), Int(-9, 9, step=3),
+        Int(2**52 + 1, 2**52 + 6), Int(2**53 - 5, 2**53), Int(-(2**53), 5 - 2**53),
+        Int(2**53 - 6, 2**53, step=3), Int(2**51 - 1, 2**51 + 2),
+    ],
+)  # fmt: skip
 def test_cells_are_equal(kind: Kind) -> None:
     space = Space(v=kind)
     x = (np.arange(6000) + 0.5) / 6000
@@ -155,6 +160,19 @@ def test_steps_far_from_zero(low: float, high: float, step: float) -> None:
     if high - low > 2 * step:
         with pytest.raises(SpaceError, match="must be one of"):
             space.encode({"t": low + 1.3 * step})
+
+
+@pytest.mark.parametrize("low", [2**52 - 2, 2**52 + 1, 2**53 - 4, -(2**53)])
+def test_integers_far_from_zero(low: int) -> None:
+    """Doubles there hold no halves, which are where cells begin and end."""
+    space = Space(n=Int(low, low + 4))
+    values = [{"n": low + i} for i in range(5)]
+    points = space.encode_many(values)
+    np.testing.assert_allclose(points[:, 0], (np.arange(5) + 0.5) / 5)
+    assert space.decode_many(points) == values
+    edges = [[float(edge[0]) for edge in space.layout.cells(x)] for x in points]
+    np.testing.assert_allclose([upper for _, upper in edges], [0.2, 0.4, 0.6, 0.8, np.inf])
+    np.testing.assert_allclose([lower for lower, _ in edges], [-np.inf, 0.2, 0.4, 0.6, 0.8])
 
 
 def test_cells_of_a_logarithm_are_where_the_value_changes() -> None:
