@@ -110,7 +110,8 @@ def sampled(image: Float32, rows: int, columns: int) -> Float32:
         area = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA)
         return np.asarray(area, np.float32)
     down, across = box_weights(height, rows), box_weights(width, columns)
-    means: Float32 = np.einsum("rh,hwc,vw->rvc", down, image, across, optimize=True)
+    with np.errstate(under="ignore"):  # what is too small for float32 is 0
+        means: Float32 = np.einsum("rh,hwc,vw->rvc", down, image, across, optimize=True)
     return means
 
 

@@ -78,7 +78,8 @@ class LocalEstimate:
     def _estimated(self) -> Estimated:
         samples = self.samples  # before the question: another thread empties them after its answer
         if self._found is None:
-            self._found = self._compute(samples)
+            with np.errstate(under="ignore"):  # of a user who lets it raise; here it is 0
+                self._found = self._compute(samples)
             self.samples = ()
         return self._found
 

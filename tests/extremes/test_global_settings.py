@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from fide_plugins import Choice, Float, Solution, Space, fit
 from fide_plugins.encoders.dense import DenseEncoder
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import learn
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.network import Network
 from fide_plugins.types import Float64
+from fide_plugins.uncertainty import estimate
+from fide_plugins.uncertainty.values import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
 BLOCKS = [[0, 1], [2, 3]]
@@ -28,6 +31,16 @@ def disks(x: Float64) -> Float64:
     each = [np.hypot(_GRID[None] - a, _GRID[:, None] - b) for a, b in pairs]
     image: Float64 = sum(0.5 / (1 + np.exp((distance - 0.2) * 15)) for distance in each)
     return image
+
+
+SPACE = Space(x=Float(0, 1), gray=Choice(1.0, 0.7, 0.4))
+
+
+def disk(params: dict[str, Any]) -> Float64:
+    """Soft disk, in one of three grays."""
+    distance = np.hypot(_GRID[None] - params["x"], _GRID[:, None] - 0.5)
+    disk: Float64 = params["gray"] / (1 + np.exp((distance - 0.2) * 15))
+    return disk
 
 
 @pytest.fixture
@@ -109,3 +122,35 @@ def test_learning_is_the_same_where_the_caller_wants_no_gradients(
     assert model.emulator is not None and expected.emulator is not None
     assert same(model.emulator, expected.emulator)
     assert not any(weight.is_inference() for weight in model.network.parameters())
+
+
+def test_tokens_are_the_same_where_floating_point_errors_raise() -> None:
+    """An image that has fewer pixels than the encoder takes samples."""
+    images = np.random.default_rng(0).random((3, 16, 16, 3)) * 2e-38
+    expected = DenseEncoder()(images)
+    with np.errstate(all="raise"):
+        assert torch.equal(DenseEncoder()(images), expected)
+
+
+def test_standard_deviations_are_the_same_where_floating_point_errors_raise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where differences underflow, which depends on the processor."""
+
+    def underflowing(*args: Any) -> bool:
+        assert np.float64(1e-300) * np.float64(1e-300) == 0.0
+        return looks_alike(*args)
+
+    def fitted() -> Solution:
+        result = fit(disk, disk({"x": 0.7, "gray": 0.7}), SPACE, budget=200, workers=0, seed=0)
+        assert result.best is not None
+        return result.best
+
+    expected = fitted()
+    monkeypatch.setattr(estimate, "looks_alike", underflowing)
+    with np.errstate(all="raise"):
+        best = fitted()
+        std = best.std
+    assert std is not None and expected.std is not None
+    np.testing.assert_array_equal(std, expected.std)
+    assert best.undetermined == expected.undetermined
