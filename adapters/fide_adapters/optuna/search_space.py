@@ -43,6 +43,7 @@ from optuna.distributions import (
 from optuna.trial import FrozenTrial, TrialState
 
 from fide_adapters.optuna.storage import WarnOnce
+from fide_plugins.errors import SpaceError
 from fide_plugins.types import Float64
 
 __all__ = ["RelativeSpace", "Space"]
@@ -174,10 +175,21 @@ class _Scale:
         self._whole = {
             name: (d.low, d.high) for name, d in numeric.items() if isinstance(d, IntDistribution)
         }
+        self._check_lengths()
         margin = self._step / 2  # 1/2 for each int, also with `log`
         self._bottom = self._scaled(self._low - margin)
         length = self._scaled(self._high + margin) - self._bottom
         self._length = np.where(length > 0, length, 1.0)  # 0: doubles cannot tell the ends apart
+
+    def _check_lengths(self) -> None:
+        """Raise SpaceError, as a `Float` does, for a range whose length no double holds."""
+        with np.errstate(over="ignore"):
+            endless = ~np.isfinite(self._high - self._low)
+        for i in np.flatnonzero(endless)[:1]:
+            raise SpaceError(
+                f"parameter {self.names[i]!r}, from {self._low[i]} to {self._high[i]}: high - low "
+                "must be finite; take a narrower range"
+            )
 
     def _scaled(self, values: Float64) -> Float64:
         scaled = values.copy()

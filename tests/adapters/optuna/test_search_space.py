@@ -16,6 +16,7 @@ from optuna.distributions import (
 )
 
 from fide_adapters.optuna.search_space import Space
+from fide_plugins.errors import SpaceError
 
 SPACE: dict[str, BaseDistribution] = {
     "float": FloatDistribution(-2.0, 5.0),
@@ -148,6 +149,12 @@ def test_ranges_whose_ends_doubles_cannot_tell_apart(narrow: BaseDistribution) -
     x = space.encode({"x": narrow.low, "y": 0.25})  # type: ignore[attr-defined]
     assert np.isfinite(x).all() and space.decode(x)["y"] == 0.25
     assert narrow.low <= space.decode(x)["x"] <= narrow.high  # type: ignore[attr-defined]
+
+
+def test_a_range_that_is_too_long_is_refused() -> None:
+    endless = {"a": SPACE["int"], "b": FloatDistribution(-1.7e308, 1.7e308)}
+    with pytest.raises(SpaceError, match="parameter 'b'.*high - low must be finite; take a narrow"):
+        Space(endless)
 
 
 def test_trials_with_more_or_in_a_wider_range_are_taken() -> None:
