@@ -231,5 +231,8 @@ def _report(result: Any, out: Path) -> None:
         from fide_plugins.renderers.naming import described
 
         print(plain(described(result.params)))
+    if result.best is None:
+        print("nothing was rendered in that time; give more --time")
+        return
     print(f"look at {plain(out)}/best.png, or: fide solutions {plain(out)}")
     print(plain(result.status))
