@@ -28,6 +28,7 @@ __all__ = [
     "read_pixels",
     "refuse_type",
     "scale_remedy",
+    "unmasked",
 ]
 
 Pixels: TypeAlias = npt.NDArray[Any]
@@ -73,6 +74,18 @@ def from_tensor(tensor: Any, what: str) -> Pixels:
         remedy = scale_remedy(array, "image.bool()", "image.to(torch.uint8)")
         raise refuse_type(what, f"a tensor of {describe(array)}", remedy)
     return array
+
+
+def unmasked(image: Any, what: str) -> Pixels:
+    """Values of a masked array; ImageError if some are masked, which would be lost."""
+    hidden = int(np.ma.count_masked(image))
+    if hidden:
+        raise ImageError(
+            f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "
+            "give image.filled(value), and say by mask= or weights= which pixels count"
+        )
+    values: Pixels = image.data
+    return values
 
 
 def has_scale(array: Pixels) -> bool:

@@ -51,6 +51,7 @@ from fide_plugins.validation.image_sources import (
     read_pixels,
     refuse_type,
     scale_remedy,
+    unmasked,
 )
 from fide_plugins.validation.points import whole_number
 from fide_plugins.validation.rules import (
@@ -271,6 +272,8 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
         image = from_pil(image, what)
     elif is_torch_tensor(image):
         return from_tensor(image, what), True
+    if isinstance(image, np.ma.MaskedArray):
+        image = unmasked(image, what)
     try:
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:

@@ -31,11 +31,20 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
         except ImageError as error:
             raise ImageError(f"{error}; or give a {what} of its own, {what}=ARRAY") from error
     else:
-        picture = as_target(given, what=what, size=size, behind=0.0)
+        picture = as_target(_large_enough(given), what=what, size=size, behind=0.0)
         weights = picture[..., 0].copy()
         if (picture != weights[..., None]).any():
             raise ImageError(f"{what} must be gray, (H, W), but it has colors; pass one channel")
     return joined(weights, None, what)
+
+
+def _large_enough(given: object) -> object:
+    """Weights times a constant, where single precision would hold no more than zeros of them."""
+    if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.size:
+        largest = given.max()
+        if 0 < largest < np.finfo(np.float32).tiny:
+            return given / largest
+    return given
 
 
 def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:

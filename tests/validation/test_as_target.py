@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError, OptionError
-from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_target, load
+from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_batch, as_target, load
 
 RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
 BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
@@ -69,6 +69,16 @@ def test_alpha_is_composited_over_white() -> None:
 def test_ambiguous_tensor_is_channels_first() -> None:
     tensor = torch.rand((3, 5, 4), generator=torch.Generator().manual_seed(0))
     np.testing.assert_array_equal(as_target(tensor), tensor.permute(1, 2, 0).numpy())
+
+
+def test_a_mask_is_never_lost() -> None:
+    """That of `np.ma`; an array of which nothing is masked is an array."""
+    masked = np.ma.MaskedArray(RGB, mask=RGB > 2)
+    np.testing.assert_array_equal(as_target(masked), RGB)
+    masked[1, 2] = np.ma.masked
+    for convert, image in ((as_target, masked), (as_batch, masked[None]), (as_batch, [masked])):
+        with pytest.raises(ImageError, match=r"3 masked values.*\.filled\(value\).*mask="):
+            convert(image)  # type: ignore[operator]
 
 
 def test_the_target_is_a_copy() -> None:

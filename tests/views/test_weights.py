@@ -193,6 +193,17 @@ def test_a_user_who_raises_floating_point_errors_may_have_tiny_weights() -> None
         assert opt.evaluator.loss(np.stack([dark, dark * 3]))[0] == 0.0
 
 
+@pytest.mark.parametrize("name", ["mask", "weights"])
+def test_weights_that_single_precision_does_not_hold_count_by_their_ratios(name: str) -> None:
+    given: Any = {name: np.where(HALF > 0, 1e-300, 5e-301)}
+    expected: Any = {name: np.where(HALF > 0, 1.0, 0.5)}
+    found, want = (Views.read(TARGET, **one).weights for one in (given, expected))
+    np.testing.assert_array_equal(found, want)
+    assert Views.read(TARGET, **{name: np.full((20, 24), 1e-300)}).weights is None
+    with pytest.raises(ImageError, match="zero everywhere"):
+        Views.read(TARGET, **{name: np.zeros((20, 24))})
+
+
 def test_alpha_of_the_target(tmp_path: Path) -> None:
     pixels = np.dstack([TARGET, HALF])
     Image.fromarray((pixels * 255).astype(np.uint8)).save(tmp_path / "rgba.png")
