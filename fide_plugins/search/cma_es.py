@@ -95,13 +95,12 @@ class CMAES:
         self.sigma = float(np.sqrt(np.mean(scales**2)))
         self.C = np.diag((scales / self.sigma) ** 2)
         self.p_sigma, self.p_c = np.zeros(d), np.zeros(d)
-        self._B, self._D = np.eye(d), np.ones(d)
         self.generation = 0
         self.popsize = k
         self.largest_std = widest * float(scales.mean())
         self._two_point = TwoPoint(d) if are_many(d, k) else None
         self._set_weights(d, k)
-        self._decompose()
+        self._take(*_of_diagonal(np.diag(self.C)))
 
     def _set_weights(self, d: int, k: int) -> None:
         """Weights and rates of learning, from dimension and population alone."""
@@ -272,7 +271,10 @@ class CMAES:
 
     def _decompose(self) -> None:
         """B and D of C, which is symmetric and kept positive definite."""
-        eigenvalues, self._B = np.linalg.eigh(self.C)
+        self._take(*np.linalg.eigh(self.C))
+
+    def _take(self, eigenvalues: Float64, B: Float64) -> None:
+        self._B = B
         floor = max(eigenvalues[-1], _TINY) / _LARGEST_CONDITION
         if eigenvalues[0] < floor:
             eigenvalues = np.maximum(eigenvalues, floor)
@@ -313,6 +315,22 @@ class CMAES:
         if made._two_point is not None:
             made._two_point.load_state_dict(state["two_point"])
         return made
+
+
+def _of_diagonal(diagonal: Float64) -> tuple[Float64, Float64]:
+    """Eigenvalues (d,) and eigenvectors (d, d) of a diagonal matrix, as `np.linalg.eigh` has them.
+
+    That takes time d^3. The order of equal ones is that of the selection sort by which LAPACK ends.
+    """
+    values, order = diagonal.copy(), np.arange(len(diagonal))
+    for i in range(len(values) - 1):
+        smallest = i + int(values[i:].argmin())
+        if smallest != i:
+            values[[i, smallest]] = values[[smallest, i]]
+            order[[i, smallest]] = order[[smallest, i]]
+    vectors = np.zeros((len(values), len(values)))
+    vectors[order, np.arange(len(values))] = 1.0
+    return values, vectors
 
 
 def _check_decomposition(C: Float64, B: Float64, D: Float64) -> None:

@@ -94,6 +94,29 @@ def test_samples_have_the_distribution_s_mean_and_covariance() -> None:
     np.testing.assert_allclose(np.cov(z.T), sigma, atol=5 * std.max() ** 2 * np.sqrt(2 / n))
 
 
+@pytest.mark.parametrize("d", [1, 2, 5, 24, 25, 26, 70, 130])
+@pytest.mark.parametrize("kind", ["equal", "different", "ties", "wide"])
+def test_the_first_distribution_is_decomposed_as_by_lapack(d: int, kind: str) -> None:
+    """To the bit, ties included."""
+    rng = np.random.default_rng(d)
+    stds = {
+        "equal": np.full(d, 0.3), "different": rng.uniform(0.01, 0.5, d),
+        "ties": rng.choice([0.1, 0.2, 0.3], d), "wide": 10.0 ** rng.integers(-16, 1, d),
+    }  # fmt: skip
+    made = CMAES(np.full(d, 0.5), stds[kind], 10)
+    again = copy.deepcopy(made)
+    again.C = np.diag((stds[kind] / made.sigma) ** 2)
+    again._decompose()
+    for name in ("_B", "_D", "C"):
+        assert getattr(made, name).tobytes() == getattr(again, name).tobytes()
+
+
+def test_a_first_distribution_is_not_decomposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That takes time d^3, and each beginning of a search makes one."""
+    monkeypatch.setattr(np.linalg, "eigh", None)
+    assert CMAES(np.full(50, 0.5), 0.3, 10).sample(3, np.random.default_rng(0)).shape == (3, 50)
+
+
 def test_a_standard_deviation_for_each_parameter() -> None:
     std = np.array([0.01, 0.2, 0.15])
     np.testing.assert_allclose(CMAES(np.zeros(3), std, 5).std, std, rtol=1e-14)
