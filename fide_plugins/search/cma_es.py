@@ -86,6 +86,9 @@ class CMAES:
     widest: hold the mean standard deviation at or below so many times that of the beginning.
     """
 
+    _B: Float64
+    _D: Float64
+
     def __init__(
         self, mean: Float64, std: float | Float64, popsize: int, *, widest: float = 1.0
     ) -> None:

@@ -78,7 +78,7 @@ def from_tensor(tensor: Any, what: str) -> Pixels:
 
 def unmasked(image: Any, what: str) -> Pixels:
     """Values of a masked array; ImageError if some are masked, which would be lost."""
-    hidden = int(np.ma.count_masked(image))
+    hidden = int(np.count_nonzero(np.ma.getmaskarray(image)))
     if hidden:
         raise ImageError(
             f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "

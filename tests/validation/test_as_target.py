@@ -78,7 +78,7 @@ def test_a_mask_is_never_lost() -> None:
     masked[1, 2] = np.ma.masked
     for convert, image in ((as_target, masked), (as_batch, masked[None]), (as_batch, [masked])):
         with pytest.raises(ImageError, match=r"3 masked values.*\.filled\(value\).*mask="):
-            convert(image)  # type: ignore[operator]
+            convert(image)
 
 
 def test_the_target_is_a_copy() -> None:
