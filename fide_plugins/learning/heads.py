@@ -144,13 +144,11 @@ class Autoregressive(nn.Module):
     def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """See `Head`."""
         d, k = len(self.periodic), self.components
-        u, context = torch.empty(n, d), self.context(vector).view(d, self.hidden)
-        waves = torch.empty(n, d, frequencies())
+        context = self.context(vector).view(d, self.hidden)
+        u, waves = context.new_empty(n, d), context.new_empty(n, d, frequencies())
         # each step draws for all axes, so that a seed draws the same in every version
-        found = Components(
-            torch.zeros(n, d, k), torch.full((n, d, k), 0.5), torch.ones(n, d, k),
-            self.periodic[:, None],
-        )  # fmt: skip
+        zeros = context.new_zeros(n, d, k)
+        found = Components(zeros, zeros + 0.5, zeros + 1, self.periodic[:, None])
         for i in range(d):
             one = self._of_one(i, context, waves[:, :i].flatten(1))
             found.weight[:, i], found.mean[:, i], found.std[:, i] = (

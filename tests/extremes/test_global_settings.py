@@ -96,7 +96,9 @@ def test_a_new_network_is_the_same_where_double_precision_is_the_default(
     assert same(double(emulator), emulator())
 
 
-@pytest.mark.parametrize(("head", "groups"), [("mixture", []), ("set", BLOCKS)])
+@pytest.mark.parametrize(
+    ("head", "groups"), [("autoregressive", []), ("mixture", []), ("set", BLOCKS)]
+)
 def test_learning_is_the_same_where_double_precision_is_the_default(
     double: Any, head: str, groups: list[list[int]]
 ) -> None:
