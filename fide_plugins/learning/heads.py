@@ -144,7 +144,7 @@ class Autoregressive(nn.Module):
     def sample(self, places: Tensor, vector: Tensor, n: int, generator: torch.Generator) -> Tensor:
         """See `Head`."""
         d, k = len(self.periodic), self.components
-        context = self.context(vector).view(d, self.hidden)
+        context: Tensor = self.context(vector).view(d, self.hidden)
         u, waves = context.new_empty(n, d), context.new_empty(n, d, frequencies())
         # each step draws for all axes, so that a seed draws the same in every version
         zeros = context.new_zeros(n, d, k)
