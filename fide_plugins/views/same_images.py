@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
+
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
 
@@ -35,13 +37,16 @@ class SameImages:
 
     def note(self, points: Float64, images: Any) -> None:
         """Note images (n, H, W, 3), or None, of points (n, d); warns once if all are equal."""
-        if self._points is None or images is None or not len(points):
+        if self._points is None or not len(points):
+            return
+        if images is None:  # of these candidates nothing is known
+            self.forget()
             return
         if self._image is None:
             image = images[0]
             self._image = image.clone() if hasattr(image, "clone") else image.copy()
-        if not bool((images == self._image).all()):
-            self.forget()
+        if _device(images) != _device(self._image) or not bool((images == self._image).all()):
+            self.forget()  # images of two devices are not compared
             return
         known = self.number
         self._points.update(x.tobytes() for x in points)
@@ -51,3 +56,8 @@ class SameImages:
                 "changed the image so far; does render use its parameters, and do their ranges "
                 "change what is seen?"
             )
+
+
+def _device(images: Any) -> object:
+    """Device of a tensor; None of an array."""
+    return images.device if isinstance(images, torch.Tensor) else None

@@ -67,6 +67,26 @@ def test_an_error_of_the_warning_changes_nothing() -> None:
     assert opt.evaluations == 40
 
 
+def test_after_candidates_without_images_nothing_is_said() -> None:
+    opt = FIDE(SPACE, TARGET, seed=0)
+    with pytest.warns(RuntimeWarning, match="all images of 40 different candidates"):
+        opt.tell(opt.ask(40), [TARGET * 0.5] * 40)
+    assert opt.status.sentence.startswith("All 40 candidates")
+    opt.tell(opt.ask(8), losses=np.arange(8.0))
+    assert opt.status.sentence.startswith("Still improving")
+
+
+def test_images_of_two_devices_are_not_compared() -> None:
+    """Device "meta" stands for a GPU; PyTorch refuses to compare with its tensors."""
+    image = torch.zeros((1, 2, 2, 3))
+    for first, second in ((image.numpy(), image.to("meta")), (image, image.to("meta"))):
+        same = SameImages(1)
+        same.note(np.zeros((1, 1)), first)
+        same.note(np.ones((1, 1)), second)
+        same.note(np.arange(2.0, 40.0)[:, None], np.zeros((38, 2, 2, 3)))
+        assert same.number == 0
+
+
 @pytest.mark.parametrize(
     ("points", "images", "number"),
     [
