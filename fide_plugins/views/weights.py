@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
+from fide_plugins.validation.image_sources import describe, is_torch_tensor
 from fide_plugins.validation.images import alpha_of, as_target
 
 __all__ = ["ALPHA", "hidden_by", "joined", "read_weights"]
@@ -40,11 +43,18 @@ def read_weights(given: object, target: object, size: tuple[int, int], what: str
 
 def _large_enough(given: object) -> object:
     """Weights times a constant, where single precision would hold no more than zeros of them."""
-    if isinstance(given, np.ndarray) and given.dtype == np.float64 and given.size:
-        largest = given.max()
-        if 0 < largest < np.finfo(np.float32).tiny:
-            return given / largest
-    return given
+    values: Any = given
+    if isinstance(given, (list, tuple)):
+        try:
+            values = np.asarray(given)
+        except (TypeError, ValueError, RuntimeError):  # `as_target` says what is wrong
+            return given
+    if not isinstance(values, np.ndarray) and not is_torch_tensor(values):
+        return given
+    if not describe(values).endswith("dtype float64") or 0 in values.shape or values.min() < 0:
+        return given
+    largest = values.max()
+    return values / largest if 0 < largest < np.finfo(np.float32).tiny else given
 
 
 def joined(a: Float32 | None, b: Float32 | None, what: str) -> Float32 | None:

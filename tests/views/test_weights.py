@@ -204,6 +204,20 @@ def test_weights_that_single_precision_does_not_hold_count_by_their_ratios(name:
         Views.read(TARGET, **{name: np.zeros((20, 24))})
 
 
+@pytest.mark.parametrize("form", [np.ndarray.tolist, tuple, torch.from_numpy, np.asarray])
+@pytest.mark.parametrize("white", [1e-50, 1e-310])
+def test_tiny_weights_in_any_form_are_scaled(form: Callable[[Any], Any], white: float) -> None:
+    found = Views.read(TARGET, form(HALF.astype(np.float64) * white)).weights
+    np.testing.assert_array_equal(found, HALF)
+
+
+@pytest.mark.parametrize("form", [np.ndarray.tolist, torch.from_numpy, np.asarray])
+def test_tiny_weights_beside_a_negative_one_are_not_scaled(form: Callable[[Any], Any]) -> None:
+    given = np.where(HALF > 0, 1e-50, -1e30)
+    with pytest.raises(ImageError, match=r"mask must have values in \[0, 1\], got .*-1e\+30"):
+        Views.read(TARGET, form(given))
+
+
 def test_alpha_of_the_target(tmp_path: Path) -> None:
     pixels = np.dstack([TARGET, HALF])
     Image.fromarray((pixels * 255).astype(np.uint8)).save(tmp_path / "rgba.png")
