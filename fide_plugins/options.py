@@ -255,13 +255,14 @@ def _unknown(name: str, of: str = "FIDE", own: Sequence[str] = ()) -> str:
     """Error for a name that is no option; arguments as of `check_known`."""
     if name in (*_FIRST, *_OTHER_ARGUMENTS):
         return f"{name} is an argument of FIDE itself, not one of the options that are taken here"
-    others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST)]
-    rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *others)]
-    close = get_close_matches(name, [*own, *_FIRST, *_OTHER_ARGUMENTS, *others, *rare], n=1)
+    most = [known for known in _FIRST if known not in own]
+    others = [f.name for f in fields(Options) if f.name not in (*_GROUPS, *_FIRST, *own)]
+    rare = [known for known, _ in _all_fields() if known not in (*_FIRST, *own, *others)]
+    close = get_close_matches(name, [*own, *most, *_OTHER_ARGUMENTS, *others, *rare], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
     first = f"its own: {', '.join(own)}; of FIDE, those" if own else "those"
     return (
-        f"{of} has no option {name!r}{hint}; {first} that matter most: {', '.join(_FIRST)}; "
+        f"{of} has no option {name!r}{hint}; {first} that matter most: {', '.join(most)}; "
         f"others: {', '.join(others)}; for ablations also: {', '.join(rare)}"
     )
 

@@ -25,7 +25,6 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
     from fide_plugins.validation.image_sources import read_pixels
-    from fide_plugins.validation.images import alpha_of
     from fide_plugins.views.weights import ALPHA
 
     if given is None:
@@ -36,13 +35,20 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
         raise OptionError(
             f"{len(given)} of --{name} for {len(targets)} targets; give --{name} once for each"
         )
-    try:
-        read = [  # pixels as they are: what transparency means is known where the mask is used
-            alpha_of(read_pixels(target, side), target) if one == ALPHA else read_pixels(one, side)
-            for one, target in zip(given, targets, strict=True)
-        ]
-    except ImageError as error:
-        if ALPHA not in given:
-            raise
-        raise ImageError(f"{error}; or give a picture, --{name} FILE") from error
+    read = [  # pixels as they are: what transparency means is known where the mask is used
+        _alpha_of(target, side, name) if one == ALPHA else read_pixels(one, side)
+        for one, target in zip(given, targets, strict=True)
+    ]
     return read[0] if len(read) == 1 else read
+
+
+def _alpha_of(target: str, side: int | None, name: str) -> Any:
+    """Alpha channel (H, W) of a file; ImageError names the other remedy, an argument `name`."""
+    from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.validation.images import alpha_of
+
+    pixels = read_pixels(target, side)
+    try:
+        return alpha_of(pixels, target)
+    except ImageError as error:
+        raise ImageError(f"{error}; or give a picture, --{name} FILE") from error

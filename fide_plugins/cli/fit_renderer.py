@@ -232,7 +232,17 @@ def _report(result: Any, out: Path) -> None:
 
         print(plain(described(result.params)))
     if result.best is None:
-        print("nothing was rendered in that time; give more --time")
+        print(_without_best(result))
         return
     print(f"look at {plain(out)}/best.png, or: fide solutions {plain(out)}")
     print(plain(result.status))
+
+
+def _without_best(result: Any) -> str:
+    """Why a fit has no best candidate."""
+    if result.evaluations:
+        return "no render has a finite loss"
+    if not result.failures:
+        return "nothing was rendered in that time; give more --time"
+    shown = "" if result.first_failure is None else "; the first error is printed above"
+    return f"no render gave an image{shown}"

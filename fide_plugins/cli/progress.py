@@ -69,7 +69,8 @@ class _Pace:
         if not progress.doing and math.isfinite(progress.best_loss):
             facts.append(f"best {number(progress.best_loss)}")
         if self._rate >= 1:
-            facts.append(f"{self._rate:.0f} renders/s")
+            digits = 1 if self._rate < 9.95 else 0
+            facts.append(f"{self._rate:.{digits}f} renders/s")
         elif self._rate > 0:
             facts.append(f"{1 / self._rate:.1f} s a render")
         return "  ".join(facts)

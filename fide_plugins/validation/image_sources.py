@@ -36,6 +36,7 @@ Pixels: TypeAlias = npt.NDArray[Any]
 MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
+_HIGH_RANGE = (".exr", ".hdr")  # formats without a white
 _LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 
 
@@ -80,9 +81,12 @@ def unmasked(image: Any, what: str) -> Pixels:
     """Values of a masked array; ImageError if some are masked, which would be lost."""
     hidden = int(np.count_nonzero(np.ma.getmaskarray(image)))
     if hidden:
+        remedy = "give image.filled(value)"
+        if what.split()[0] not in ("mask", "weights"):
+            remedy += ", and say by mask= or weights= which pixels count"
         raise ImageError(
             f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "
-            "give image.filled(value), and say by mask= or weights= which pixels count"
+            f"{remedy}"
         )
     values: Pixels = image.data
     return values
@@ -134,10 +138,14 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
     except ImageError:
         raise
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
-        raise ImageError(
-            f"cannot read {os.fspath(path)!r} as an image: {e}; PNG, JPEG, TIFF and PPM can be "
-            "read, EXR and HDR cannot: convert it, with the tone mapping of your renderer"
-        ) from e
+        name = os.fspath(path)
+        remedy = "is it whole, and is it an image? PNG, JPEG, TIFF and PPM can be read"
+        if name.lower().endswith(_HIGH_RANGE):
+            remedy = (
+                "PNG, JPEG, TIFF and PPM can be read, EXR and HDR cannot: convert it, with the "
+                "tone mapping of your renderer"
+            )
+        raise ImageError(f"cannot read {name!r} as an image: {e}; {remedy}") from e
     if frames > 1:
         name = os.path.basename(os.fspath(path))
         warn_user(f"{name} has {frames} frames or pages, of which the first one is taken")

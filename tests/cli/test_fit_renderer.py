@@ -12,6 +12,7 @@ import threading
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ import pytest
 from PIL import Image
 
 from fide_plugins import Space
+from fide_plugins.cli.fit_renderer import _report
+from fide_plugins.fitting.failures import Failure
 from fide_plugins.renderers import FunctionRenderer
 
 from .conftest import fide, summary
@@ -92,6 +95,36 @@ def test_a_fit_that_had_no_time_names_no_picture(capsys: pytest.CaptureFixture[s
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "nothing was rendered in that time; give more --time"
     assert not any("best.png" in line for line in lines) and not Path("out/best.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "failures", "first", "text"),
+    [
+        (3, 0, None, "no render has a finite loss"),
+        (3, 2, Failure({}, "ValueError"), "no render has a finite loss"),
+        (
+            0,
+            2,
+            Failure({}, "ValueError"),
+            "no render gave an image; the first error is printed above",
+        ),
+        (0, 2, None, "no render gave an image"),  # all of them in an earlier call
+        (0, 0, None, "nothing was rendered in that time; give more --time"),
+    ],
+)
+def test_a_fit_without_a_best_candidate_says_why(
+    evaluations: int,
+    failures: int,
+    first: Failure | None,
+    text: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    result = SimpleNamespace(
+        best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
+        seconds=1.0, stopped="time",
+    )  # fmt: skip
+    _report(result, Path("out"))
+    assert capsys.readouterr().out.splitlines()[-1] == text
 
 
 @pytest.mark.usefixtures("target")

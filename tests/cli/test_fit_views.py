@@ -12,8 +12,9 @@ from PIL import Image
 
 from fide_plugins import FIDE
 from fide_plugins.cli.extra_renders import check_first
+from fide_plugins.cli.fit_pictures import weights_of
 from fide_plugins.cli.fit_renderer import _keep_pictures
-from fide_plugins.errors import ImageError
+from fide_plugins.errors import ImageError, ImageNotFoundError
 from fide_plugins.experiments.solutions import pictures as stored
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
@@ -120,6 +121,21 @@ def test_the_alpha_of_the_target_and_weights_are_masks_too(
     assert fide("fit", "target.png", *words, "--mask", "alpha") == 2
     line = last_line(capsys)
     assert "target.png must have an alpha channel" in line and "give a picture, --mask FILE" in line
+
+
+def test_only_the_alpha_that_is_missing_gets_its_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Image.new("RGBA", (8, 8)).save("a.png")
+    Image.new("RGB", (8, 8)).save("b.png")
+    for given in (["alpha", "missing.png"], ["missing.png", "alpha"]):
+        with pytest.raises(ImageNotFoundError, match="no image file at 'missing.png'$"):
+            weights_of("mask", given, ["a.png", "a.png"], None)
+    with pytest.raises(ImageNotFoundError, match="no image file at 'c.png'$"):
+        weights_of("mask", ["alpha"], ["c.png"], None)
+    with pytest.raises(ImageError, match="alpha channel.*; or give a picture, --mask FILE$"):
+        weights_of("mask", ["alpha"], ["a.png", "b.png"], None)
 
 
 @pytest.fixture

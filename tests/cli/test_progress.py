@@ -71,7 +71,8 @@ def test_a_loss_that_is_infinite_is_not_shown(capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize(
     ("done", "seconds", "text"),
-    [(20, 1.0, "20 renders/s"), (2, 16.0, "8.0 s a render"), (3, 3.0, "1 renders/s"),
+    [(20, 1.0, "20 renders/s"), (2, 16.0, "8.0 s a render"), (3, 3.0, "1.0 renders/s"),
+     (14, 10.0, "1.4 renders/s"), (99, 10.0, "9.9 renders/s"), (998, 100.0, "10 renders/s"),
      (300, 10.0, "30 renders/s")],
 )  # fmt: skip
 def test_slow_renderers_have_their_seconds(

@@ -15,6 +15,7 @@ from fide_plugins.options import (
     NetworkOptions,
     Options,
     ProposalOptions,
+    check_known,
     flat,
     make_options,
     without_images,
@@ -146,6 +147,11 @@ def test_the_options_of_users_come_first_where_one_is_unknown() -> None:
         for field in fields(group):
             assert field.name in others and field.name not in few
     assert "those that matter most: loss, encoder, preset, popsize" in few
+    with pytest.raises(OptionError) as caught:
+        check_known({"sahre": 0.3}, "fit", ["target", "mask", "seed", "learned", "sigma0"])
+    names = [name for part in str(caught.value).split("; ") for name in part.split(", ")]
+    named = [name.rpartition(" ")[2] for name in names]
+    assert len(named) == len(set(named))
     with pytest.raises(OptionError, match=r"'pop_size' \(did you mean 'popsize'\?\)"):
         make_options("balanced", {"pop_size": 8})
 

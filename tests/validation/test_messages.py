@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import FIDE, Float, Int, Space, fit
-from fide_plugins.errors import DeviceError, FideError, OptionError, PointsError
+from fide_plugins.errors import DeviceError, FideError, ImageError, OptionError, PointsError
 from fide_plugins.validation import images
 
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
@@ -43,7 +43,7 @@ def tried(render: Any = render, target: Any = TARGET, space: Any = SPACE, **opti
         (lambda: SPACE.decode(np.zeros((2, 3))), r"^x must have 3 numbers, not the shape \(2, 3\)"),
         (lambda: SPACE.decode(0.5), "^x must have 3 numbers, not one number"),
         (lambda: SPACE.decode([0, 1, 2]), "must lie in"),
-        (lambda: SPACE.decode([[0], [1, 2], 0]), "."),
+        (lambda: SPACE.decode([[0], [1, 2], 0]), r"^X must be an array of shape \(n, 3\): .* sequence"),
         (lambda: tried(x0=[0.5, 0.5]), "it must have 3 numbers, not 2; to give values, pass a"),
         (lambda: tried(x0=0.5), "must have 3 numbers, not one number; .*Python only"),
         (lambda: tried(mask="alpha"), r"an alpha channel.*; or give a mask of its own, mask=ARRAY"),
@@ -69,11 +69,26 @@ def test_the_device_that_people_call_gpu_is_cuda(name: str) -> None:
     assert str(error.value) == f"no device '{name}' here (write 'cuda'); 'auto' or 'cpu' works"
 
 
-@pytest.mark.parametrize("name", ["b.hdr", "b.exr"])
+@pytest.mark.parametrize("name", ["b.hdr", "b.EXR"])
 def test_a_file_that_is_no_picture_names_those_that_are(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"#?RADIANCE\n")
-    with pytest.raises(FideError, match="as an image: .*; PNG, JPEG, TIFF and PPM can be read"):
+    with pytest.raises(
+        FideError, match="; PNG, JPEG, TIFF and PPM can be read, EXR and HDR cannot"
+    ):
         images.load(tmp_path / name)
+
+
+def test_a_file_that_is_damaged_is_not_said_to_be_of_another_format(tmp_path: Path) -> None:
+    (tmp_path / "b.png").write_bytes(b"\x89PNG")
+    with pytest.raises(FideError, match="as an image: .*; is it whole, and is it .* can be read$"):
+        images.load(tmp_path / "b.png")
+
+
+@pytest.mark.parametrize("name", ["mask", "weights"])
+def test_a_masked_mask_is_not_told_to_be_a_mask(name: str) -> None:
+    masked = np.ma.masked_less(TARGET, 0.1)
+    with pytest.raises(ImageError, match=r"masked values.*; give image\.filled\(value\)$"):
+        FIDE(3, TARGET, **{name: masked})
 
 
 def keywords(x: float, y: float, r: float) -> Any:
@@ -110,6 +125,9 @@ def test_a_second_fit_in_a_directory_is_told_how_python_resumes(tmp_path: Path) 
 
 def test_a_point_is_a_copy() -> None:
     x = np.full(3, 0.5)
+    assert not np.shares_memory(FIDE(SPACE, TARGET, x0=x).x0, x)
+
+
+def test_a_point_of_another_space_is_no_point_to_snap() -> None:
     with pytest.raises(PointsError):
         SPACE.snap(np.zeros(2))
-    assert FIDE(SPACE, TARGET, x0=x).x0 is not x
