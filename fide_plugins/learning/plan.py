@@ -89,7 +89,7 @@ class Plan:
         """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
         self._check_region()
         if self.workers > 1 or self.executor is not None:
-            check_workers(self.renderer, min(self.workers, 1), self.executor)
+            check_workers(self.renderer, self.workers, self.executor)
         check_room(self.settings, self.renders, store_limit * 2**30)
 
     def _check_region(self) -> None:

@@ -7,11 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field
+from multiprocessing import current_process
 
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
-from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers.choice import DAEMON, workers_for
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.learning.renderer import BatchRenderer, Small
 from fide_plugins.learning.store import SHARD, RenderStore
@@ -46,8 +47,9 @@ def fill(
     on_progress: called with the number of renders done so far.
 
     Raises RenderError if most renders fail, or workers die again and again; OptionError if the
-    renderer cannot be sent to workers.  What was rendered before an error stays, but for shards of
-    this call in which renders have failed: they are rendered again by the next call.
+    renderer cannot be sent to workers, or this process may start none.  What was rendered before
+    an error stays, but for shards of this call in which renders have failed: they are rendered
+    again by the next call.
     """
     missing = store.missing(renders)
     done, tried = renders - SHARD * len(missing), 0
@@ -259,6 +261,8 @@ def _reason(outcome: Outcome) -> str:
 def check_workers(renderer: BatchRenderer, workers: int, executor: object = None) -> None:
     """Raise OptionError unless the renderer can be sent to processes, or to what `executor` is.
 
+    Also in a daemonic process, which can start no workers.
+
     workers: as for `fill`; an executor needs at least one.
     """
     _pool(renderer, (1, 1), workers, executor)
@@ -267,6 +271,8 @@ def check_workers(renderer: BatchRenderer, workers: int, executor: object = None
 def _pool(
     renderer: BatchRenderer, size: tuple[int, int], workers: int, executor: object
 ) -> Workers:
+    if executor is None and workers > 1 and current_process().daemon:
+        raise OptionError(f"{DAEMON}; give workers=0")
     shards = _Shards(renderer, size)
     try:
         if executor is None:

@@ -119,11 +119,12 @@ def in_a_pool(_: int) -> tuple[int, list[str], str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = fit(disk(), target(), SPACE, budget=6, seed=0)
+    refused = ""
     try:
         fit(disk(), target(), SPACE, budget=6, executor="processes")
     except OptionError as error:
-        return result.evaluations, [str(one.message) for one in caught], str(error)
-    return result.evaluations, [], ""
+        refused = str(error)
+    return result.evaluations, [str(one.message) for one in caught], refused
 
 
 def test_a_process_that_may_start_no_other_renders_in_threads() -> None:

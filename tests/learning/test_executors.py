@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError, RenderError
+from fide_plugins.fitting.workers.choice import DAEMON
 from fide_plugins.learning import learn
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
@@ -61,3 +63,20 @@ def test_what_is_no_executor_is_refused_before_anything_is_rendered(tmp_path: Pa
     with pytest.raises(OptionError, match="executor must be 'processes', 'threads', an executor"):
         learn(plain, 2, out=tmp_path / "m", executor="tcp://host:8786")
     assert not list(tmp_path.iterdir())
+
+
+def refused_in_a_pool(out: Path) -> str:
+    """Why this process, which is daemonic, does not learn with workers; it does without."""
+    fill(store(out / "store"), as_renderer(plain, 2), 10, workers=1)
+    try:
+        learn(plain, 2, out=out / "m", workers=2)
+    except OptionError as error:
+        return str(error)
+    return ""
+
+
+def test_a_process_that_may_start_no_other_is_told_so(tmp_path: Path) -> None:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        said = pool.map(refused_in_a_pool, [tmp_path])[0]
+    assert said == f"{DAEMON}; give workers=0"
+    assert [path.name for path in tmp_path.iterdir()] == ["store"]

@@ -16,11 +16,12 @@ from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.fitting.workers.threads import DaemonThreads
 from fide_plugins.runtime.warn import warn_user
 
-__all__ = ["workers_for"]
+__all__ = ["DAEMON", "workers_for"]
 
 _Renderer: TypeAlias = Callable[[Any], Outcome]
 
-_DAEMON = "a daemonic process, such as those of multiprocessing.Pool, cannot start others"
+DAEMON = "a daemonic process, such as those of multiprocessing.Pool, cannot start others"
+"""Why no process is started in such a process."""
 _REMEDY = "give executor='threads', or workers=0"
 
 
@@ -54,7 +55,7 @@ def workers_for(
 
 def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
     if current_process().daemon:
-        warn_user(f"{_DAEMON}, so render runs in threads of this one; to silence this, {_REMEDY}")
+        warn_user(f"{DAEMON}, so render runs in threads of this one; to silence this, {_REMEDY}")
         return _threads(renderer, number)
     try:
         return Processes(renderer, number)
@@ -69,7 +70,7 @@ def _processes_or_threads(renderer: _Renderer, number: int) -> Workers:
 
 def _processes(renderer: _Renderer, number: int) -> Workers:
     if current_process().daemon:
-        raise OptionError(f"{_DAEMON}; {_REMEDY}")
+        raise OptionError(f"{DAEMON}; {_REMEDY}")
     try:
         return Processes(renderer, number)
     except Exception as error:
