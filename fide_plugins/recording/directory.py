@@ -116,11 +116,11 @@ class RunDirectory:
             }
             before = read_run(self.path)
             if before is not None:
+                there, given = before["settings"], self.settings
                 if resume and is_saved(self.path):
-                    self.settings = sources_module.with_model_there(
-                        before["settings"], self.settings, self.path
-                    )
-                self._check(before["settings"], resume, may_change)
+                    self.settings = sources_module.with_model_there(there, given)
+                self._check(there, resume, may_change)
+                sources_module.warn_of_model(given, self.settings, self.path)
                 self._run = {**before, "settings": self.settings, "status": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
             if limits is not None:

@@ -20,8 +20,11 @@ __all__ = [
     "of_files",
     "versions_there",
     "versions_with",
+    "warn_of_model",
     "with_model_there",
 ]
+
+_OBJECT = "Model"  # in the settings, for a model that was given as an object
 
 
 def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
@@ -92,19 +95,34 @@ def versions_with(
     }
 
 
-def with_model_there(there: Mapping[str, Any], here: dict[str, Any], path: Path) -> dict[str, Any]:
+def with_model_there(there: Mapping[str, Any], here: dict[str, Any]) -> dict[str, Any]:
     """Settings of a fit that goes on from its saved state, with the model that it began with.
 
-    The state has that model's hypotheses, and the file may be anywhere now.  Warns of another name.
-    there, here: settings in `path`, and those of this call.  Others than FIDE need their model.
+    The state has that model's hypotheses, and the file may be anywhere now.
+    there, here: settings that are saved, and those of this call.  Others than FIDE need their
+        model.
     """
-    found = [settings.get("options") for settings in (there, here)]
-    before, now = (one.get("learned") if isinstance(one, dict) else None for one in found)
-    if here.get("optimizer") != "fide" or before is None or before == now:
+    before = _learned(there)
+    if here.get("optimizer") != "fide" or before is None or before == _learned(here):
         return here
-    if now is not None:
+    return {**here, "options": {**here["options"], "learned": before}}
+
+
+def warn_of_model(given: Mapping[str, Any], used: Mapping[str, Any], path: Path) -> None:
+    """Warn of a model file that is given, where the run in the folder `path` uses another one.
+
+    given, used: settings of this call, without and `with_model_there`.
+    """
+    now, before = _learned(given), _learned(used)
+    if now in (None, _OBJECT) or before in (None, _OBJECT):  # no file, or it is not known which
+        return
+    if Path(str(now)).absolute() != Path(str(before)).absolute():
         warn_user(
             f"the search in {path} goes on with the hypotheses of {before}, with which it began: "
             f"learned={now!r} is not used; to use it, start again in another directory"
         )
-    return {**here, "options": {**here["options"], "learned": before}}
+
+
+def _learned(settings: Mapping[str, Any]) -> Any:
+    options = settings.get("options")
+    return options.get("learned") if isinstance(options, dict) else None

@@ -224,6 +224,27 @@ def test_a_saved_fit_goes_on_without_the_file_of_its_model(learned: Path, tmp_pa
     assert recorded["learned"] == str(here)
 
 
+def test_another_name_of_the_same_model_is_no_other_model(
+    learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is a model that was given as an object; and settings that differ are said alone."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("m.fide", "other.fide"):
+        shutil.copy(learned, name)
+    model, settings = Model.load("m.fide"), {"workers": 0, "seed": 0, "out": "run"}
+
+    def fitted(budget: int, model: Any, **more: Any) -> Any:
+        return fit(disk, PICTURE, SPACE, budget=budget, learned=model, **(settings | more))
+
+    fitted(10, "m.fide")
+    for budget, name in ((12, tmp_path / "m.fide"), (14, "./m.fide"), (16, model)):
+        assert fitted(budget, name, resume=True).evaluations == budget
+    with pytest.raises(RunDirectoryError, match="seed is 0 there and 1 here"):
+        fitted(18, "other.fide", resume=True, seed=1)
+    with pytest.warns(RuntimeWarning, match=r"hypotheses of m\.fide.*other\.fide' is not used"):
+        fitted(18, "other.fide", resume=True)
+
+
 def test_a_fit_without_a_model_gets_none_later(learned: Path, tmp_path: Path) -> None:
     settings: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path}
     fit(disk, PICTURE, SPACE, budget=10, **settings)
