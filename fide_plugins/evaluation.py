@@ -32,6 +32,9 @@ Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate."""
 
 
+_OLD = "take the version of FIDE, and the weights, that wrote it"
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Of n candidates: losses (n,), images (n, H, W, 3) and tokens (n, T, C), where known."""
@@ -141,7 +144,7 @@ class Evaluator:
         check(saved, dict.fromkeys(own, anything), {}, "versions")
         if saved["encoder"] != own["encoder"]:
             name = self.encoder.name
-            remedy = "take the version of FIDE, and the weights, that wrote it"
+            remedy = _OLD
             if name.startswith("learned:"):
                 remedy = f"put that model back, which encoder={name!r} reads"
             raise CheckpointError(
@@ -150,7 +153,10 @@ class Evaluator:
             )
         loss, same = saved["loss"], saved["loss_name"] == own["loss_name"]
         if loss is not None and same and loss != own["loss"]:
-            raise ValueError(f"values of the loss {loss}; the one here is {own['loss']}")
+            raise CheckpointError(
+                f"the saved state has values of the loss {loss}; the one here is {own['loss']}: "
+                f"{_OLD}, or start again"
+            )
 
     def as_batch(
         self,
