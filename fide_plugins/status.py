@@ -1,8 +1,8 @@
 """What is known of a run at any time: a code for programs, a sentence for people.
 
 The answer is never that an optimum is global: no black box tells. What can be said is whether the
-loss still falls, whether searches from different places ended in the same one, and whether what is
-left is the noise of the renderer.
+loss still falls, whether searches from different starting points ended at the same answer, and
+whether what is left is the noise of the renderer.
 """
 
 from __future__ import annotations
@@ -90,17 +90,17 @@ def _stalled(best: float, facts: Facts) -> Status:
     if total == 0:
         return Status("stalled", stalled)
     if same >= 3 and 2 * same > total:
-        what = f"{same} of {total} searches from different places ended in this one."
+        what = f"{same} of {total} searches from different starting points ended at this answer."
         return Status("agreed", f"{stalled} {what}")
     if total == 1:
         return Status("stalled", f"{stalled} No second search began elsewhere so far.")
     if same == total:
-        few = f"{total} searches from different places ended in this one, too few to be sure."
-        return Status("unsure", f"{stalled} {few}")
+        few = f"{total} searches from different starting points ended at this answer"
+        return Status("unsure", f"{stalled} {few}, too few to be sure.")
     others = sum(n > 0 for n in facts.ended[1:])
     number = f"more than {others}" if facts.forgotten else f"{others}"
     return Status(
         "unsure",
-        f"{stalled} Of {total} searches from different places {same or 'none'} ended in this one, "
-        f"the others in {number}: there may be a better one.",
+        f"{stalled} Of {total} searches from different starting points {same or 'none'} ended at "
+        f"this answer, the others at {number}: there may be a better one.",
     )

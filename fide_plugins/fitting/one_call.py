@@ -95,7 +95,7 @@ def fit(
         more the order in which renders arrive matters, too.  None draws one.
     until_stalled
         stop also when nothing more is to be expected: the image equals the target to 8 bits, the
-        loss is at the noise floor, several searches ended in the same place, or the loss has not
+        loss is at the noise floor, several searches ended at the same answer, or the loss has not
         improved by a tenth for 150 generations (1,200 renders of four parameters, 2,250 of 40) and
         half of all evaluations.
     timeout

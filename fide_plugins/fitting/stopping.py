@@ -83,7 +83,7 @@ class Stopping:
 def _is_stalled(optimizer: FIDE) -> bool:
     """Whether nothing more is to be expected.
 
-    Solved, at the noise floor, or several searches ended in the same place: at once.  Otherwise if
+    Solved, at the noise floor, or several searches ended at the same answer: at once.  Otherwise if
     the loss has not improved by a tenth for 150 generations and for as many evaluations as it took
     to get there: stalls are overcome by moves, each of which takes some ten generations and mostly
     fails.
