@@ -11,6 +11,7 @@ from typing import Any
 from fide_plugins.cli.availability import KINDS, names, problems
 from fide_plugins.cli.messages import plain
 from fide_plugins.runtime import opencv_distributions
+from fide_plugins.runtime.wording import counted
 
 __all__ = ["add_arguments", "execute"]
 
@@ -52,7 +53,7 @@ def _summary() -> str:
 
     versions, computer = machine.versions(), machine.machine()
     first = ("fide-plugins", "python", "torch", "numpy")
-    extras, cores = _versions_of_extras(), _counted(computer["cores"], "core")
+    extras, cores = _versions_of_extras(), counted(computer["cores"], "core")
     missing = [extra for extra, version in extras.items() if not version]
     lines = [
         ", ".join(f"{name} {versions[name]}" for name in first if name in versions),
@@ -66,10 +67,6 @@ def _summary() -> str:
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}{'s' * (number != 1)}"
 
 
 def _versions_of_extras() -> dict[str, str | None]:
@@ -132,7 +129,7 @@ def _try_mitsuba() -> dict[str, str]:
 def _text(facts: dict[str, Any]) -> str:
     versions, machine = facts["versions"], facts["machine"]
     lines = ["  ".join(f"{name} {version}" for name, version in versions.items())]
-    counts = _counted(machine["cores"], "core"), _counted(machine["threads"], "thread")
+    counts = counted(machine["cores"], "core"), counted(machine["threads"], "thread")
     lines.append(", ".join([machine["cpu"], *counts]))
     lines.append(f"CUDA: {machine.get('cuda') or 'none, everything runs on the CPU'}")
     lines.append(f"OpenCV: {facts['opencv'] or 'ok'}")

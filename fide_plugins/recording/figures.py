@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.recording.record import PARTS, RunResult, best_so_far
+from fide_plugins.runtime.wording import counted
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]
@@ -89,8 +90,8 @@ def _title(figure: Any, result: RunResult) -> None:
         0.03, 0.955, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
         fontsize=14, fontweight="bold", color=_INK, va="center",
     )  # fmt: skip
-    n = result.parameters
-    facts = f"{n} parameter{'s' * (n != 1)}   {result.evaluations:,} renders   seed {result.seed}"
+    parameters = counted(result.parameters, "parameter")
+    facts = f"{parameters}   {result.evaluations:,} renders   seed {result.seed}"
     figure.text(
         0.975, 0.955, facts,
         fontsize=10, color=_MUTED, va="center", ha="right",

@@ -19,6 +19,7 @@
 `reference`             an attribute of a user's file or module: ``FILE.py:NAME``, ``module:NAME``
 `warn`                  warnings that name the line of the user
 `callables`             tries a user's function of images
+`wording`               words of messages
 `opencv`                OpenCV, or what to do where its installation is broken
 `opencv_distributions`  which distributions of OpenCV are installed
 ======================  =========================================================================

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from fide_plugins.cli.doctor_command import _counted
+from fide_plugins.runtime.wording import counted
 
 from .conftest import fide
 
 
 def test_one_thread_is_one_thread() -> None:
-    assert [_counted(n, "thread") for n in (0, 1, 2)] == ["0 threads", "1 thread", "2 threads"]
+    assert [counted(n, "thread") for n in (0, 1, 2)] == ["0 threads", "1 thread", "2 threads"]
 
 
 def test_fit_names_the_defaults_of_budget_and_loss(capsys: pytest.CaptureFixture[str]) -> None:

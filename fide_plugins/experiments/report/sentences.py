@@ -10,6 +10,7 @@ from typing import Any
 from fide_plugins.experiments.compare.results import Results, StoredRun
 from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
 from fide_plugins.experiments.report.tables import number
+from fide_plugins.runtime.wording import counted
 
 __all__ = [
     "METHOD",
@@ -76,7 +77,7 @@ def verdict(panel: Panel) -> str:
     most = max((tests[row.label] for row in rivals), key=lambda test: test.n)
     if most.smallest_p >= SIGNIFICANT:
         return (
-            f"{text} With {most.n} pair{'s' * (most.n > 1)} no difference can be significant: "
+            f"{text} With {counted(most.n, 'pair')} no difference can be significant: "
             f"p cannot be below {most.smallest_p:.2g}; {_more_pairs(panel)}."
         )
     return text + _differences(panel, rivals)

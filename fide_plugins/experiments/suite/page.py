@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping, Sequence, Sized
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -27,6 +27,7 @@ from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores, scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 from fide_plugins.runtime import files
+from fide_plugins.runtime.wording import counted
 
 __all__ = ["Origin", "write", "write_scores"]
 
@@ -147,12 +148,11 @@ def _thresholds(found: Scores) -> Table:
 
 
 def _facts(found: Scores) -> str:
-    def counted(things: Sized, name: str) -> str:
-        return f"{len(things)} {name}" + "s" * (len(things) != 1)
-
+    optimizers, problems = len(found.labels), len(found.problems)
+    budgets = ", ".join(map(number, found.budgets))
     return (
-        f"{counted(found.labels, 'optimizer')}, {counted(found.problems, 'problem')} of "
-        f"{counted(found.scenes, 'scene')}, read at {', '.join(map(number, found.budgets))} renders"
+        f"{counted(optimizers, 'optimizer')}, {counted(problems, 'problem')} of "
+        f"{counted(len(found.scenes), 'scene')}, read at {budgets} renders"
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from fide_plugins.experiments.report import sentences
 from fide_plugins.experiments.suite.scores import Scores
+from fide_plugins.runtime.wording import counted
 
 __all__ = ["remarks"]
 
@@ -17,11 +18,11 @@ def remarks(found: Scores) -> list[str]:
     """Sentences on failed runs, on problems and on optimizers that are left out, if there are."""
     said = sentences.not_shown(found.not_shown)
     if found.failed:
-        problems = _counted({problem for _, problem in found.failed})
+        problems = counted(len({problem for _, problem in found.failed}), "problem")
         runs = _listed((label, problem, "failed") for label, problem in found.failed)
         said.append(f"Failed runs count as unsolved, {problems}: {runs}.")
     if found.left_out:
-        problems = _counted({problem for _, problem, _ in found.left_out})
+        problems = counted(len({problem for _, problem, _ in found.left_out}), "problem")
         runs = _listed(found.left_out)
         said.append(f"Left out, {problems}: {runs}.")
     if any(status == "not planned" for _, _, status in found.left_out):
@@ -30,10 +31,6 @@ def remarks(found: Scores) -> list[str]:
             "optimizers."
         )
     return said
-
-
-def _counted(problems: set[str]) -> str:
-    return f"{len(problems)} problem{'s' * (len(problems) > 1)}"
 
 
 def _listed(runs: Iterable[tuple[str, str, str]]) -> str:
