@@ -110,6 +110,8 @@ def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
 def take_over(suite: Suite, found: results.Results, out: Path) -> str:
     """Add the finished runs of a comparison of this suite to the file; says how many, and why.
 
+    A row is of the day of the comparison's last call, which may not be that of its run.
+
     Exits for another suite's, and for one of a budget that the suite has not.
     """
     if found.settings["task_options"] != {"suite": suite.name}:
