@@ -231,14 +231,15 @@ def test_another_name_of_the_same_model_is_no_other_model(
     monkeypatch.chdir(tmp_path)
     for name in ("m.fide", "other.fide"):
         shutil.copy(learned, name)
-    model, settings = Model.load("m.fide"), {"workers": 0, "seed": 0, "out": "run"}
+    settings: dict[str, Any] = {"workers": 0, "seed": 0, "out": "run"}
 
     def fitted(budget: int, model: Any, **more: Any) -> Any:
         return fit(disk, PICTURE, SPACE, budget=budget, learned=model, **(settings | more))
 
     fitted(10, "m.fide")
-    for budget, name in ((12, tmp_path / "m.fide"), (14, "./m.fide"), (16, model)):
-        assert fitted(budget, name, resume=True).evaluations == budget
+    same: list[Any] = [tmp_path / "m.fide", "./m.fide", Model.load("m.fide")]
+    for budget, one in zip((12, 14, 16), same, strict=True):
+        assert fitted(budget, one, resume=True).evaluations == budget
     with pytest.raises(RunDirectoryError, match="seed is 0 there and 1 here"):
         fitted(18, "other.fide", resume=True, seed=1)
     with pytest.warns(RuntimeWarning, match=r"hypotheses of m\.fide.*other\.fide' is not used"):

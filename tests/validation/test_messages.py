@@ -86,9 +86,9 @@ def test_a_file_that_is_damaged_is_not_said_to_be_of_another_format(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["mask", "weights"])
 def test_a_masked_mask_is_not_told_to_be_a_mask(name: str) -> None:
-    masked = np.ma.masked_less(TARGET, 0.1)
+    options: dict[str, Any] = {name: np.ma.masked_less(TARGET, 0.1)}
     with pytest.raises(ImageError, match=r"masked values.*; give image\.filled\(value\)$"):
-        FIDE(3, TARGET, **{name: masked})
+        FIDE(3, TARGET, **options)
 
 
 def keywords(x: float, y: float, r: float) -> Any:
