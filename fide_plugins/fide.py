@@ -273,7 +273,7 @@ class FIDE(Asking):
         with timed(self.times, "encode"):
             encode = self.state.proposer is not None
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
-        self.same_images.note(points, batch)
+        self.same_images.note(points, batch, results.losses)
         with timed(self.times, "search"):
             self._enter(results.of(points))
         return results.losses

@@ -17,6 +17,7 @@ _LEAST = 32  # candidates; where 9/10 of a space show the same, all 32 do in 3 %
 class SameImages:
     """Whether all images that were told so far are equal; a run that was loaded does not know.
 
+    Where losses differ, they were told beside the images and judge something else: nothing is said.
     generation: candidates of a generation, of which each counts before anything is said.
     """
 
@@ -24,6 +25,7 @@ class SameImages:
         self._enough = max(generation, _LEAST)
         self._points: set[bytes] | None = set()  # None: two images differ, or it is not known
         self._image: Any = None
+        self._loss = 0.0
 
     @property
     def number(self) -> int:
@@ -35,8 +37,11 @@ class SameImages:
         """Say nothing from now on."""
         self._points = self._image = None
 
-    def note(self, points: Float64, images: Any) -> None:
-        """Note images (n, H, W, 3), or None, of points (n, d); warns once if all are equal."""
+    def note(self, points: Float64, images: Any, losses: Float64) -> None:
+        """Note images (n, H, W, 3), or None, and losses (n,) of points (n, d).
+
+        Warns once if all are equal.
+        """
         if self._points is None or not len(points):
             return
         if images is None:  # of these candidates nothing is known
@@ -45,8 +50,10 @@ class SameImages:
         if self._image is None:
             image = images[0]
             self._image = image.clone() if hasattr(image, "clone") else image.copy()
-        if _device(images) != _device(self._image) or not bool((images == self._image).all()):
-            self.forget()  # images of two devices are not compared
+            self._loss = float(losses[0])
+        comparable = _device(images) == _device(self._image) and (losses == self._loss).all()
+        if not comparable or not bool((images == self._image).all()):
+            self.forget()
             return
         known = self.number
         self._points.update(x.tobytes() for x in points)

@@ -71,7 +71,7 @@ def test_without_a_file_it_says_where_one_comes_from(name: str) -> None:
 def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(WeightsNotFoundError, match=r"no model at .*absent\.fide: No such file"):
         encoders.make(f"learned:{tmp_path / 'absent.fide'}")
-    with pytest.raises(WeightsNotFoundError, match="no model at .*: Is a directory"):
+    with pytest.raises(WeightsNotFoundError, match="is a folder; name the model's file"):
         encoders.make(f"learned:{tmp_path}")
 
 

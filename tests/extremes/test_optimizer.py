@@ -128,6 +128,7 @@ sizes = st.sampled_from([(1, 1), (1, 5), (3, 2), (8, 8), (2, 40)])
 
 
 @pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
+@pytest.mark.filterwarnings("ignore:all images of:RuntimeWarning")
 @settings(max_examples=60 * CASES, deadline=None)
 @given(
     dim=st.integers(1, 9),

@@ -76,14 +76,23 @@ def test_after_candidates_without_images_nothing_is_said() -> None:
     assert opt.status.sentence.startswith("Still improving")
 
 
+def test_losses_that_differ_are_of_something_else() -> None:
+    """Told beside images that are all equal, they have what to search by."""
+    opt = FIDE(SPACE, TARGET, seed=0)
+    for _ in range(5):
+        X = opt.ask(8)
+        opt.tell(X, [TARGET * 0.5] * 8, X.sum(1))
+    assert opt.status.sentence.startswith("Still improving")
+
+
 def test_images_of_two_devices_are_not_compared() -> None:
     """Device "meta" stands for a GPU; PyTorch refuses to compare with its tensors."""
     image = torch.zeros((1, 2, 2, 3))
     for first, second in ((image.numpy(), image.to("meta")), (image, image.to("meta"))):
         same = SameImages(1)
-        same.note(np.zeros((1, 1)), first)
-        same.note(np.ones((1, 1)), second)
-        same.note(np.arange(2.0, 40.0)[:, None], np.zeros((38, 2, 2, 3)))
+        same.note(np.zeros((1, 1)), first, np.zeros(1))
+        same.note(np.ones((1, 1)), second, np.zeros(1))
+        same.note(np.arange(2.0, 40.0)[:, None], np.zeros((38, 2, 2, 3)), np.zeros(38))
         assert same.number == 0
 
 
@@ -103,13 +112,13 @@ def test_different_candidates_count(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for i in range(40):
-            same.note(np.array([points(i)], float), np.full((1, 2, 2, 3), images(i)))
+            same.note(np.array([points(i)], float), np.full((1, 2, 2, 3), images(i)), np.ones(1))
     assert same.number == number
 
 
 def test_a_large_generation_counts_as_a_whole() -> None:
     same = SameImages(50)
-    same.note(np.arange(49.0)[:, None], np.zeros((49, 2, 2, 3)))
+    same.note(np.arange(49.0)[:, None], np.zeros((49, 2, 2, 3)), np.ones(49))
     assert same.number == 0
     with pytest.warns(RuntimeWarning, match="all images of 50 different candidates"):
-        same.note(np.array([[0.5]]), np.zeros((1, 2, 2, 3)))
+        same.note(np.array([[0.5]]), np.zeros((1, 2, 2, 3)), np.ones(1))
