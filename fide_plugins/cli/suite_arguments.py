@@ -8,6 +8,7 @@ from typing import Any
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.cli.messages import note, plain
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.wording import counted
 
 __all__ = ["add_suite_arguments", "check_no_suite", "suite_plan"]
 
@@ -67,9 +68,7 @@ def suite_plan(args: argparse.Namespace) -> Any:
 def _size_of(plan: Any) -> str:
     """How many runs there are, so that nobody starts a week's work for an evening's."""
     runs = len(list(plan.runs()))
-    each = f"1 run of {plan.budget} renders"
-    if runs != 1:
-        each = f"{runs} runs of {plan.budget} renders each"
+    each = f"{counted(runs, 'run')} of {plan.budget} renders{' each' * (runs != 1)}"
     return f"{plan.suite.name}: {each} (--scenes, --targets and --budget choose a part)"
 
 

@@ -49,7 +49,7 @@ class SameImages:
             return
         if self._image is None:
             image = images[0]
-            self._image = image.clone() if hasattr(image, "clone") else image.copy()
+            self._image = image.clone() if isinstance(image, torch.Tensor) else image.copy()
             self._loss = float(losses[0])
         comparable = _device(images) == _device(self._image) and (losses == self._loss).all()
         if not comparable or not bool((images == self._image).all()):

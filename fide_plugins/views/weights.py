@@ -8,7 +8,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.image_sources import describe, is_torch_tensor
+from fide_plugins.validation.image_sources import is_torch_tensor
 from fide_plugins.validation.images import alpha_of, as_target
 
 __all__ = ["ALPHA", "hidden_by", "joined", "read_weights"]
@@ -51,7 +51,7 @@ def _large_enough(given: object) -> object:
             return given
     if not isinstance(values, np.ndarray) and not is_torch_tensor(values):
         return given
-    if not describe(values).endswith("dtype float64") or 0 in values.shape or values.min() < 0:
+    if not str(values.dtype).endswith("float64") or 0 in values.shape or values.min() < 0:
         return given
     largest = values.max()
     return values / largest if 0 < largest < np.finfo(np.float32).tiny else given

@@ -187,7 +187,7 @@ class Panel:
 
 def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
     """All panels with a finished run; thresholds by "task/loss" or "loss"."""
-    order = list(dict.fromkeys(result.key.configuration for result in results.runs))
+    order = results.optimizers
     names = short_names(order)
     made = []
     for task, loss in dict.fromkeys((r.key.task, r.key.loss) for r in results.runs):
