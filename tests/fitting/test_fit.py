@@ -127,7 +127,10 @@ def in_a_pool(_: int) -> tuple[int, list[str], str]:
     return result.evaluations, [str(one.message) for one in caught], refused
 
 
-def test_a_process_that_may_start_no_other_renders_in_threads() -> None:
+def test_a_process_that_may_start_no_other_renders_in_threads(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # where the new process finds `tests`
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         evaluations, warned, refused = pool.map(in_a_pool, [0])[0]
     assert evaluations == 6 and len(warned) == 1

@@ -89,11 +89,15 @@ def folders(
 def places(trials: list[FrozenTrial], complete: list[FrozenTrial]) -> list[float]:
     """Where each of the trials `complete` counts, see `fide_adapters.optuna.trials`.
 
-    On a busy machine some are skipped; each counts at the trial whose record says so, if any does.
+    On a busy machine some are skipped; each counts at the first trial whose record says so, if any
+    does: two workers that ask at the same moment may both say it.  A trial that is skipped itself
+    is no place.
     """
     asks = {t.number: ask for t in trials if (ask := read_ask(t.system_attrs.get(ASK))) is not None}
     skipped = {number for ask in asks.values() for number in ask.skipped}
-    late = {number: at for at, ask in asks.items() for number in ask.late}
+    late: dict[int, int] = {}
+    for at in sorted(asks.keys() - skipped):
+        late |= {number: at for number in asks[at].late if number not in late}
     return [late.get(t.number, inf if t.number in skipped else t.number) for t in complete]
 
 
