@@ -16,7 +16,7 @@ import argparse
 from pathlib import Path
 
 from fide_plugins.cli.arguments import names, thresholds
-from fide_plugins.cli.messages import complain, note, plain
+from fide_plugins.cli.messages import complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute", "make"]
@@ -56,7 +56,8 @@ def make(
     try:
         from fide_plugins.experiments import compare, report
 
-        results = compare.read(directory)
+        with warnings_as_notes(who):
+            results = compare.read(directory)
         if optimizers is not None:
             results = results.of(optimizers)
         for stored in results.runs:

@@ -114,20 +114,21 @@ class RunDirectory:
                 "resumed": [],
                 **({} if facts is None else {"facts": facts}),
             }
-            before = read_run(self.path)
+            before, begun = read_run(self.path), is_saved(self.path)
             if before is not None:
                 there, given = before["settings"], self.settings
-                if resume and is_saved(self.path):
+                if resume and begun:
                     self.settings = sources_module.with_model_there(there, given)
                 self._check(there, resume, may_change)
-                sources_module.warn_of_model(given, self.settings, self.path)
+                if begun:
+                    sources_module.warn_of_model(given, before, sources or {}, self.path)
                 self._run = {**before, "settings": self.settings, "status": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
             if limits is not None:
                 self._run["limits"] = limits
             if sources:
                 self._run["sources"] = sources_module.versions_with(
-                    sources, before, self.path, begun=is_saved(self.path)
+                    sources, before, self.path, begun=begun
                 )
             files.remove_leftovers(self.path)
             self._lock = lock.pop_all()

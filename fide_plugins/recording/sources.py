@@ -1,29 +1,33 @@
 """The user's files on which a run depends: their versions are recorded, so that an edit is noticed.
 
-A reference such as ``mine.py:Search`` is all that the settings of a run have of them.  `run.json`
-has the digest of each file beside it, one for each version that calls of the run have had.  What a
-file imports is not known.
+A reference such as ``mine.py:Search`` or ``learned=model.fide`` is all that the settings of a run
+have of them.  `run.json` has the digest of each file beside it, one for each version that calls of
+the run have had.  What a file imports is not known.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.runtime.fingerprints import changed, kind_of
+from fide_plugins.runtime.fingerprints import changed, kind_of, of_file
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = [
     "edited",
     "file_of",
     "of_files",
+    "of_models",
     "versions_there",
     "versions_with",
     "warn_of_model",
     "with_model_there",
 ]
 
+_HYPOTHESES = "learned="  # FIDE reads this model once, when a search begins
+_MODELS = (_HYPOTHESES, "encoder=learned:")  # options, as they name the file of a learned model
 _OBJECT = "Model"  # in the settings, for a model that was given as an object
 
 
@@ -33,12 +37,27 @@ def of_files(fingerprints: Mapping[str, str | None]) -> dict[str, str]:
     return {name: one for name, one in found.items() if kind_of(one) == "file"}
 
 
+def of_models(*options: Mapping[str, Any]) -> dict[str, str]:
+    """Fingerprints of the files of learned models that options of optimizers name, by reference."""
+    named = {
+        f"{name}={os.fspath(value)}"
+        for given in options
+        for name, value in given.items()
+        if isinstance(value, str | os.PathLike)
+    }
+    models = [reference for reference in sorted(named) if reference.startswith(_MODELS)]
+    return of_files({reference: of_file(file_of(reference)) for reference in models})
+
+
 def file_of(reference: str) -> str:
     """File or module of a reference.
 
-    >>> file_of("mine.py:Search")
-    'mine.py'
+    >>> file_of("mine.py:Search"), file_of("encoder=learned:model.fide")
+    ('mine.py', 'model.fide')
     """
+    for option in _MODELS:
+        if reference.startswith(option):
+            return reference.removeprefix(option)
     return reference.rpartition(":")[0] or reference
 
 
@@ -74,9 +93,12 @@ def versions_with(
     before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
         state, which is of the versions before.
 
-    Warns, once for each edit, of a file that has changed since.
+    Warns, once for each edit, of a file that has changed since; of a model that is not read again
+    `warn_of_model` does.
     """
     there = versions_there(before) if begun else {}
+    if begun and before is not None and before["settings"].get("optimizer") == "fide":
+        here = {name: now for name, now in here.items() if not name.startswith(_HYPOTHESES)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):
         file = file_of(reference)
@@ -108,18 +130,29 @@ def with_model_there(there: Mapping[str, Any], here: dict[str, Any]) -> dict[str
     return {**here, "options": {**here["options"], "learned": before}}
 
 
-def warn_of_model(given: Mapping[str, Any], used: Mapping[str, Any], path: Path) -> None:
-    """Warn of a model file that is given, where the run in the folder `path` uses another one.
+def warn_of_model(
+    given: Mapping[str, Any], run: Mapping[str, Any], here: Mapping[str, str], path: Path
+) -> None:
+    """Warn of a model file that is given, where the search in the folder `path` has another one.
 
-    given, used: settings of this call, without and `with_model_there`.
+    Others than FIDE read their model again, see `versions_with`.
+    given: settings of this call; run: contents of `run.json` of a fit that goes on from its saved
+        state; here: fingerprints of this call.
     """
-    now, before = _learned(given), _learned(used)
+    if given.get("optimizer") != "fide":
+        return
+    now, before = _learned(given), _learned(run["settings"])
     if now in (None, _OBJECT) or before in (None, _OBJECT):  # no file, or it is not known which
         return
-    if Path(str(now)).absolute() != Path(str(before)).absolute():
+    renamed = Path(str(now)).absolute() != Path(str(before)).absolute()
+    then = versions_there(run).get(f"{_HYPOTHESES}{before}")
+    present = here.get(f"{_HYPOTHESES}{now}")
+    another = then[-1] != present if then and present else renamed
+    if another:
         warn_user(
             f"the search in {path} goes on with the hypotheses of {before}, with which it began: "
-            f"learned={now!r} is not used; to use it, start again in another directory"
+            f"learned={now!r} {'' if renamed else 'has changed since and '}is not used; to use it, "
+            "start again in another directory"
         )
 
 

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import hashlib
+import os
+from pathlib import Path
 
-__all__ = ["changed", "kind_of", "of_bytes"]
+__all__ = ["changed", "kind_of", "of_bytes", "of_file"]
 
 
 def of_bytes(kind: str, data: bytes) -> str:
     """Fingerprint of that kind: its name and 16 hexadecimal digits of SHA-256."""
     return f"{kind}:{hashlib.sha256(data).hexdigest()[:16]}"
+
+
+def of_file(path: str | os.PathLike[str]) -> str | None:
+    """Fingerprint of the contents of a file, of the kind "file"; None if it cannot be read."""
+    try:
+        return of_bytes("file", Path(path).read_bytes())
+    except OSError:
+        return None
 
 
 def kind_of(one: str) -> str:

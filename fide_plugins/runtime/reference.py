@@ -83,11 +83,7 @@ def fingerprint(module: ModuleType) -> str | None:
 
 def _fingerprint(module: ModuleType) -> str | None:
     file = getattr(module, "__file__", None)
-    try:
-        data = None if file is None else Path(file).read_bytes()
-    except OSError:
-        return None
-    return None if data is None else fingerprints.of_bytes("file", data)
+    return None if file is None else fingerprints.of_file(file)
 
 
 def _execute(place: str, referent: Referent) -> ModuleType:

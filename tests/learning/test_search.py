@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
 from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.runtime.fingerprints import of_file
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
@@ -217,33 +219,71 @@ def test_a_saved_fit_goes_on_without_the_file_of_its_model(learned: Path, tmp_pa
     with pytest.warns(RuntimeWarning, match="no model at .*goes on without the file"):
         fitted(55, learned=here, resume=True)
     fitted(60, resume=True)
-    with pytest.warns(RuntimeWarning, match="hypotheses of .*here.fide.*moved.fide' is not used"):
-        result = fitted(65, learned=moved, resume=True)
+    result = fitted(65, learned=moved, resume=True)
     np.testing.assert_array_equal(result.curve, whole.curve)
     recorded = json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["options"]
     assert recorded["learned"] == str(here)
 
 
 def test_another_name_of_the_same_model_is_no_other_model(
-    learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    learned: Path, model: Model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor is a model that was given as an object; and settings that differ are said alone."""
     monkeypatch.chdir(tmp_path)
-    for name in ("m.fide", "other.fide"):
+    for name in ("m.fide", "copy.fide"):
         shutil.copy(learned, name)
+    replace(model, renderer="another").save("other.fide")
     settings: dict[str, Any] = {"workers": 0, "seed": 0, "out": "run"}
 
     def fitted(budget: int, model: Any, **more: Any) -> Any:
         return fit(disk, PICTURE, SPACE, budget=budget, learned=model, **(settings | more))
 
     fitted(10, "m.fide")
-    same: list[Any] = [tmp_path / "m.fide", "./m.fide", Model.load("m.fide")]
-    for budget, one in zip((12, 14, 16), same, strict=True):
+    same: list[Any] = [tmp_path / "m.fide", "./m.fide", "copy.fide", Model.load("m.fide")]
+    for budget, one in zip((11, 12, 14, 16), same, strict=True):
         assert fitted(budget, one, resume=True).evaluations == budget
     with pytest.raises(RunDirectoryError, match="seed is 0 there and 1 here"):
         fitted(18, "other.fide", resume=True, seed=1)
     with pytest.warns(RuntimeWarning, match=r"hypotheses of m\.fide.*other\.fide' is not used"):
         fitted(18, "other.fide", resume=True)
+
+
+@pytest.mark.parametrize("run", [fitted, run])
+def test_a_saved_search_says_that_its_model_was_learned_again(
+    run: Callable[..., Float64], learned: Path, model: Model, tmp_path: Path
+) -> None:
+    """It goes on with the hypotheses that it has, so the record names no other model."""
+    here, out = tmp_path / "m.fide", tmp_path / "run"
+    shutil.copy(learned, here)
+    whole = run(here, 65, None)
+    run(here, 50, out)
+    before = json.loads((out / "run.json").read_text())["sources"]
+    assert before[f"learned={here}"] == [of_file(learned)]
+    here.touch()
+    run(here, 55, out, resume=True)
+    replace(model, renderer="another").save(here)
+    with pytest.warns(RuntimeWarning, match="hypotheses of .*m.fide' has changed since and is not"):
+        np.testing.assert_array_equal(run(here, 65, out, resume=True), whole)
+    assert json.loads((out / "run.json").read_text())["sources"] == before
+
+
+def test_a_saved_run_says_that_the_model_of_its_encoder_was_learned_again(
+    learned: Path, model: Model, tmp_path: Path
+) -> None:
+    here, out = tmp_path / "m.fide", tmp_path / "run"
+    shutil.copy(learned, here)
+    settings: dict[str, Any] = {"options": {"encoder": f"learned:{here}"}, "out": out}
+
+    def resumed(budget: int) -> None:
+        harness.run(Scene(), "fide-annealing", "mse", budget, 1, resume=True, **settings)
+
+    resumed(10)
+    resumed(20)
+    replace(model, renderer="another").save(here)
+    with pytest.warns(RuntimeWarning, match="m.fide has changed since the run in .*undo it"):
+        resumed(30)
+    versions = json.loads((out / "run.json").read_text())["sources"][f"encoder=learned:{here}"]
+    assert versions == [of_file(learned), of_file(here)]
 
 
 def test_a_fit_without_a_model_gets_none_later(learned: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from fide_plugins.experiments.compare.configuration import Configuration, as_fil
 from fide_plugins.experiments.run import Keep, renderer_task
 from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
-from fide_plugins.recording.sources import of_files
+from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
@@ -118,13 +118,17 @@ class Plan:
         return {**self.options, **configuration.options}
 
     def sources(self) -> dict[str, str]:
-        """Fingerprints of the user's files that it names, by reference, as they were loaded."""
+        """Fingerprints of the user's files that it names, by reference.
+
+        Those of modules are of the files as they were loaded, those of models as they are now.
+        """
         names = {configuration.name for configuration in self.configurations}
         found = {name: optimizers.source_of(name) for name in sorted(names)}
         for task in self.tasks:
             if renderer_task.is_function(task, self.task_options):
                 found[task] = FunctionRenderer(task).fingerprint
-        return of_files(found)
+        options = map(self.options_of, self.configurations)
+        return of_files(found) | of_models(*options)
 
     def check_optimizers(self) -> None:
         """Check names and options of all optimizers; nothing is rendered.

@@ -17,6 +17,7 @@ from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.compare.directory import digest, read_record, runs_of
 from fide_plugins.experiments.compare.one_run import ERROR, examine
 from fide_plugins.experiments.compare.plan import RunKey
+from fide_plugins.experiments.compare.versions import warn_of_mixed
 from fide_plugins.recording.directory import RunDirectoryError, read_run
 from fide_plugins.recording.parallel import WORKERS
 from fide_plugins.types import Float64
@@ -146,6 +147,7 @@ class Results:
 def read(path: str | os.PathLike[str]) -> Results:
     """Read the comparison in the folder `path`.
 
+    Warns of runs of several versions of a user's file, which do not belong together.
     Raises NoResultsError (a FileNotFoundError) if there is none, RunDirectoryError (a
     FileExistsError) if its record is damaged.
     """
@@ -159,6 +161,7 @@ def read(path: str | os.PathLike[str]) -> Results:
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
     runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
+    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.status == "finished"])
     return Results(
         folder,
         record["settings"],

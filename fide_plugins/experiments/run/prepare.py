@@ -19,7 +19,7 @@ from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording.directory import RunDirectory, is_saved
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
-from fide_plugins.recording.sources import of_files
+from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
@@ -132,6 +132,7 @@ def prepare(
         _check_reloads(optimizer, searcher)
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
         files = of_files({settings["task"]: fingerprint_of(task), **_source_of(optimizer)})
+        files |= of_models(options)
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
             sources=files,

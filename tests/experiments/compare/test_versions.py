@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from fide_plugins.cli import main
 from fide_plugins.experiments import compare
 from fide_plugins.experiments.compare import Configuration, Plan
+from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.driver import prepare
+from fide_plugins.learning import learn
 from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.runtime.fingerprints import of_file
+
+from .conftest import contents
 
 MINE = """
 import numpy as np
@@ -160,3 +169,123 @@ def test_optimizers_and_tasks_of_ours_have_no_files(folder: Path) -> None:
     compare.run(small, "out")
     (file,) = Path("out").rglob("run.json")
     assert "sources" not in json.loads(file.read_text())
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two models of the scene; the second as if it had been learned again."""
+    where = tmp_path_factory.mktemp("models")
+    (where / "scene.py").write_text(SCENE.format(dark=1.0))
+    render = FunctionRenderer(f"{where / 'scene.py'}:render")
+    model = learn(render, 2, renders=100, size=16, passes=1)
+    first, again = where / "first.fide", where / "again.fide"
+    model.save(first)
+    replace(model, renderer="again").save(again)
+    return first, again
+
+
+@pytest.fixture
+def model(folder: Path, models: tuple[Path, Path]) -> Path:
+    """File of the first model, where it is used."""
+    return Path(shutil.copy(models[0], folder / "m.fide"))
+
+
+NAMED = ("learned=m.fide", "encoder=learned:m.fide")
+
+
+@pytest.mark.parametrize("named", NAMED)
+@pytest.mark.parametrize("of_all", [False, True])
+def test_seeds_of_two_models_are_not_mixed(
+    named: str, of_all: bool, model: Path, models: tuple[Path, Path]
+) -> None:
+    option, _, value = named.partition("=")
+    common = {option: value} if of_all else {}
+    names = ("fide",) if of_all else (f"fide:{named}", "random")
+
+    def run(seeds: int, **more: bool) -> list[str]:
+        return kinds(compare.run(plan(*names, seeds=seeds, options=common), "out", **more))
+
+    run(1)
+    there = contents(Path("out"))
+    shutil.copy(models[1], model)
+    with pytest.raises(RunDirectoryError) as refused:
+        run(2, resume=True)
+    for words in ("m.fide has changed", f"with {named} ", "undo", "another directory", "delete"):
+        assert words in str(refused.value)
+    assert contents(Path("out")) == there
+    pattern = f"cells/*/*/{as_file_name(names[0])}"
+    assert str(Path("out") / pattern) in str(refused.value)
+    (runs,) = Path("out").glob(pattern)
+    shutil.rmtree(runs)
+    assert run(2, resume=True)[0] == "done", "what the message says is enough"
+
+
+@pytest.mark.usefixtures("model")
+@pytest.mark.parametrize("named", NAMED)
+def test_runs_of_a_model_that_was_learned_again_are_reported_with_a_warning(
+    named: str, models: tuple[Path, Path]
+) -> None:
+    finished = plan(f"fide:{named}")
+    compare.run(finished, "out")
+    shutil.copy(models[1], "m.fide")
+    with pytest.warns(RuntimeWarning, match=r"m\.fide has changed .* earlier version") as found:
+        assert kinds(compare.run(finished, "out", resume=True)) == ["kept"]
+    assert len(found) == 1
+
+
+def test_the_same_model_is_none_that_changed(model: Path) -> None:
+    one = "fide:learned=m.fide:encoder=learned:m.fide"
+    compare.run(plan(one), "out")
+    content = model.read_bytes()
+    model.unlink()
+    model.write_bytes(content)
+    os.utime(model, (0, 0))
+    assert kinds(compare.run(plan(one, seeds=2), "out", resume=True)) == ["kept", "done"]
+    runs = [json.loads(file.read_text()) for file in Path("out").rglob("run.json")]
+    assert runs[0]["sources"] == runs[1]["sources"]
+    assert set(NAMED) < set(runs[0]["sources"])
+
+
+def test_runs_whose_models_nobody_has_recorded_go_on(
+    model: Path, models: tuple[Path, Path]
+) -> None:
+    compare.run(plan("fide:learned=m.fide"), "out")
+    (file,) = Path("out").rglob("run.json")
+    run = json.loads(file.read_text())
+    del run["sources"]["learned=m.fide"]
+    file.write_text(json.dumps(run))
+    shutil.copy(models[1], model)
+    outcomes = compare.run(plan("fide:learned=m.fide", seeds=2), "out", resume=True)
+    assert kinds(outcomes) == ["kept", "done"]
+
+
+def test_an_unfinished_run_of_a_model_that_was_learned_again_begins_anew(
+    model: Path, models: tuple[Path, Path]
+) -> None:
+    one = plan("fide:learned=m.fide")
+    compare.run(one, "out")
+    (file,) = Path("out").rglob("run.json")
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"status": "interrupted"}))
+    shutil.copy(models[1], model)
+    (outcome,) = compare.run(one, "out", resume=True)
+    assert outcome.kind == "done"
+    assert outcome.note == "repeated, because m.fide has changed since it was begun"
+    assert json.loads(file.read_text())["sources"]["learned=m.fide"] == [of_file(models[1])]
+
+
+@pytest.mark.filterwarnings("always:m.fide has changed while:RuntimeWarning")
+def test_the_report_says_that_a_file_changed_between_its_runs(
+    model: Path, models: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = plan("fide:learned=m.fide", "fide", seeds=2)
+
+    def learn_again(outcome: compare.Outcome) -> None:
+        shutil.copy(models[1], model)
+
+    prepare(both, "out").execute(learn_again)
+    words = r"m\.fide has changed while runs with learned=m\.fide in out .*fide\+learned=m\.fide"
+    with pytest.warns(RuntimeWarning, match=words) as found:
+        compare.read("out")
+    assert len(found) == 1
+    assert main(["report", "out"]) == 0
+    assert "fide report: m.fide has changed while runs" in capsys.readouterr().err
