@@ -195,21 +195,34 @@ def _task(args: argparse.Namespace) -> Any:
 
 
 class _Lines:
-    """Lines of progress on standard error."""
+    """Lines of progress on standard error: one a pass, and one every few seconds elsewhere."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now, self._last = now, now()
 
     def __call__(self, progress: Any) -> None:
         late = self._now() - self._last >= _EVERY
-        if progress.stage == "emulate":
-            explained = f"{1 - progress.held_out:.1%} of the variance explained"
-            note(f"emulator, pass {progress.done}/{progress.total}  held-out renders: {explained}")
-        elif progress.stage == "train":
-            from fide_plugins.learning.report import against_prior
-
-            compared = against_prior(progress.held_out)
-            note(f"pass {progress.done}/{progress.total}  held-out renders: {compared}")
-        elif late or progress.done == progress.total:
+        is_pass = progress.stage in ("train", "emulate")
+        rendered = progress.stage == "render" and progress.done == progress.total
+        if late or is_pass or rendered:
             self._last = self._now()
-            note(f"renders {progress.done}/{progress.total}")
+            note(_line(progress))
+
+
+def _line(progress: Any) -> str:
+    """Line about a `LearnProgress`."""
+    from fide_plugins.learning.report import against_prior
+
+    done = f"{progress.done}/{progress.total}"
+    match progress.stage:
+        case "render":
+            return f"renders {done}"
+        case "train":
+            return f"pass {done}  held-out renders: {against_prior(progress.held_out)}"
+        case "emulate":
+            explained = f"{1 - progress.held_out:.1%} of the variance explained"
+            return f"emulator, pass {done}  held-out renders: {explained}"
+        case "calibrate":
+            return f"calibrating {done} at most"
+        case _:
+            return f"judging {done}"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -28,16 +29,22 @@ def report_of(
     *,
     failed: int,
     emulated: float | None,
+    on_progress: Callable[[str, int, int], None],
 ) -> Report:
     """Calibrate the network, which its training has left, and judge it on held-out renders.
 
     names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
+    on_progress: called with stage, done and total of a `LearnProgress`, after each picture.
     """
     x, images, seed = training.x, training.images, training.seed
     aside = is_held_out(len(x))
     fit, judges = split_held_out(aside)
-    network.scale = fitted_scale(network, x[fit], images[fit], seed)
-    judgment = judge(network, x[judges], images[judges], names, distance, seed)
+    network.scale = fitted_scale(
+        network, x[fit], images[fit], seed, partial(on_progress, "calibrate")
+    )
+    judgment = judge(
+        network, x[judges], images[judges], names, distance, seed, partial(on_progress, "judge")
+    )
     return Report(
         renders=int((~aside).sum()),
         failed=failed,

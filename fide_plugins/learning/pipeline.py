@@ -119,7 +119,8 @@ def learn(
         where its posterior of the picture is, see `learning.truncation`, and learned with the old
         ones.  What comes of it is a model of that picture.
     on_progress
-        called after every shard of renders and after every pass.
+        called after every shard of renders, after every pass, and after every held-out picture that
+        calibrates or judges the model.
 
     Raises
     ------

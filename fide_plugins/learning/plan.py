@@ -44,9 +44,11 @@ _EMULATOR_RATE = 2e-3
 class LearnProgress:
     """What `learn` says of its progress.
 
-    stage: "render", "train" or "emulate".  done, total: renders, or passes.
+    stage: "render", "train", "emulate", "calibrate" or "judge".
+    done, total: renders, passes, or held-out pictures.  A picture calibrates once for each scale
+        that is tried; total is then the most there may be, and calibrating may end before it.
     held_out: loss after the last pass: negative log-likelihood in nats, or the share of the images'
-        variance that the emulator does not explain; None before.
+        variance that the emulator does not explain; None in the other stages.
     """
 
     stage: str
@@ -148,6 +150,7 @@ class Plan:
         report = report_of(
             network, density, Distance(np.array(self.renderer.periodic), self.blocks), self._names,
             failed=sum(failed.values()), emulated=emulated,
+            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
         )  # fmt: skip
         return Model(
             network=network, space=self.renderer.space, shape=self.shape,

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from fide_plugins.learning.calibration import DRAWS, ENOUGH, in_region
+from fide_plugins.learning.calibration import DRAWS, ENOUGH, OnPicture, in_region
 from fide_plugins.learning.network import Network, as_input
 from fide_plugins.learning.renderer import Pixels
 from fide_plugins.learning.seen import are_shown, of_any_block, scores
@@ -250,6 +250,7 @@ def judge(
     names: Sequence[str],
     distance: Distance,
     seed: int = 0,
+    on_picture: OnPicture | None = None,
 ) -> Judgment:
     """Judge a network on renders that it did not learn from, x (n, d) and images (n, H, W, 3).
 
@@ -260,7 +261,8 @@ def judge(
     nll = -float(torch.cat(each).mean())
     drawings, inside, ranks, told = [], [], [], []
     generator = torch.Generator().manual_seed(seed)
-    for i in range(min(len(x), _PICTURES)):
+    pictures = min(len(x), _PICTURES)
+    for i in range(pictures):
         image = as_input(images[i : i + 1])
         drawn = network.sample(image, DRAWS, generator)
         samples = drawn.numpy().astype(np.float64)
@@ -268,6 +270,8 @@ def judge(
         inside.append(in_region(network, image, drawn, u[i]))
         ranks.append((samples < x[i]).mean(axis=0))
         told.append(scores(samples, x[i], distance.periodic, distance.blocks))
+        if on_picture is not None:
+            on_picture(i + 1, pictures)
     names = of_any_block(names, distance.blocks)
     shown = are_shown(np.array(told), names)
     near = [

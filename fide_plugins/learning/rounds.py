@@ -48,6 +48,13 @@ _TIME = 0.5  # of a time limit, for both rounds
 _SIZE = 64  # longer side of the renders, in pixels
 _PASSES = 10  # over the renders of a round, at most
 _SEARCH = "balanced"  # preset of the search
+_DOING = {
+    "train": "model, pass",
+    "emulate": "emulator, pass",
+    "calibrate": "model, calibrating",
+    "judge": "model, judging",
+}
+"""Words for the stages of `LearnProgress` but for rendering."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +139,8 @@ class Rounds:
             if on_progress is not None and at.stage == "render":
                 on_progress(before + at.done, f"rendering for the {name} model")
             elif on_progress is not None:
-                what = "emulator" if at.stage == "emulate" else "model"
-                on_progress(before + renders, f"{name} {what}, pass {at.done}/{at.total}")
+                doing = f"{name} {_DOING[at.stage]} {at.done}/{at.total}"
+                on_progress(before + renders, doing)
 
         return learn(
             self.render,

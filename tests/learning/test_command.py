@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins.cli import learn_command, main
-from fide_plugins.learning import Model, rounds
+from fide_plugins.learning import Model, calibration, rounds
 
 SCENE = """
 import numpy as np
@@ -53,6 +53,20 @@ def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixtu
     capsys.readouterr()
     assert fide(*run, "--learned", "m.fide") == 0
     assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01
+
+
+def test_lines_of_what_is_done_after_training(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(learn_command, "_EVERY", 0.0)
+    monkeypatch.setattr(calibration, "ENOUGH", 2)  # held-out renders: every 50th
+    Path("gradient.py").write_text(SCENE)
+    words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
+    assert fide(*words, "--renders", 200) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["renders 100/200", "renders 200/200"]
+    assert lines[3:5] == ["calibrating 1/18 at most", "calibrating 2/18 at most"]
+    assert lines[-2:] == ["judging 1/2", "judging 2/2"]
 
 
 def test_head_and_groups_are_those_of_the_command() -> None:

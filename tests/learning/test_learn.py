@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
-from fide_plugins.learning import LearnProgress, Model, learn, rendering
+from fide_plugins.learning import LearnProgress, Model, calibration, learn, rendering
 from fide_plugins.learning.renderer import as_renderer
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.store import RenderStore
@@ -56,6 +56,23 @@ def test_an_interrupted_call_goes_on_bit_for_bit(tmp_path: Path) -> None:
     assert resumed.report.curve == whole.report.curve
     for name, value in whole.network.state_dict().items():
         torch.testing.assert_close(resumed.network.state_dict()[name], value, rtol=0, atol=0)
+
+
+def test_every_stage_tells_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Calibrating and judging take minutes where there are many parameters."""
+    monkeypatch.setattr(calibration, "ENOUGH", 4)  # held-out renders: every 50th
+    said: list[LearnProgress] = []
+    model = learn(plain, 2, renders=400, size=SIDE, passes=2, on_progress=said.append)
+    stages = [stage for stage, _ in itertools.groupby(at.stage for at in said)]
+    assert stages == ["render", "train", "calibrate", "judge"]
+    for stage in stages:
+        (total,) = {at.total for at in said if at.stage == stage}
+        done = [at.done for at in said if at.stage == stage]
+        step = 100 if stage == "render" else 1  # a shard
+        assert done == list(range(step, done[-1] + 1, step))
+        assert done[-1] == total or (stage == "calibrate" and done[-1] < total)
+    assert said[-1] == LearnProgress("judge", 4, 4)
+    assert model.report.fitted == 4
 
 
 def test_what_was_rendered_is_not_rendered_again(tmp_path: Path) -> None:

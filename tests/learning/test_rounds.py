@@ -195,9 +195,11 @@ def test_only_the_second_model_has_an_emulator(
     assert said == [
         (100, "rendering for the first model"), (200, "rendering for the first model"),
         (200, "first model, pass 1/2"), (200, "first model, pass 2/2"),
+        *((200, f"first model, judging {n}/4") for n in (1, 2, 3, 4)),  # every 50th is held out
         (300, "rendering for the second model"),
         (300, "second model, pass 1/2"), (300, "second model, pass 2/2"),
         (300, "second emulator, pass 1/2"), (300, "second emulator, pass 2/2"),
+        *((300, f"second model, judging {n}/6") for n in (1, 2, 3, 4, 5, 6)),
     ]  # fmt: skip
     said.clear()
     again = both.learn(1, lambda n, doing: said.append((n, doing)))
