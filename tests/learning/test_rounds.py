@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from fide_plugins.cli import progress
 from fide_plugins.errors import CheckpointError, OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.learning import Model, rounds
+from fide_plugins.fitting.workers import choice
+from fide_plugins.learning import Model, rendering, rounds
 from fide_plugins.recording.directory import RunDirectoryError
 from fide_plugins.types import Float64
 
@@ -93,6 +95,18 @@ def test_all_renders_count_and_the_search_begins_at_the_answer(
     assert result.curve[sum(SHARES), 1] == pytest.approx(  # the search is that of the model
         np.square(disk(SPACE.decode(search.ask(1)[0])) - PICTURE).mean(), rel=1e-4
     )
+
+
+@pytest.mark.usefixtures("few")
+def test_a_process_that_may_start_no_other_renders_in_threads_as_for_any_preset(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (choice, rendering):
+        monkeypatch.setattr(module, "current_process", lambda: SimpleNamespace(daemon=True))
+    with pytest.warns(RuntimeWarning, match="cannot start others, so render runs in threads"):
+        assert fitted(workers=2).evaluations == BUDGET
+    with pytest.raises(OptionError, match="cannot start others; give executor='threads'"):
+        fitted(workers=2, executor="processes")
 
 
 def test_solutions_say_which_evaluation_of_the_run_found_them(
