@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
+from fide_plugins.validation.points import as_whole
 
 __all__ = ["Group", "Leaf", "Member", "Repeated", "check_members", "leaves"]
 
@@ -62,10 +62,7 @@ class Repeated:
     """Several things of one kind, ``times * group``."""
 
     def __init__(self, group: Group, times: int) -> None:
-        try:
-            number = 0 if isinstance(times, bool) else operator.index(times)
-        except TypeError:
-            number = 0
+        number = as_whole(times) or 0
         if not 1 <= number <= _MOST:
             raise SpaceError(
                 f"a Group may be repeated 1 to {_MOST} times, not {times!r}; write 6 * Group(...), "

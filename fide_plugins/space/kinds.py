@@ -21,13 +21,13 @@ the second.
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
+from fide_plugins.validation.points import as_whole, whole_instead
 
 __all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
 
@@ -274,13 +274,11 @@ def _real(kind: Any, name: str, value: Any) -> float:
 
 
 def _whole(kind: Any, name: str, value: Any) -> int:
-    try:
-        number = None if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        number = None
+    number = as_whole(value)
     if number is None or abs(number) > _LARGEST_INT:
-        whole = isinstance(value, float) and value.is_integer() and abs(value) <= _LARGEST_INT
-        remedy = f"write {int(value)}" if whole else "use Float for real numbers"
+        instead = whole_instead(value)
+        small = instead is not None and abs(instead) <= _LARGEST_INT
+        remedy = f"write {instead}" if small else "use Float for real numbers"
         _refuse(kind, f"{name} must be a whole number of at most 2^53, not {value!r}", remedy)
     assert number is not None
     return number

@@ -15,12 +15,14 @@ from fide_plugins.types import Float64
 __all__ = [
     "as_point",
     "as_points",
+    "as_whole",
     "new_seed",
     "number_of_parameters",
     "standard_deviation",
     "standard_deviations",
     "starting_point",
     "torch_seed",
+    "whole_instead",
     "whole_number",
 ]
 
@@ -74,16 +76,25 @@ def as_point(x: object, dim: int, name: str = "x") -> Float64:
     return point
 
 
+def as_whole(value: Any) -> int | None:
+    """`value` as an int; None unless it is an integer, NumPy's too; a bool is none."""
+    try:
+        return None if isinstance(value, bool | np.bool_) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def whole_instead(value: object) -> int | None:
+    """Whole number that the float `value` is, to name it in an error; None for all else."""
+    return int(value) if isinstance(value, float) and value.is_integer() else None
+
+
 def whole_number(name: str, value: object, minimum: int) -> int:
     """`value` as an int; OptionError (a ValueError) unless it is a whole number >= `minimum`."""
-    try:
-        number = None if isinstance(value, bool | np.bool_) else operator.index(value)  # type: ignore[arg-type]
-    except TypeError:
-        number = None
+    number = as_whole(value)
     if number is None or number < minimum:
-        hint = ""
-        if isinstance(value, float) and value.is_integer() and value >= minimum:
-            hint = f"; write {int(value)}"
+        instead = whole_instead(value)
+        hint = "" if instead is None or instead < minimum else f"; write {instead}"
         raise OptionError(f"{name} must be a whole number >= {minimum}, not {value!r}{hint}")
     return number
 

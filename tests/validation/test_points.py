@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
-from fide_plugins.errors import PointsError
-from fide_plugins.validation.points import as_points
+from fide_plugins import Float, Group, Int
+from fide_plugins.errors import OptionError, PointsError, SpaceError
+from fide_plugins.validation.points import as_points, as_whole, whole_instead, whole_number
 
 
 def test_a_tensor_that_is_being_differentiated() -> None:
@@ -19,3 +23,25 @@ def test_what_cannot_become_an_array_is_an_error_about_points() -> None:
     tensors = [torch.tensor([0.5, 0.5], requires_grad=True)] * 2
     with pytest.raises(PointsError, match=r"X must be an array of shape \(n, 2\)"):
         as_points(tensors, 2)
+
+
+@pytest.mark.parametrize("value", [3, np.int64(3), np.uint8(3)])
+def test_integers_are_whole_numbers_wherever_one_is_asked_for(value: Any) -> None:
+    assert as_whole(value) == whole_number("n", value, 1) == Int(value, 5).low == 3
+    assert type(as_whole(value)) is int
+    assert value * Group(x=Float(0, 1)) == 3 * Group(x=Float(0, 1))
+
+
+@pytest.mark.parametrize("value", [True, np.True_, 3.0, np.float64(3), 2.5, np.inf, "3", None])
+def test_bools_floats_and_texts_are_none(value: Any) -> None:
+    assert as_whole(value) is None
+    instead = 3 if value == 3 else None
+    assert whole_instead(value) == instead
+    refused: list[tuple[type[Exception], Callable[[], object]]] = [
+        (OptionError, lambda: whole_number("n", value, 1)),
+        (SpaceError, lambda: Int(value, 5)),
+    ]
+    for kind, call in refused:
+        with pytest.raises(kind) as error:
+            call()
+        assert str(error.value).endswith("; write 3") == (instead is not None)
