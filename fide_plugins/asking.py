@@ -10,7 +10,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from fide_plugins.population import Kind, Population
+from fide_plugins.population import CandidateRole, Population
 from fide_plugins.population.training_sample import columns
 from fide_plugins.preview import make_next
 from fide_plugins.retargeting import Retargeting
@@ -165,4 +165,4 @@ class Asking(Retargeting):
             assert state.steps is not None
             state.steps.taken(len(x))
         for row in zip(x, state.search.near(x), strict=True):
-            state.population.adopt(*row, Kind.STEP)
+            state.population.adopt(*row, CandidateRole.STEP)

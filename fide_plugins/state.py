@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from fide_plugins.evaluation import Images
-from fide_plugins.population import Candidate, Kind, Population
+from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.best import SCHEMA as BEST, Best
 from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
 from fide_plugins.proposers import Proposer
@@ -141,7 +141,7 @@ class State:
             testing = self.stage is Stage.EXCHANGE
             if image is not None and testing and np.array_equal(exact, self.moves.known.here.x):
                 self.grain.note(_copied(image))
-            if candidate is None or candidate.kind is Kind.STEP:
+            if candidate is None or candidate.role is CandidateRole.STEP:
                 self._inject(x, loss)
             if self.best is None or (loss, number) < (self.best.solution.loss, self.best.index):
                 shown = None if image is None else _copied(image)

@@ -33,7 +33,7 @@ injected  all others: never asked, or asked in an earlier search
 All but injected and spare candidates count towards the generation in which they arrive, altered and
 late ones with their steps cut to what a sample's may be (`search.cma_es`): they are
 `off_distribution`.  Injected ones count as in `FIDE.tell`.  Where a generation needs just its own
-candidates, late and repeated ones are spare (`population.candidate.Kind`).
+candidates, late and repeated ones are spare (`population.candidate.CandidateRole`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from torch import Tensor
 
 from fide_plugins.distributed.preview import preview_candidate
 from fide_plugins.fide import FIDE
-from fide_plugins.population import Candidate, Kind, Population
+from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float64
@@ -197,8 +197,10 @@ class Replica:
         is_known, slot = is_open and self.is_candidate(slot, x), self._own(slot)
         if is_known and slot not in self._taken:
             return Role.MEMBER, self._expect_member(slot)
-        kind = self._expect_other(x, slot if is_open else None, proposed)
-        late = generation < self.generation or (beyond and (kind is Kind.SPARE or not is_known))
+        role = self._expect_other(x, slot if is_open else None, proposed)
+        late = generation < self.generation or (
+            beyond and (role is CandidateRole.SPARE or not is_known)
+        )
         return (Role.LATE if late else Role.ALTERED), x
 
     def _expect_member(self, slot: int) -> Float64:
@@ -209,21 +211,21 @@ class Replica:
             self._population.adopt(known.x, known.z, proposed=known.proposed)
         return known.x
 
-    def _expect_other(self, x: Float64, slot: int | None, proposed: bool) -> Kind:
+    def _expect_other(self, x: Float64, slot: int | None, proposed: bool) -> CandidateRole:
         """Expect x (d,), which is no candidate; returns what it counts for.
 
         slot: of the present generation, in which it was asked; None: it was asked in another one.
         """
-        state, kind = self.optimizer.state, Kind.MEMBER
+        state, role = self.optimizer.state, CandidateRole.MEMBER
         if state.needs_its_own:
             if slot is None or slot in self._taken:
-                kind = Kind.SPARE
+                role = CandidateRole.SPARE
             else:  # it counts in the place of that slot's candidate
                 self._taken.add(slot)
                 self._population.take(self.candidate(slot).x)
         z = state.search.near(x[None])[0]
-        self._population.adopt(x, z, kind, proposed=proposed, off_distribution=True)
-        return kind
+        self._population.adopt(x, z, role, proposed=proposed, off_distribution=True)
+        return role
 
     def _stage_of_search(self) -> tuple[Stage, int]:
         return self.optimizer.state.stage, self.optimizer.state.searches

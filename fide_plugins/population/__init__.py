@@ -12,8 +12,8 @@
 
 from __future__ import annotations
 
-from fide_plugins.population.candidate import Candidate, Kind
+from fide_plugins.population.candidate import Candidate, CandidateRole
 from fide_plugins.population.population import Population, mirrored_pair, search_columns
 from fide_plugins.population.queue import Propose
 
-__all__ = ["Candidate", "Kind", "Population", "Propose", "mirrored_pair", "search_columns"]
+__all__ = ["Candidate", "CandidateRole", "Population", "Propose", "mirrored_pair", "search_columns"]

@@ -12,14 +12,14 @@ import numpy as np
 from fide_plugins.runtime.schema import Schema, array
 from fide_plugins.types import Float64
 
-__all__ = ["Candidate", "Kind", "form_of", "pack", "unpack"]
+__all__ = ["Candidate", "CandidateRole", "form_of", "pack", "unpack"]
 
 
-class Kind(IntEnum):
+class CandidateRole(IntEnum):
     """What a candidate counts for.
 
     ======  ====================================  ===========  ===============================
-    kind    counts towards a generation           waited for   if it is withdrawn
+    role    counts towards a generation           waited for   if it is withdrawn
     ======  ====================================  ===========  ===============================
     MEMBER  that in which it is told              yes          a spare one counts in its place
     SPARE   for members that do not come back     yes          nothing happens
@@ -43,7 +43,7 @@ class Candidate:
     index: its number among all candidates ever drawn.
     x: (d,), what is rendered.
     z: (d,), what the search distribution learns from; into(z) = x.
-    kind: what it counts for.
+    role: what it counts for.
     proposed: whether a proposer made it, and not a search distribution.
     off_distribution: whether it is of another distribution than the generation in which it counts:
         of an earlier one, drawn ahead for the next one, or changed by somebody.
@@ -53,7 +53,7 @@ class Candidate:
     index: int
     x: Float64
     z: Float64
-    kind: Kind = Kind.MEMBER
+    role: CandidateRole = CandidateRole.MEMBER
     proposed: bool = False
     off_distribution: bool = False
     mirrored: bool = False
@@ -63,21 +63,21 @@ _FLAGS = ("proposed", "off_distribution", "mirrored")
 
 
 def pack(candidates: list[Candidate]) -> dict[str, Any]:
-    """Arrays of all fields, each (n, ...)."""
+    """Arrays of all fields, each (n, ...); roles are "kind", as in earlier checkpoints."""
     return {
         "index": np.array([c.index for c in candidates], np.int64),
         "x": np.array([c.x for c in candidates]),
         "z": np.array([c.z for c in candidates]),
-        "kind": np.array([c.kind for c in candidates], np.int64),
+        "kind": np.array([c.role for c in candidates], np.int64),
         **{name: np.array([getattr(c, name) for c in candidates], bool) for name in _FLAGS},
     }
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    kinds = [Kind(kind) for kind in packed["kind"].tolist()]
+    roles = [CandidateRole(role) for role in packed["kind"].tolist()]
     flags = [packed[name].tolist() for name in _FLAGS]
-    columns = (packed["index"].tolist(), packed["x"], packed["z"], kinds, *flags)
+    columns = (packed["index"].tolist(), packed["x"], packed["z"], roles, *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
 
 
@@ -87,6 +87,6 @@ def form_of(n: str) -> Schema:
         "index": array(n, kind="i"),
         "x": array(n, "d", low=0.0, high=1.0),
         "z": array(n, "d", low=-1e60, high=1e60),
-        "kind": array(n, kind="i", low=min(Kind), high=max(Kind)),
+        "kind": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
         **{name: array(n, kind="b") for name in _FLAGS},
     }

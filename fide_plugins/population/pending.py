@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.population.candidate import Candidate, Kind, form_of, pack, unpack
+from fide_plugins.population.candidate import Candidate, CandidateRole, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, row, whole
 from fide_plugins.types import Float64
 
@@ -70,7 +70,7 @@ class Pending:
         key = _key(x)
         if not (waiting := self._by_point.get(key)):
             return None
-        unlike = [(not np.array_equal(c.x, x), c.kind is not Kind.SPARE) for c in waiting]
+        unlike = [(not np.array_equal(c.x, x), c.role is not CandidateRole.SPARE) for c in waiting]
         return self._pop(key, unlike.index(min(unlike)))
 
     def _pop(self, key: bytes, which: int) -> Candidate:
@@ -106,7 +106,7 @@ class Pending:
         for several in reversed(self._by_point.values()):  # the last handed out come first
             if several[-1].index < oldest:
                 break
-            n += sum(candidate.kind is not Kind.STEP for candidate in several)
+            n += sum(candidate.role is not CandidateRole.STEP for candidate in several)
         return n
 
     # -- saving ------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 FIDE and all baselines keep one.  A candidate is drawn (`queue`), handed out (`pending`) and told;
 users tell in whatever order and pieces.
 
-*What counts.*  A `Kind` says what a candidate counts for.  Asking for more than is left of a
-generation draws more members from the same distribution, and any of them complete it.  Those that
+*What counts.*  A `CandidateRole` says what a candidate counts for.  Asking for more than is left of
+a generation draws more members from the same distribution, and any of them complete it.  Those that
 are told after that count in the next one, in which they are `off_distribution`.  Where a generation
 needs just its own candidates, for a test, asking for more draws spare ones.  A point that was asked
 before a restart, told twice, or never asked at all is *injected*: it tells about the renderer, not
@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.population.candidate import Candidate, Kind, form_of, pack, unpack
+from fide_plugins.population.candidate import Candidate, CandidateRole, form_of, pack, unpack
 from fide_plugins.population.pending import SCHEMA as PENDING, Pending
 from fide_plugins.population.queue import SCHEMA as QUEUE, Propose, Queue
 from fide_plugins.runtime.schema import Schema, array, check, whole
@@ -95,8 +95,8 @@ class Population:
         n = len(x) + len(unmade)
         if not spare:
             self.size, self._withdrawn = n, 0
-        kind = Kind.SPARE if spare else Kind.MEMBER
-        self._queue.draw(self.drawn, x, z, unmade, kind, pair=pair)
+        role = CandidateRole.SPARE if spare else CandidateRole.MEMBER
+        self._queue.draw(self.drawn, x, z, unmade, role, pair=pair)
         self.drawn += n
 
     def propose_by(self, propose: Propose, *, singly: bool) -> None:
@@ -150,14 +150,14 @@ class Population:
         self,
         x: Float64,
         z: Float64,
-        kind: Kind = Kind.MEMBER,
+        role: CandidateRole = CandidateRole.MEMBER,
         *,
         proposed: bool = False,
         off_distribution: bool = False,
     ) -> None:
         """Take x (d,), which was drawn elsewhere, for a candidate that was handed out."""
         index = self.new_index()
-        self._pending.add(Candidate(index, x, z, kind, proposed, off_distribution))
+        self._pending.add(Candidate(index, x, z, role, proposed, off_distribution))
 
     def new_index(self) -> int:
         """New index, of a candidate that was never drawn: no other has it."""
@@ -187,7 +187,7 @@ class Population:
     def withdraw(self, x: Float64) -> None:
         """Say that x (d,) will not be told; if it is not pending, nothing happens."""
         candidate = self.take(x)
-        if candidate is not None and candidate.kind is Kind.MEMBER:
+        if candidate is not None and candidate.role is CandidateRole.MEMBER:
             self._withdrawn += candidate.index >= self._generation_from
 
     def forget_pending(self) -> None:
@@ -204,9 +204,9 @@ class Population:
         self._pending.note_result(candidate, self.size)
         if candidate.index < self._generation_from:
             candidate = replace(candidate, off_distribution=True)
-        if candidate.kind is Kind.MEMBER:
+        if candidate.role is CandidateRole.MEMBER:
             self._members.append((candidate, loss))
-        elif candidate.kind is Kind.SPARE:
+        elif candidate.role is CandidateRole.SPARE:
             self._spare.append((candidate, loss))
         return candidate
 

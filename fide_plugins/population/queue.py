@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from fide_plugins.population.candidate import Candidate, Kind, form_of, pack, unpack
+from fide_plugins.population.candidate import Candidate, CandidateRole, form_of, pack, unpack
 from fide_plugins.runtime.schema import Schema, array, whole
 from fide_plugins.types import Float64, Mask
 
@@ -53,7 +53,14 @@ class Queue:
         return len(self) if self._singly else len(self._made) or len(self._unmade)
 
     def draw(
-        self, index: int, x: Float64, z: Float64, unmade: Float64, kind: Kind, *, pair: bool
+        self,
+        index: int,
+        x: Float64,
+        z: Float64,
+        unmade: Float64,
+        role: CandidateRole,
+        *,
+        pair: bool,
     ) -> None:
         """Add candidates x (n, d) with their z (n, d), and proposals of samples `unmade` (m, d).
 
@@ -61,7 +68,7 @@ class Queue:
         """
         pair = pair and len(x) >= 2
         for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
-            self._made.append(Candidate(index + i, point, drawn, kind, mirrored=pair and i < 2))
+            self._made.append(Candidate(index + i, point, drawn, role, mirrored=pair and i < 2))
         self._unmade, self._unmade_from = unmade, index + len(x)
 
     def propose_by(self, propose: Propose, *, singly: bool) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.population import Kind
+from fide_plugins.population import CandidateRole
 from fide_plugins.space import Int, Space
 from fide_plugins.types import Float32, Float64
 
@@ -19,7 +19,7 @@ SETTINGS: dict[str, Any] = {"popsize": 8, "seed": 3}
 
 
 def steps_pending(opt: FIDE) -> int:
-    return sum(candidate.kind is Kind.STEP for candidate in opt.state.population._pending)
+    return sum(candidate.role is CandidateRole.STEP for candidate in opt.state.population._pending)
 
 
 def one_by_one(opt: FIDE, render: Render, n: int) -> tuple[Float64, list[bool]]:

@@ -11,7 +11,7 @@ import pytest
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.population import Kind
+from fide_plugins.population import CandidateRole
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float32, Float64
 
@@ -124,7 +124,9 @@ def test_a_test_with_failures_is_not_asked_again(
     own = opt.ask()
     opt.withdraw(own)
     again = opt.ask()
-    assert len(again) == len(own) and all(one.kind is Kind.MEMBER for one in pending_now(opt))
+    assert len(again) == len(own) and all(
+        one.role is CandidateRole.MEMBER for one in pending_now(opt)
+    )
     opt.withdraw(again[:1])
     opt.tell(again[1:], render(again[1:]))
     assert opt.state.population.generations == generations

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Kind, Population
+from fide_plugins.population import Candidate, CandidateRole, Population
+from fide_plugins.population.candidate import pack, unpack
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out
@@ -163,10 +164,10 @@ def test_a_step_counts_in_no_generation() -> None:
     population = drawn(4)
     xs, steps = hand_out(population, 4), np.array([[0.11, 0.2], [0.12, 0.2], [0.13, 0.2]])
     for x in steps:
-        population.adopt(x, x, Kind.STEP)
+        population.adopt(x, x, CandidateRole.STEP)
     assert population.pending == 7
     candidate = population.record(steps[0], 0.0)
-    assert candidate is not None and candidate.kind is Kind.STEP
+    assert candidate is not None and candidate.role is CandidateRole.STEP
     population.withdraw(steps[1])
     population.withdraw(xs[0])
     assert population.missing == 4 and population.pending == 4
@@ -183,3 +184,13 @@ def test_a_saved_candidate_is_of_a_known_kind() -> None:
     state["pending"]["candidates"]["kind"][0] = 3
     with pytest.raises(ValueError, match="kind"):
         Population.from_state(state, 2)
+
+
+def test_roles_are_saved_by_numbers_that_never_change() -> None:
+    """Checkpoints of earlier versions hold them."""
+    roles = list(CandidateRole)
+    assert [(role.name, int(role)) for role in roles] == [("MEMBER", 0), ("SPARE", 1), ("STEP", 2)]
+    x = np.array([0.5, 0.5])
+    packed = pack([Candidate(i, x, x, role) for i, role in enumerate(roles)])
+    assert packed["kind"].tolist() == [0, 1, 2]
+    assert [candidate.role for candidate in unpack(packed)] == roles
