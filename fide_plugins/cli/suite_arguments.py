@@ -41,8 +41,8 @@ def suite_plan(args: argparse.Namespace) -> Any:
 
     Raises OptionError for arguments that a suite does not leave open, and if no scene is left.
     """
-    from fide_plugins.experiments import suite as suites
     from fide_plugins.experiments.compare import Configuration
+    from fide_plugins.experiments.suite import problems, read
 
     for name in _FIXED:
         if getattr(args, name):
@@ -50,17 +50,17 @@ def suite_plan(args: argparse.Namespace) -> Any:
             raise OptionError(f"{flag} has no meaning with --suite, which is fixed; leave it out")
     configurations = [Configuration.parse(text) for text in args.optimizers]
     _check_budgets(configurations)
-    suite = suites.read(args.suite)
+    suite = read(args.suite)
     scenes, targets = suite.chosen(args.scenes, args.targets)
-    plan = suites.plan(suite, configurations, scenes, targets, args.budget)
+    plan = problems.plan(suite, configurations, scenes, targets, args.budget)
     plan.check_optimizers()  # before a target of each scene is rendered, which takes a minute
-    missing = suites.unavailable(suite, scenes)
+    missing = problems.unavailable(suite, scenes)
     for scene, why in missing.items():
         note(f"{scene} of {suite.name} is left out, it cannot be rendered here: {plain(why)}")
     left = [scene for scene in scenes if scene not in missing]
     if not left:
         raise OptionError(f"no scene of {suite.name} is left; choose others by --scenes")
-    plan = suites.plan(suite, configurations, left, targets, args.budget)
+    plan = problems.plan(suite, configurations, left, targets, args.budget)
     note(_size_of(plan))
     return plan
 

@@ -13,16 +13,17 @@ image that equals the target.  The value of an image does not depend on the rest
 
 Any callable from images to n numbers can serve as a loss; :func:`resolve` wraps it.
 
-=============  ==============================================================
-`base`         base classes, and the checks of a user's callable
-`mse`          loss `mse`: mean squared error
-`perceptual`   loss `perceptual`: multi-scale structure and color
-`perceptual_tensors`  the same for tensors on a GPU
-`loi`          loss `loi`: distance of locally orderless images
-`lpips`        loss `lpips`: LPIPS 0.1
-`own`          tries a user's own loss; stands for it where it was not stored
-`scales`       Gaussian averages on coarser grids
-=============  ==============================================================
+======================  ==============================================================
+`base`                  base classes, and the checks of a user's callable
+`mse`                   loss `mse`: mean squared error
+`perceptual`            loss `perceptual`: multi-scale structure and color
+`perceptual_tensors`    the same for tensors on a GPU
+`perceptual_constants`  constants of both
+`loi`                   loss `loi`: distance of locally orderless images
+`lpips`                 loss `lpips`: LPIPS 0.1
+`own`                   tries a user's own loss; stands for it where it was not stored
+`scales`                Gaussian averages on coarser grids
+======================  ==============================================================
 """
 
 from __future__ import annotations

@@ -47,6 +47,7 @@ import numpy as np
 from scipy.sparse import diags_array
 
 from fide_plugins.losses.base import LossOfTarget
+from fide_plugins.losses.perceptual_constants import COLOR_WEIGHT, FLOOR, LEAST, LEVELS, OPPONENT
 from fide_plugins.losses.scales import gaussian_means, planes, resample, samples_at
 from fide_plugins.types import Float32
 
@@ -56,16 +57,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PerceptualLoss"]
 
-LEVELS = 4
 FINEST = 1 / 56  # spacing of the finest samples, relative to sqrt(H W)
-FLOOR = np.float32(1e-3)  # c
-LEAST = 0.1  # smallest fraction of a square that remains when noise is subtracted
-COLOR_WEIGHT = 4.0
 GRAIN_FROM = 1.5  # least spacing of the finest samples, in pixels, for which noise is subtracted
-# rows: Y, Cb, Cr of Rec. 601, as weights of R, G, B
-OPPONENT = np.array(
-    [[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]], np.float32
-)
 
 Weights = tuple[Any, Any]  # weights of samples along both axes
 

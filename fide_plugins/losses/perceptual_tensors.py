@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from fide_plugins.losses.perceptual import COLOR_WEIGHT, FLOOR, LEAST, LEVELS, OPPONENT
+from fide_plugins.losses.perceptual_constants import COLOR_WEIGHT, FLOOR, LEAST, LEVELS, OPPONENT
 
 if TYPE_CHECKING:
     from fide_plugins.losses.perceptual import PerceptualLoss

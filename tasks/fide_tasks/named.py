@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from fide_plugins import Float, Group, Space
-from fide_tasks.base import Parameter
+
+if TYPE_CHECKING:
+    from fide_tasks.base import Parameter
 
 
 def space_of(parameters: Sequence[Parameter], alike: str | None) -> Space:

@@ -1,11 +1,14 @@
-"""Packages and modules of `fide_plugins` import each other in one direction, without cycles."""
+"""Packages and modules import each other in one direction, without cycles."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
 from importlib.util import find_spec, resolve_name
 from pathlib import Path
+
+import pytest
 
 LAYERS = (
     ("errors", "status", "types"),
@@ -39,21 +42,19 @@ EXCEPTIONS = {
 ROW = {name: row for row, names in enumerate(LAYERS) for name in names}
 
 
-def imports(source: str, module: str) -> Iterator[str]:
-    """What a module imports of `fide_plugins`, by the first part of its name; not for types only.
+def imports(source: str, module: str, root: str = "fide_plugins") -> Iterator[str]:
+    """What a module imports of its own root, such as "space.kinds.Int"; not for types only.
 
-    module: its name without "fide_plugins.", such as "space.kinds" or "space.__init__".
+    module: its name without the root, such as "space.kinds" or "space.__init__".
     """
-    package = f"fide_plugins.{module}".rpartition(".")[0]
+    package = f"{root}.{module}".rpartition(".")[0]
     for node in _imports(ast.parse(source)):
         if isinstance(node, ast.Import):
             found = [one.name for one in node.names]
         else:
             base = resolve_name("." * node.level + (node.module or ""), package)
             found = [f"{base}.{one.name}" for one in node.names]
-        for parts in (name.split(".") for name in found):
-            if parts[0] == "fide_plugins" and len(parts) > 1:
-                yield parts[1]
+        yield from (name.removeprefix(f"{root}.") for name in found if name.startswith(f"{root}."))
 
 
 def _imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
@@ -64,13 +65,13 @@ def _imports(node: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
             yield from _imports(child)
 
 
-def modules() -> Iterator[tuple[str, str]]:
-    """Name and source of every module, but for the package itself, which loads all on demand."""
-    spec = find_spec("fide_plugins")
+def modules(root: str = "fide_plugins") -> Iterator[tuple[str, str]]:
+    """Name and source of every module, but for the root itself, which loads all on demand."""
+    spec = find_spec(root)
     assert spec is not None and spec.origin is not None
-    root = Path(spec.origin).parent
-    for path in sorted(root.rglob("*.py")):
-        name = ".".join(path.relative_to(root).with_suffix("").parts)
+    folder = Path(spec.origin).parent
+    for path in sorted(folder.rglob("*.py")):
+        name = ".".join(path.relative_to(folder).with_suffix("").parts)
         if name != "__init__":
             yield name, path.read_text("utf-8")
 
@@ -79,7 +80,8 @@ def upward() -> Iterator[tuple[str, str]]:
     """Module, and what it imports, for each import that is not from a row above."""
     for module, source in modules():
         own = module.split(".")[0]
-        for other in sorted(set(imports(source, module)) - {own, "__version__"}):
+        others = {name.split(".")[0] for name in imports(source, module)}
+        for other in sorted(others - {own, "__version__"}):
             if ROW.get(other, len(LAYERS)) >= ROW[own]:
                 yield module, other
 
@@ -91,6 +93,42 @@ def exceptions(module: str, other: str) -> set[tuple[str, str]]:
         for where, allowed in EXCEPTIONS
         if allowed == other and f"{module}.".startswith(f"{where}.")
     }
+
+
+def loaded(name: str, module: str, known: Collection[str]) -> Iterator[str]:
+    """Modules that `module` loads by importing `name`: what it names, and packages around that.
+
+    Packages that the importing module lies in are loaded already, unless they are what is named.
+    """
+    parts = name.split(".")
+    prefixes = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
+    found = [one for prefix in prefixes for one in (prefix, f"{prefix}.__init__") if one in known]
+    yield from found[:1]
+    yield from (one for one in found[1:] if not module.startswith(one.removesuffix("__init__")))
+
+
+def graph(root: str) -> dict[str, set[str]]:
+    """What each module imports, also inside functions, but for the exceptions."""
+    sources = dict(modules(root))
+    return {
+        module: {
+            other
+            for name in imports(source, module, root)
+            for other in loaded(name, module, sources)
+            if (module, other) not in EXCEPTIONS
+        }
+        for module, source in sources.items()
+    }
+
+
+def cycle(graph: Mapping[str, Collection[str]]) -> list[str]:
+    """Modules of a cycle, from one to itself; empty if there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        found: list[str] = error.args[1]
+        return found
+    return []
 
 
 def test_imports_are_found() -> None:
@@ -106,7 +144,23 @@ def f():
     from fide_plugins.search.one_search import Search
 """
     found = list(imports(source, "views.__init__"))
-    assert found == ["space", "losses", "__version__", "runtime", "views", "search"]
+    assert found == [
+        "space.kinds", "losses", "__version__", "runtime.files", "views.views.View",
+        "search.one_search.Search",
+    ]  # fmt: skip
+
+
+def test_what_an_import_loads() -> None:
+    known = {"space.__init__", "space.kinds", "space.group", "errors"}
+    assert list(loaded("space.kinds.Int", "errors", known)) == ["space.kinds", "space.__init__"]
+    assert list(loaded("space.kinds", "space.group", known)) == ["space.kinds"]
+    assert list(loaded("space.Int", "space.group", known)) == ["space.__init__"]
+    assert list(loaded("__version__", "errors", known)) == []
+
+
+def test_a_cycle_is_found() -> None:
+    assert cycle({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert set(cycle({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}})) == {"a", "b", "c"}
 
 
 def test_every_package_has_its_row() -> None:
@@ -120,3 +174,9 @@ def test_imports_are_from_the_rows_above() -> None:
 
 def test_every_exception_is_needed() -> None:
     assert set.union(*(exceptions(module, other) for module, other in upward())) == set(EXCEPTIONS)
+
+
+@pytest.mark.parametrize("root", ["fide_plugins", "fide_tasks", "fide_adapters"])
+def test_modules_import_each_other_in_one_direction(root: str) -> None:
+    found = cycle(graph(root))
+    assert not found, f"move what both need: {' -> '.join(reversed(found))}"

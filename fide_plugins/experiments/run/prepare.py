@@ -15,6 +15,7 @@ from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.experiments.run.loop import Run
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_plugins.experiments.suite import read as read_suite
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording.directory import RunDirectory, is_saved
@@ -242,9 +243,8 @@ def make_task(
     Its option `spp` is the largest number of samples.
     """
     if "suite" in options:
-        from fide_plugins.experiments import suite
-
-        return suite.make(suite.read(options["suite"]), name)
+        scene, target_seed = read_suite(options["suite"]).problem(name)
+        return make_task(scene.task or scene.name, scene.size, target_seed, scene.options)
     if renderer_task.is_own(name, options):
         return renderer_task.make(name, seed, options)
     import fide_tasks

@@ -4,7 +4,7 @@
 
 ============  ====================================================================
 `definition`  a suite as data, read from NAME.toml; `scenes/` has its files
-`problems`    problems as tasks, and the plan of a comparison that runs them
+`problems`    the plan of a comparison that runs them
 `profiles`    data profiles and performance profiles
 `scores`      renders to solve each problem, of a comparison's results
 `remarks`     what is said of failed runs and of what is left out
@@ -15,6 +15,5 @@
 """
 
 from fide_plugins.experiments.suite.definition import Scene, Suite, names, read
-from fide_plugins.experiments.suite.problems import SuitePlan, make, plan, unavailable
 
-__all__ = ["Scene", "Suite", "SuitePlan", "make", "names", "plan", "read", "unavailable"]
+__all__ = ["Scene", "Suite", "names", "read"]

@@ -1,10 +1,9 @@
-"""The problems of a suite as tasks, and the plan that runs them."""
+"""The plan that runs the problems of a suite."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.compare.plan import Plan, RunKey
@@ -12,10 +11,7 @@ from fide_plugins.experiments.run import Keep
 from fide_plugins.experiments.run.prepare import make_task, target_of
 from fide_plugins.experiments.suite.definition import Suite
 
-if TYPE_CHECKING:
-    from fide_plugins.experiments.run.task import Task
-
-__all__ = ["SuitePlan", "make", "plan", "unavailable"]
+__all__ = ["SuitePlan", "plan", "unavailable"]
 
 
 @dataclass(frozen=True)
@@ -69,10 +65,3 @@ def unavailable(suite: Suite, scenes: Iterable[str]) -> dict[str, str]:
         except (ImportError, OSError, RuntimeError, ValueError) as error:
             why[scene] = str(error)
     return why
-
-
-def make(suite: Suite, problem: str) -> Task:
-    """Task of a problem; raises what its task raises."""
-    scene, seed = suite.problem(problem)
-    options: dict[str, Any] = dict(scene.options)
-    return make_task(scene.task or scene.name, scene.size, seed, options)

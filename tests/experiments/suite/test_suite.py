@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ import pytest
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.experiments import suite as suites
-from fide_plugins.experiments.suite import definition, page
+from fide_plugins.experiments.run.prepare import make_task
+from fide_plugins.experiments.suite import definition, page, problems
 from fide_plugins.experiments.suite.remarks import remarks
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.renderers.template import Template
@@ -24,6 +26,10 @@ pytestmark = pytest.mark.figures
 SUITE = suites.read("image-fitting-v1")
 NOISY = ("san_miguel", "beads")
 NEEDS = {"robot": "mujoco", "san_miguel": "mitsuba", "beads": "mitsuba"}
+
+
+def made(suite: suites.Suite, problem: str) -> Any:
+    return make_task(problem, 0, 0, {"suite": suite.name})
 
 
 def fide(*words: object) -> int:
@@ -48,7 +54,7 @@ def test_every_scene_builds_and_its_truth_solves_it(name: str) -> None:
         pytest.importorskip(NEEDS[name])
     if name == "povray" and shutil.which("povray") is None:
         pytest.skip("needs the program povray")
-    scene, task = SUITE.scenes[name], suites.make(SUITE, f"{name}-3")
+    scene, task = SUITE.scenes[name], made(SUITE, f"{name}-3")
     x = getattr(task, "x_star", None)
     assert x is not None and x.shape == (task.dim,)
     if name in NOISY:  # the target alone takes seconds; it is made in the tests of tasks
@@ -59,7 +65,7 @@ def test_every_scene_builds_and_its_truth_solves_it(name: str) -> None:
 
 
 def test_targets_differ_and_are_fixed() -> None:
-    first, other, again = (suites.make(SUITE, f"lamps-{k}") for k in (0, 1, 0))
+    first, other, again = (made(SUITE, f"lamps-{k}") for k in (0, 1, 0))
     assert not np.array_equal(first.target, other.target)
     np.testing.assert_array_equal(first.target, again.target)
 
@@ -84,7 +90,7 @@ def test_later_suites_have_the_same_scenes_and_other_targets(name: str, n: int) 
     assert len(set(later.targets)) == len(later.targets) == n
     for other in set(suites.names()) - {name}:
         assert not set(later.targets) & set(suites.read(other).targets)
-    ours, theirs = (suites.make(suite, "lamps-0").target for suite in (SUITE, later))
+    ours, theirs = (made(suite, "lamps-0").target for suite in (SUITE, later))
     assert not np.array_equal(ours, theirs)
 
 
@@ -98,12 +104,12 @@ def test_a_problem_has_the_name_of_its_scene_and_the_number_of_its_target() -> N
 @pytest.mark.parametrize("name", ["lamps-10", "lamp-0", "lamps", "lamps-00", "lamps--1"])
 def test_unknown_problems(name: str) -> None:
     with pytest.raises(ValueError, match=re.escape(f"unknown problem {name!r} of image-fitting")):
-        suites.make(SUITE, name)
+        made(SUITE, name)
 
 
 def test_what_cannot_be_rendered_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
-    why = suites.unavailable(SUITE, ["povray", "arm"])
+    why = problems.unavailable(SUITE, ["povray", "arm"])
     assert list(why) == ["povray"] and "no program 'povray' on the PATH" in why["povray"]
 
 
@@ -172,7 +178,7 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    corners = [suites.make(SUITE, f"lamps-{k}").target[0, 0].sum() for k in range(3)]
+    corners = [made(SUITE, f"lamps-{k}").target[0, 0].sum() for k in range(3)]
     (tmp_path / "mine.py").write_text(BREAKS.replace("THRESHOLD", repr(float(max(corners)))))
     words = ["compare", "--suite", "image-fitting-v1", "--scenes", "lamps", "--budget", 40]
     words += ["--targets", 3, "--optimizers", "random,mine.py:Breaks"]
@@ -292,7 +298,7 @@ def test_wrong_usage_is_seen_before_a_scene_is_rendered(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(suites, "unavailable", lambda *_: pytest.fail("scenes were rendered"))
+    monkeypatch.setattr(problems, "unavailable", lambda *_: pytest.fail("scenes were rendered"))
     out = tmp_path / "out"
     assert fide("compare", "--suite", "image-fitting-v1", *words, "--out", out) == 2
     assert re.search(message, capsys.readouterr().err)
