@@ -21,7 +21,8 @@ from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.image_features import ImageBased
 from fide_plugins.baselines.reverse_communication import Search
 from fide_plugins.baselines.sequential import Sequential
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["DFOLS", "least_squares"]
@@ -72,7 +73,7 @@ class DFOLS(ImageBased, Sequential):
         try:
             import dfols  # noqa: F401
         except ImportError as error:
-            raise DependencyError("dfols needs the package DFO-LS: pip install DFO-LS") from error
+            raise missing("dfols", "dfols needs the package DFO-LS") from error
         self.radius, self.noisy, self.soft_restarts = float(radius), noisy, soft_restarts
         self._rng = np.random.default_rng(self.seed)
         self._global_random = GlobalRandom(self.seed)

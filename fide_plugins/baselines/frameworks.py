@@ -16,7 +16,8 @@ import numpy as np
 from fide_plugins.baselines.global_random import GlobalRandom
 from fide_plugins.baselines.penalty import Penalty, quietly
 from fide_plugins.baselines.replay import Replayed
-from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
+from fide_plugins.errors import OptimizerError, UnknownNameError
+from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
 
@@ -162,9 +163,7 @@ def nevergrad(method: str) -> type[Nevergrad]:
         with quietly():
             from nevergrad import optimizers
     except ImportError as error:
-        raise DependencyError(
-            f"nevergrad:{method} needs Nevergrad: pip install nevergrad"
-        ) from error
+        raise missing("nevergrad", f"nevergrad:{method} needs Nevergrad") from error
     if method not in optimizers.registry:
         raise UnknownNameError.of("optimizer of Nevergrad", method, optimizers.registry)
     return type("Nevergrad", (Nevergrad,), {"method": method, "name": f"nevergrad:{method}"})
@@ -178,7 +177,7 @@ def optuna(method: str) -> type[Optuna]:
     try:
         from optuna import samplers
     except ImportError as error:
-        raise DependencyError(f"optuna:{method} needs Optuna: pip install optuna") from error
+        raise missing("optuna", f"optuna:{method} needs Optuna") from error
     known = [name for name in samplers.__all__ if _takes_seed(getattr(samplers, name))]
     if method not in known:
         raise UnknownNameError.of("sampler of Optuna", method, known)

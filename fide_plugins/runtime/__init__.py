@@ -12,6 +12,7 @@
 `machine`               versions and hardware
 `timing`                seconds by part
 `cluster`               a Dask cluster by the address of its scheduler
+`extras`                what each extra installs, and the error where it is missing
 `files`                 atomic writes and file locks
 `checkpoint`            file format of a state, without pickle
 `schema`                checks of a state that was read from a file

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.extras import missing
 
 __all__ = ["connected", "workers_of"]
 
@@ -27,9 +28,7 @@ def connected(address: str) -> Iterator[Any]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise DependencyError(
-            "--dask needs the package distributed: pip install distributed"
-        ) from error
+        raise missing("dask", "--dask needs the package distributed") from error
     try:
         client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TimeoutError) as error:

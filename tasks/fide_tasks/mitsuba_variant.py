@@ -68,9 +68,8 @@ _INSTALL_LLVM = (
 REMEDIES = {
     "cuda": "it needs an NVIDIA GPU and its driver",
     "llvm": _INSTALL_LLVM,
-    "scalar": "pip install mitsuba",
 }
-"""What to do where a variant, by its short name, does not run."""
+"""What to do where a variant, by its short name, does not run; "scalar" runs everywhere."""
 
 
 def choose(variant: str) -> str:
@@ -84,9 +83,9 @@ def choose(variant: str) -> str:
     names = {**VARIANTS, **{full: full for full in VARIANTS.values()}}
     one_of("variant", variant, ("auto", *names))
     if importlib.util.find_spec("mitsuba") is None:
-        raise ImportError(
-            "this task renders with Mitsuba 3, which is not installed: pip install mitsuba"
-        )
+        from fide_plugins.runtime.extras import missing
+
+        raise missing("mitsuba", "this task renders with Mitsuba 3, which is not installed")
     if variant == "auto":
         return _best()
     (short,) = (s for s, full in VARIANTS.items() if variant in (s, full))

@@ -45,9 +45,10 @@ def import_mujoco() -> Any:
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise
-        raise ImportError(
-            "this task renders with MuJoCo, which is not installed: pip install mujoco"
-        ) from None
+        from fide_plugins.runtime.extras import missing
+
+        what = "this task renders with MuJoCo, which is not installed"
+        raise missing("robot", what) from None
     except (AttributeError, OSError, RuntimeError) as error:  # it loads what MUJOCO_GL names
         setting = os.environ.get("MUJOCO_GL", "")
         raise ImportError(

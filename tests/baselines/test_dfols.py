@@ -100,7 +100,7 @@ def test_a_search_that_has_converged_is_followed_by_another() -> None:
 
 def test_without_the_package_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dfols", None)
-    with pytest.raises(DependencyError, match=r"pip install DFO-LS"):
+    with pytest.raises(DependencyError, match=r"pip install DFO-LS .*extra dfols"):
         DFOLS(DIM, TARGET)
 
 

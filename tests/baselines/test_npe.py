@@ -235,7 +235,7 @@ def test_weights_of_another_network_are_refused(sbi: Any, tmp_path: Path) -> Non
 def test_without_sbi_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "sbi", None)
     monkeypatch.setitem(sys.modules, "sbi.inference", None)
-    with pytest.raises(DependencyError, match=r"npe .*pip install sbi"):
+    with pytest.raises(DependencyError, match=r"npe .*pip install sbi .*extra sbi"):
         NPE(2, TARGET)
 
 

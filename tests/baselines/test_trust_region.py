@@ -189,7 +189,7 @@ def test_the_center_comes_first(botorch: Any) -> None:
 @pytest.mark.parametrize(("kind", "name"), [(TuRBO, "turbo"), (CompositeBO, "composite-bo")])
 def test_without_botorch_it_is_named(kind: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "botorch", None)
-    with pytest.raises(DependencyError, match=rf"{name} .*pip install botorch"):
+    with pytest.raises(DependencyError, match=rf"{name} .*pip install botorch .*extra botorch"):
         kind(DIM, TARGET)
 
 

@@ -116,7 +116,7 @@ def test_without_mitsuba_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib.util
 
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"pip install mitsuba"):
+    with pytest.raises(ImportError, match=r"pip install mitsuba .*extra mitsuba"):
         choose("auto")
 
 

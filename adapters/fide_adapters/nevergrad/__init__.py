@@ -17,14 +17,12 @@ Importing this module registers the name FIDE, also if it is imported again, and
 
 from __future__ import annotations
 
-from fide_plugins.errors import DependencyError
+from fide_plugins.runtime.extras import missing
 
 try:
     from nevergrad.optimization.base import registry
 except ImportError as error:
-    raise DependencyError(
-        "fide_adapters.nevergrad needs Nevergrad: pip install nevergrad"
-    ) from error
+    raise missing("nevergrad", "fide_adapters.nevergrad needs Nevergrad") from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef
 from fide_adapters.nevergrad.executors import DaskExecutor

@@ -18,12 +18,12 @@ they share nothing but Optuna's storage.  `docs/reference/optuna.md` explains ho
 
 from __future__ import annotations
 
-from fide_plugins.errors import DependencyError
+from fide_plugins.runtime.extras import missing
 
 try:
     import optuna  # noqa: F401  # fails here, with a remedy, where Optuna is not installed
 except ImportError as error:
-    raise DependencyError("fide_adapters.optuna needs Optuna: pip install optuna") from error
+    raise missing("optuna", "fide_adapters.optuna needs Optuna") from error
 
 from fide_adapters.image_loss import ImageLoss, ImageRef
 from fide_adapters.optuna.sampler import FIDESampler, image_objective

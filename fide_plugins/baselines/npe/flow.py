@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.baselines.penalty import quietly
-from fide_plugins.errors import DependencyError
+from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:
@@ -217,4 +217,4 @@ def import_sbi(name: str) -> None:
         with seeded(0):
             import sbi.inference  # noqa: F401
     except ImportError as error:
-        raise DependencyError(f"{name} needs sbi: pip install sbi") from error
+        raise missing("sbi", f"{name} needs sbi") from error

@@ -12,7 +12,8 @@ from torch import Tensor
 from fide_plugins.baselines.penalty import quietly
 from fide_plugins.baselines.stateful import Stateful
 from fide_plugins.baselines.trust_region.region import FIRST, REGION, SMALLEST, Region, candidates
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.extras import missing
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.option_rules import positive
@@ -202,4 +203,4 @@ def _import(name: str) -> None:
         with quietly():
             import botorch  # noqa: F401
     except ImportError as error:
-        raise DependencyError(f"{name} needs BoTorch: pip install botorch") from error
+        raise missing("botorch", f"{name} needs BoTorch") from error

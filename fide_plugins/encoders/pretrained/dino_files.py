@@ -10,11 +10,13 @@ from __future__ import annotations
 import json
 from contextlib import suppress
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
+from fide_plugins.runtime import extras
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["DEFAULT", "colors", "find", "library", "missing", "read_json", "unreadable"]
@@ -31,8 +33,10 @@ def find(variant: str, download: bool) -> Path:
     variant: a folder, or a repository of the hub whose files must all be in the hub's cache.
     download: download missing files.
 
-    Raises `WeightsNotFoundError`.
+    Raises `WeightsNotFoundError`, and before it `DependencyError` without transformers.
     """
+    if find_spec("transformers") is None:  # to import it takes seconds
+        raise _not_installed()
     folder = Path(variant).expanduser()
     if variant and folder.is_dir():
         return folder
@@ -133,6 +137,8 @@ def library(module: str = "transformers") -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise DependencyError(
-            "the encoder 'dinov3' needs transformers: pip install transformers safetensors"
-        ) from error
+        raise _not_installed() from error
+
+
+def _not_installed() -> DependencyError:
+    return extras.missing("dinov3", "the encoder 'dinov3' needs transformers")

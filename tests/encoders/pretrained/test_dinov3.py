@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -17,6 +18,7 @@ from fide_plugins import encoders
 from fide_plugins.encoders.pretrained import dinov3
 from fide_plugins.encoders.pretrained.dinov3 import DinoEncoder
 from fide_plugins.errors import (
+    DependencyError,
     ImageError,
     OptionError,
     WeightsMismatchError,
@@ -212,6 +214,15 @@ def test_nothing_is_there(hub_cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
     for name in ("not a name", ""):  # and not the folder in which this runs
         with pytest.raises(WeightsNotFoundError, match=f"no folder '{name}'"):
             encoders.make(f"dinov3:{name}")
+
+
+def test_without_transformers_no_weights_are_looked_for(
+    hub_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    for name in ("dinov3", f"dinov3:{hub_cache.parent}"):  # neither has weights
+        with pytest.raises(DependencyError, match="pip install transformers .*extra dinov3"):
+            encoders.make(name)
 
 
 def test_only_a_download_may_ask_the_hub(

