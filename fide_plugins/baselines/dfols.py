@@ -45,7 +45,7 @@ class DFOLS(ImageBased, Sequential):
 
     Residuals are divided by the root of their number, so the sum of their squares is a mean.  The
     search does not use the loss, which only decides which point is `best`.  The other options are
-    those of `ImageBased` and `Baseline`; popsize is 1.
+    those of `ImageBased` and `Baseline`; popsize is 1, and another one has no effect but a warning.
 
     Raises OptionError, ImageError without a target (ValueErrors), and DependencyError (an
     ImportError) without DFO-LS.

@@ -26,14 +26,15 @@ __all__ = ["DualAnnealing", "anneal", "descent"]
 
 
 class DualAnnealing(Sequential):
-    """`scipy.optimize.dual_annealing` by ask and tell; options of `Baseline`, popsize 1.
+    """`scipy.optimize.dual_annealing` by ask and tell; options of `Baseline`.
 
     step: of the finite differences; None: SciPy's own, 1e-8.
 
     Without a step the points are those that SciPy evaluates with ``x0=np.full(dim, 0.5)`` and
-    ``rng=np.random.default_rng(seed)``.  `sigma0` is not used.
+    ``rng=np.random.default_rng(seed)``.  `sigma0` is not used; popsize is 1, and another one has
+    no effect but a warning.
 
-    Raises OptionError (a ValueError), also if popsize is not 1.
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "dual-annealing"

@@ -75,9 +75,10 @@ class FIDEAnnealing(ImageBased, Sequential):
     encoder, channels: of the images, see `ImageBased`; the paper's simplest by default.
     step: of the finite differences of the local search; None: SciPy's own, 1e-8.
 
-    The other options are those of `Baseline`; popsize is 1, and `sigma0` is not used.
+    The other options are those of `Baseline`; popsize is 1, and another one has no effect but a
+    warning; `sigma0` is not used.
 
-    Raises OptionError, also if popsize is not 1, and ImageError without a target (ValueErrors).
+    Raises OptionError and ImageError without a target (ValueErrors).
     """
 
     name: ClassVar[str] = "fide-annealing"

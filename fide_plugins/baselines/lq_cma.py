@@ -32,9 +32,10 @@ __all__ = ["LQCMA", "minimize"]
 class LQCMA(Sequential):
     """CMA-ES of the library `cma` with its linear-quadratic model; options of `Baseline`.
 
-    popsize is 1, what is evaluated at a time; the population is the library's, 4 + 3 ln d at first.
+    popsize is 1, what is evaluated at a time, and another one has no effect but a warning; the
+    population is the library's, 4 + 3 ln d at first.
 
-    Raises OptionError (a ValueError), also if popsize is not 1.
+    Raises OptionError (a ValueError).
     """
 
     name: ClassVar[str] = "lq-cma-es"

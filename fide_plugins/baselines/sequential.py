@@ -5,22 +5,27 @@ from __future__ import annotations
 from typing import Any
 
 from fide_plugins.baselines.called_back import CalledBack
-from fide_plugins.errors import OptionError
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Sequential"]
 
 
 class Sequential(CalledBack):
-    """A library's search, one evaluation at a time: its population is 1."""
+    """A library's search, one evaluation at a time: its population is 1.
+
+    Another popsize, which may be meant for all optimizers of a comparison, has no effect, and gets
+    a warning.
+    """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
         super().__init__(dim, target, **options)
         if self.popsize != 1:
-            raise OptionError(
-                f"popsize must be 1 for {self.name}, which evaluates one point after the other, "
-                f"not {self.popsize}"
+            warn_user(
+                f"popsize={self.popsize} has no effect on {self.name}, which asks for one "
+                "candidate at a time"
             )
+            self.popsize = 1
 
     def _answer(self, loss: float, features: Float32 | None) -> Any:
         """What the library's function returns."""

@@ -51,6 +51,7 @@ from fide_plugins.validation.points import whole_number
 
 __all__ = ["Proxy", "ZeroGrads"]
 
+BATCH = 10  # offsets a step
 HIDDEN, LAYERS = 64, 3
 STEPS = 3  # of Adam, for the parameter and for the network
 SMOOTHING = 0.1  # offset before rendering, in units of sigma
@@ -80,7 +81,9 @@ class Proxy(nn.Module):
 class ZeroGrads(Stateful):
     """ZeroGrads from the center of the box.
 
-    batch: offsets a step, each used with both signs; the population is 2 batch + 1.
+    batch: offsets a step, each used with both signs; the population is 2 batch + 1.  None: the
+        largest that fits popsize (12: batch 5, a population of 11), and 10 without a popsize.
+    popsize: at least 3; beside a batch 2 batch + 1.
     learning_rate: of the parameter.
     proxy_rate: of the network.
     smooth: whether points are shifted once more before they are rendered.
@@ -109,19 +112,25 @@ class ZeroGrads(Stateful):
         dim: int,
         target: object = None,
         *,
-        batch: int = 10,
+        batch: int | None = None,
+        popsize: int | None = None,
         learning_rate: float = 1e-3,
         proxy_rate: float = 1e-2,
         smooth: bool = True,
         scale: str = "first",
         **options: Any,
     ) -> None:
+        if batch is None and popsize is None:
+            batch = BATCH
+        elif batch is None:
+            batch = (whole_number("popsize", popsize, 3) - 1) // 2
+            popsize = None  # the largest odd number that is not above it
         self.batch = whole_number("batch", batch, 1)
-        super().__init__(dim, target, **options)
+        super().__init__(dim, target, popsize=popsize, **options)
         if self.popsize != 2 * self.batch + 1:
             raise OptionError(
                 f"popsize must be 2 batch + 1 = {2 * self.batch + 1} for zerograds, not "
-                f"{self.popsize}; set batch"
+                f"{self.popsize}; give one of the two"
             )
         if not isinstance(smooth, bool):
             raise OptionError(f"smooth must be True or False, not {smooth!r}")

@@ -89,9 +89,20 @@ def test_asked_for_more_it_gives_the_same_point_whose_other_results_are_not_used
     assert several.evaluations == 3 * one.evaluations
 
 
+def test_a_population_has_no_effect_and_one_warning() -> None:
+    with pytest.warns(RuntimeWarning, match="popsize=12 has no effect on dual-annealing") as found:
+        opt = DualAnnealing(2, seed=0, popsize=12)
+        same = DualAnnealing(2, seed=0)
+        for _ in range(30):
+            X = opt.ask()
+            assert X.shape == (1, 2)
+            np.testing.assert_array_equal(X, same.ask())
+            opt.tell(X, losses=rastrigin(X))
+            same.tell(X, losses=rastrigin(X))
+    assert len(found) == 1 and found[0].filename == __file__
+
+
 def test_it_evaluates_one_point_at_a_time_until_it_is_closed() -> None:
-    with pytest.raises(OptionError, match="popsize must be 1 for dual-annealing"):
-        DualAnnealing(2, popsize=4)
     opt = DualAnnealing(2, seed=0)
     opt.tell(opt.ask(), losses=[1.0])
     opt.close()

@@ -241,6 +241,14 @@ def test_options_out_of_range_are_named(subject: Subject, options: dict[str, Any
         subject.make(**{"dim": 2, **options})
 
 
+@pytest.mark.filterwarnings("ignore:popsize=12 has no effect")
+def test_a_population_may_be_set_for_all_of_a_comparison(subject: Subject) -> None:
+    target = np.zeros((16, 16, 3), np.float32)
+    opt = optimizers.make(subject.name, 2, target, popsize=12, seed=0)
+    expected = {1, 11} if subject.name == "zerograds" else {1, 12}
+    assert opt.popsize in expected and opt.ask().shape[1:] == (2,)
+
+
 def test_those_that_look_at_images_need_a_target(subjects: list[Subject]) -> None:
     for subject in subjects:
         if subject.looks and subject.installed:

@@ -151,10 +151,24 @@ def test_it_goes_downhill_and_stays_in_the_box() -> None:
         {"smooth": 1},
         {"scale": None},
         {"scale": "last"},
-        {"popsize": 20},
+        {"popsize": 2},
+        {"popsize": 20.5},
+        {"popsize": 20, "batch": 10},
+        {"popsize": 21, "batch": 9},
     ],
     ids=str,
 )
 def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
     with pytest.raises(OptionError, match=next(iter(options))):
         ZeroGrads(2, **options)
+
+
+@pytest.mark.parametrize(("popsize", "batch"), [(3, 1), (4, 1), (12, 5), (20, 9), (21, 10)])
+def test_the_batch_is_the_largest_that_fits_the_population(popsize: int, batch: int) -> None:
+    opt, same = ZeroGrads(3, popsize=popsize, seed=0), ZeroGrads(3, batch=batch, seed=0)
+    assert (opt.batch, opt.popsize) == (batch, 2 * batch + 1)
+    for _ in range(3):
+        X = opt.ask()
+        np.testing.assert_array_equal(X, same.ask())
+        opt.tell(X, losses=valley(X))
+        same.tell(X, losses=valley(X))
