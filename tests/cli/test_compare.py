@@ -62,7 +62,6 @@ def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixt
         (["compare", "vornoi", *SMALL], "no task is named 'vornoi'; the tasks: .*voronoi"),
         (["compare", "voronoi", *SMALL, "--optimizers", "cmaa"], "did you mean 'cma'"),
         (["compare", "voronoi", *SMALL, "--losses", "msee"], "did you mean 'mse'"),
-        (["compare", "voronoi", *SMALL, "--budget", "9"], "below one population of cma, which is"),
         (["compare", "voronoi", *SMALL, "--set", "epochs=1"], "cma has no option 'epochs'"),
         (["compare", "voronoi", *SMALL, "--optimizers", "a,,b"], "names separated by commas"),
         (["compare", "voronoi", *SMALL, "--threshold", "mse"], "LOSS=VALUE"),
@@ -95,6 +94,15 @@ def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixtu
     assert captured.out == "" and captured.err.count("\n") == 1
     assert re.search(message, captured.err), captured.err
     assert not Path("out").exists()
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_budget_below_one_population_is_spent(capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*SMALL, "--budget", "5", "--optimizers", "cma", "--out", "out"]
+    assert fide("compare", "voronoi", *words) == 0
+    err = capsys.readouterr().err
+    assert err.count("below one population of cma, which is 10 for 10 parameters: the optim") == 1
+    assert err.count("after 5 renders") == 2
 
 
 def test_a_failure_is_exit_code_1_and_in_the_report(

@@ -16,6 +16,7 @@ from fide_plugins.experiments.run.prepare import make_task, settings_of, target_
 from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
@@ -142,7 +143,7 @@ class Plan:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.
 
         Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
-        package, OSError for missing weights.
+        package, OSError for missing weights.  Warns of a budget below one population.
         """
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
@@ -162,7 +163,7 @@ class Plan:
                 budget = configuration.budget or self.budget
                 if (key.loss, key.configuration) not in seen:
                     seen.add((key.loss, key.configuration))
-                    _check_budget(configuration, budget, task.dim, target, key.loss, options)
+                    _try_optimizer(configuration, budget, task.dim, target, key.loss, options)
                 known = settings_of(
                     task, target, configuration.name, key.loss, budget, key.seed,
                     self.task_options, options, self.keep,
@@ -184,7 +185,7 @@ def _check_options(configuration: Configuration, options: dict[str, Any]) -> Non
     optimizers.check(configuration.name, options)
 
 
-def _check_budget(
+def _try_optimizer(
     configuration: Configuration,
     budget: int,
     dim: int,
@@ -192,10 +193,14 @@ def _check_budget(
     loss: str,
     options: dict[str, Any],
 ) -> None:
-    optimizer = optimizers.make(configuration.name, dim, target, loss=loss, seed=0, **options)
+    """Make it, which raises if it cannot be; warn of a budget below one population."""
+    name = configuration.name
+    if "budget" in optimizers.options(name):  # a run gives it, too: populations may depend on it
+        options = {"budget": budget, **options}
+    optimizer = optimizers.make(name, dim, target, loss=loss, seed=0, **options)
     if budget < optimizer.popsize:
-        raise OptionError(
+        warn_user(
             f"the budget of {budget} renders is below one population of {configuration.label}, "
-            f"which is {optimizer.popsize} for {dim} parameters; give more renders, or a smaller "
-            "popsize"
+            f"which is {optimizer.popsize} for {dim} parameters: the optimizer never learns, all "
+            "of its candidates are of its first population; give more renders, or a smaller popsize"
         )

@@ -108,9 +108,6 @@ def test_impossible_plans(changes: dict[str, Any], message: str) -> None:
         (small("cmaa"), UnknownNameError, "unknown optimizer 'cmaa'.*did you mean 'cma'"),
         (small(losses=("msee",)), UnknownNameError, "unknown loss 'msee'.*did you mean 'mse'"),
         (small(metrics=("l3",)), UnknownNameError, "unknown loss 'l3'"),
-        (small("cma", budget=5), OptionError, "budget of 5 renders is below one population of cma"),
-        (small("cma:budget=5"), OptionError, "below one population of cma:budget=5, which is 10"),
-        (small("cma:popsize=41"), OptionError, "which is 41 for 10 parameters"),
         (small("cma:epochs=3"), OptionError, "cma has no option 'epochs'; its options: device"),
         (
             small("cma", options={"epochs": 3}),
@@ -124,6 +121,24 @@ def test_impossible_plans(changes: dict[str, Any], message: str) -> None:
 def test_what_cannot_be_run_is_named(plan: Plan, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         plan.check()
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (small("cma", budget=5), "budget of 5 renders is below one population of cma, which is 10"),
+        (small("cma:budget=5"), "below one population of cma:budget=5, which is 10 for 10 param"),
+        (small("cma:popsize=41"), "which is 41 for 10 parameters: the optimizer never learns"),
+    ],
+)
+def test_a_budget_below_one_population_gets_a_warning(plan: Plan, message: str) -> None:
+    with pytest.warns(RuntimeWarning, match=message):
+        assert set(plan.check().settings) == set(plan.runs())
+
+
+def test_a_population_that_depends_on_the_budget_fits_it() -> None:
+    pytest.importorskip("sbi")
+    small("npe", budget=40).check()
 
 
 def test_everyone_of_a_task_has_the_same_target() -> None:
