@@ -1,6 +1,6 @@
 """What an objective may return in place of a bare loss: the loss together with its image.
 
-    return ImageLoss(loss, image)                         # any image that `FIDE.tell` takes
+    return ImageLoss(loss, image)                         # any image that `FIDE.tell` takes, a path
     return ImageLoss(loss, image=ImageRef("/shared/17.png"))  # a file that the optimizer can read
     return ImageLoss(loss, features=tokens)               # (T, C), encoded by the worker
     return ImageLoss(loss, [front, side])                 # for a list of targets
@@ -184,12 +184,12 @@ def read_result(result: object) -> Result:
 def is_image(value: object) -> bool:
     """Whether a value is an image, and not a number or a list of numbers.
 
-    Images are `ImageRef`, PIL images, arrays and torch tensors of two or more axes, and lists of
-    these, which are views.  Their contents are not checked.
+    Images are `ImageRef`, paths, PIL images, arrays, torch tensors and nested lists of two or more
+    axes, and lists of these, which are views.  Their contents are not checked.
     """
     if isinstance(value, list | tuple):
-        return len(value) > 0 and all(is_image(one) for one in value)
-    if isinstance(value, ImageRef):
+        return len(value) > 0 and (all(is_image(one) for one in value) or _is_table(value))
+    if isinstance(value, ImageRef | str | os.PathLike):
         return True
     pil, torch = sys.modules.get("PIL.Image"), sys.modules.get("torch")
     if pil is not None and isinstance(value, pil.Image):
@@ -197,3 +197,13 @@ def is_image(value: object) -> bool:
     if torch is not None and isinstance(value, torch.Tensor):
         return bool(value.ndim >= 2)
     return isinstance(value, np.ndarray) and value.ndim >= 2
+
+
+def _is_table(value: list[object] | tuple[object, ...]) -> bool:
+    """Whether it is lists of equal length, which are an array of two or more axes."""
+    if not all(isinstance(one, list | tuple) for one in value):
+        return False
+    try:
+        return np.ndim(value) >= 2
+    except ValueError:  # of different lengths
+        return False

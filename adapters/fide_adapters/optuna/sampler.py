@@ -316,7 +316,8 @@ def image_objective(
 ) -> Callable[[Trial], float]:
     """Make an objective from a function of a trial that returns an image.
 
-    function: may also return (loss, image), an `ImageLoss`, or a loss without image.
+    function: the image may be a path, too; it may also return (loss, image), an `ImageLoss`, or a
+        loss without image.
     sampler: None: that of the study, also inside a `PartialFixedSampler`.
 
     The objective raises ProtocolError if the study has no FIDESampler.

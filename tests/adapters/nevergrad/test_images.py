@@ -42,6 +42,7 @@ SAME: dict[str, Callable[[Any], Any]] = {
     "torch HWC": lambda image: torch.from_numpy(in_float32(image)),
     "torch CHW": lambda image: torch.from_numpy(in_float32(image)).permute(2, 0, 1),
     "PIL": Image.fromarray,
+    "nested lists": lambda image: in_float32(image).tolist(),
 }
 
 
@@ -98,6 +99,24 @@ def test_point_17_gray_and_black_and_white(tmp_path: Path) -> None:
     optimizer = fide()
     optimizer.tell(optimizer.ask(), BYTES[..., 0] > 100)
     assert optimizer.num_images == 1
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_point_17_a_path(kind: type, tmp_path: Path) -> None:
+    def file(image: Any) -> Any:
+        Image.fromarray(image).save(tmp_path / "a.png")
+        return kind(tmp_path / "a.png")
+
+    compare(
+        [
+            lambda o, c, image: o.tell(c, image),
+            lambda o, c, image: o.tell(c, file(image)),
+            lambda o, c, image: o.tell(c, (mse(in_float32(image)), file(image))),
+        ]
+    )
+    optimizer = fide(budget=6)
+    optimizer.minimize(lambda x: file(np.round(render(x) * 255).astype(np.uint8)))
+    assert optimizer.num_images == 6
 
 
 def test_point_17_a_reference(tmp_path: Path) -> None:
@@ -164,7 +183,6 @@ FLAT: dict[str, Callable[[Any], Any]] = {
     "array": np.ravel,
     "gray": lambda image: image[..., 0].ravel(),
     "list": lambda image: image.ravel().tolist(),
-    "nested lists": lambda image: image.tolist(),
     "torch": lambda image: torch.from_numpy(image.ravel()),
     "row": lambda image: image[0, :, 0],
     "with a loss": lambda image: (mse(image), image.ravel()),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -135,7 +136,7 @@ def test_features_are_as_good_as_the_image(bench: Bench) -> None:
     np.testing.assert_array_equal(bench.points(studies[0]), bench.points(studies[1]))
 
 
-@pytest.mark.parametrize("kind", ["image", "pair", "image loss", "features", "file"])
+@pytest.mark.parametrize("kind", ["image", "pair", "image loss", "features", "file", "lists"])
 def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
     encode = encoders.make("dense")
 
@@ -147,6 +148,8 @@ def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
             return ImageLoss(loss, ImageRef(tmp_path / "image.npy"))
         if kind == "features":
             return ImageLoss(loss, features=encode(image[None])[0].numpy())
+        if kind == "lists":
+            return image.tolist()
         return {"image": image, "pair": (loss, image), "image loss": ImageLoss(loss, image)}[kind]
 
     study = optuna.create_study(sampler=bench.sampler())
@@ -154,6 +157,21 @@ def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
     plain = optuna.create_study(sampler=bench.sampler())
     bench.run(plain, 20)
     np.testing.assert_array_equal(bench.points(study), bench.points(plain))
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_an_image_objective_may_give_a_path(bench: Bench, pair: bool, tmp_path: Path) -> None:
+    def render(trial: Trial) -> Any:
+        as_png(bench.render(bench.suggest(trial))).save(tmp_path / "image.png")
+        return (0.5, str(tmp_path / "image.png")) if pair else tmp_path / "image.png"
+
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(image_objective(render), n_trials=5)
+    assert counts_of(study)["image"] == 5
+    for trial in study.trials if not pair else ():
+        x = np.array(list(trial.params.values()))
+        image = np.asarray(as_png(bench.render(x)), np.float64) / 255
+        assert trial.value == pytest.approx(np.square(image - bench.target).mean(), rel=1e-4)
 
 
 def test_an_image_objective_may_give_no_image(bench: Bench) -> None:
