@@ -7,9 +7,10 @@ from typing import Any
 
 from fide_plugins.cli.messages import plain
 
-__all__ = ["KINDS", "names", "problems"]
+__all__ = ["KINDS", "WITH_WEIGHTS", "names", "problems"]
 
 KINDS = ("tasks", "optimizers", "encoders", "losses")
+WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
 _VARIANTS = {"losses": ("lpips:squeeze", "lpips:vgg")}  # variants with their own weights
 _SIDE = 32  # pixels, side of the test images
 

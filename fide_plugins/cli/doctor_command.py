@@ -1,4 +1,7 @@
-"""Say what is installed here; with --verbose, try every task, optimizer, encoder and loss."""
+"""Say what is installed here, and which encoders and losses can be used.
+
+With --verbose, try every task and optimizer, too, and say what is missing for each.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.availability import KINDS, names, problems
+from fide_plugins.cli.availability import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.messages import plain
 from fide_plugins.runtime import opencv_distributions
 from fide_plugins.runtime.extras import EXTRAS
@@ -34,7 +37,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 
 def _summary() -> str:
-    """What is installed, without importing any of it."""
+    """What is installed, without importing any of it, and which encoders and losses work."""
     from fide_plugins.runtime import machine
 
     versions, computer = machine.versions(), machine.machine()
@@ -51,9 +54,18 @@ def _summary() -> str:
         lines.append(f"missing: pip install {' '.join(packages)}")
     if collision := opencv_distributions.collision():
         lines.append(f"OpenCV: {collision}")
-    lines += [f"{kind}: {', '.join(names(kind))}" for kind in KINDS]
+    for kind in KINDS:
+        lines.append(f"{kind}: {_here(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
+
+
+def _here(kind: str) -> str:
+    """Names that can be used here, and after them those that cannot, as without their weights."""
+    found = problems(kind)
+    absent = ", ".join(name for name, problem in found.items() if problem)
+    present = ", ".join(name for name, problem in found.items() if not problem)
+    return f"{present}; not here: {absent}" if absent else present
 
 
 def _versions_of_extras() -> dict[str, str | None]:

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli.availability import KINDS, names, problems
+from fide_plugins.cli.availability import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.messages import note
 
 __all__ = ["add_arguments", "execute"]
-
-_WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    if args.kind not in _WITH_WEIGHTS:
+    if args.kind not in WITH_WEIGHTS:
         print("\n".join(names(args.kind)), flush=True)
         if args.kind == "tasks":
             # to standard error: it is no name, so not for a program that reads them
