@@ -199,7 +199,7 @@ def is_image(value: object) -> bool:
     return isinstance(value, np.ndarray) and value.ndim >= 2
 
 
-def _is_table(value: list[object] | tuple[object, ...]) -> bool:
+def _is_table(value: list[Any] | tuple[Any, ...]) -> bool:
     """Whether it is lists of equal length, which are an array of two or more axes."""
     if not all(isinstance(one, list | tuple) for one in value):
         return False

@@ -116,8 +116,8 @@ def test_what_objectives_give_back() -> None:
 def test_images_and_numbers() -> None:
     for image in (IMAGE, IMAGE[..., 0], torch.zeros(3, 4, 5), Image.new("L", (1, 1))):
         assert is_image(image)
-    for image in ("a.png", Path("a.png"), ["a.png", IMAGE], IMAGE.tolist(), IMAGE[..., 0].tolist()):
-        assert is_image(image) and read_result((0.5, image)) == Result(0.5, image)
+    for told in ("a.png", Path("a.png"), ["a.png", IMAGE], IMAGE.tolist(), IMAGE[..., 0].tolist()):
+        assert is_image(told) and read_result((0.5, told)) == Result(0.5, told)
     for number in (1.0, np.zeros(3), torch.zeros(()), torch.zeros(3), [1.0], [[1.0], 2.0], None):
         assert not is_image(number)
 
