@@ -37,14 +37,14 @@ _AT_A_TIME = 8  # shards that an executor gets
 def learn(
     render: Any,
     space: Space | int | None = None,
-    *,
     renders: int = 100_000,
     size: int = 64,
-    passes: int = 10,
     time: float | str | None = None,
     workers: int | None = None,
-    executor: object = None,
     out: str | os.PathLike[str] | None = None,
+    *,
+    passes: int = 10,
+    executor: object = None,
     groups: Sequence[Sequence[int]] | None = None,
     head: str | None = None,
     augment: str = "photograph",
@@ -70,10 +70,6 @@ def learn(
         of uniformly random parameters; one in fifty, at most 2,000, judges and is not learned from.
     size
         longer side, in pixels, of what the network sees; 16 to 256.
-    passes
-        over the renders, at most; training ends earlier where held-out renders say so.  With more
-        of them the same call goes on from where it ended, at the rate that the longer schedule has
-        there, to the last one.
     time
         how long everything may take, half of it rendering at most: seconds, or a text such as "10m"
         or "1h30m"; None: no limit.  With a limit the result depends on the machine.  A call that
@@ -81,14 +77,18 @@ def learn(
         call after it.
     workers
         processes that render; with more than one `render` must be picklable.  0 and 1: in this
-        process.  None: 1, or 8 with an executor.
+        process.  None, the default: 1, or 8 with an executor.
+    out
+        file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
+        arguments goes on where another one was interrupted, and more `renders` add to them.  None,
+        the default: nothing is kept.
+    passes
+        over the renders, at most; training ends earlier where held-out renders say so.  With more
+        of them the same call goes on from where it ended, at the rate that the longer schedule has
+        there, to the last one.
     executor
         where to render instead, as for `fit`: "threads", any executor of `concurrent.futures`, or
         Dask's Client; `workers` says how many shards of 100 renders it gets at a time.
-    out
-        file of the model.  The renders are kept beside it, in `out`.renders: a call with the same
-        arguments goes on where another one was interrupted, and more `renders` add to them.  None:
-        nothing is kept.
     groups
         exchangeable blocks of axes, such as [[0, 1], [2, 3]]; []: none are exchangeable; None:
         those of the space.

@@ -6,6 +6,7 @@ import itertools
 import os
 import signal
 import threading
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +234,20 @@ def test_no_workers_is_this_process_as_in_fit() -> None:
     picture = plain(np.array([0.3, 0.6]))
     other = learn(plain, 2, **arguments)
     np.testing.assert_array_equal(here.sample(picture, 4), other.sample(picture, 4))
+
+
+def test_arguments_by_position_are_those_by_keyword(tmp_path: Path) -> None:
+    by_position = learn(plain, 2, 100, SIDE, "1h", 0, tmp_path / "a", passes=1)
+    by_keyword = learn(plain, 2, renders=100, size=SIDE, passes=1, out=tmp_path / "b")
+    picture = plain(np.array([0.3, 0.6]))
+    np.testing.assert_array_equal(by_position.sample(picture, 4), by_keyword.sample(picture, 4))
+    assert (tmp_path / "a").is_file() and (tmp_path / "a.renders").is_dir()
+    positional = [
+        name
+        for name, argument in signature(learn).parameters.items()
+        if argument.kind is argument.POSITIONAL_OR_KEYWORD
+    ]
+    assert positional == ["render", "space", "renders", "size", "time", "workers", "out"]
 
 
 def test_a_model_is_shown_in_a_line() -> None:
