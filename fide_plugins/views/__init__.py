@@ -14,11 +14,13 @@ a render, w the weights.  Loss and encoder get
     x' = t + sqrt(w) (x - t),
 
 so a pixel of weight 0 is that of the target and costs nothing, and the squared difference of any
-other is w (x - t)^2.  The loss of x' is divided by the mean of w: `mse` is sum w (x - t)^2 / sum w,
-and does not depend on how much is hidden.  The other losses do, since no division is exact for
-them: `perceptual` sees the contour of the mask where x differs from t, and `loi`, whose distances
-are not squares, counts by sqrt(w).  Compare their values under one mask only.  With x 0.6 and
-t 0.5 everywhere, 96 x 96 pixels:
+other is w (x - t)^2.  Before that the pixels of weight 0 of the target itself get the mean color of
+all others, to the nearest eighth in each channel: what it has there has no influence.  Only a
+user's own loss, which may know the target, gets x' with the target's own pixels.  The loss of x' is
+divided by the mean of w: `mse` is sum w (x - t)^2 / sum w, and does not depend on how much is
+hidden.  The other losses do, since no division is exact for them: `perceptual` sees the contour of
+the mask where x differs from t, and `loi`, whose distances are not squares, counts by sqrt(w).
+Compare their values under one mask only.  With x 0.6 and t 0.5 everywhere, 96 x 96 pixels:
 
 ====================================  =====  =====  ==========
 w                                     mse    loi    perceptual

@@ -46,7 +46,11 @@ def loss_of(
                 f"the loss {loss.name!r} was made for one target, and there are "
                 f"{len(views.views)} views; pass its name, or a function of a list of batches"
             )
-        of_one = losses.resolve(loss, views.target)
+        of_one, view = losses.resolve(loss, views.target), views.views[0]
+        if of_one.spec is None:
+            return LossOfViews(views, [of_one], None, knows_target=True)
+        if view.hidden is not None:  # as a checkpoint makes it again
+            of_one = _of_view(of_one.spec, view, device)
         return LossOfViews(views, [of_one], of_one.spec)
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
@@ -63,8 +67,8 @@ def _tried(loss: ImageLoss, target: Float32) -> ImageLoss:
 def _of_view(name: str, view: View, device: str | torch.device | None) -> ImageLoss:
     """Loss of one view: with its weights, if it takes them."""
     if view.weights is not None and losses.takes_weights(name):
-        return losses.make(name, view.target, weights=view.weights)
-    return _tried(losses.resolve(name, view.target, device=device), view.target)
+        return losses.make(name, view.filled, weights=view.weights)
+    return _tried(losses.resolve(name, view.filled, device=device), view.filled)
 
 
 class _OfViews:
@@ -80,20 +84,25 @@ class _OfViews:
         """Losses (n,) of packed renders, without further checks."""
         raise NotImplementedError
 
-    def _shown(self, batch: Float32) -> list[Float32]:
-        """What is seen of each view, (n, H, W, 3) each."""
-        pairs = zip(self.views.views, self.views.split(batch), strict=True)
-        return [view.shown(part) for view, part in pairs]
-
 
 class LossOfViews(_OfViews):
     """Mean of the views' losses, each divided by the mean of its weights.
 
     each: loss of each view, in order.  One that knows the weights is not divided.
+    knows_target: whether they were made for the target as the user gave it, `View.target`, rather
+        than for `View.filled`.
     """
 
-    def __init__(self, views: Views, each: list[ImageLoss], spec: str | None) -> None:
+    def __init__(
+        self,
+        views: Views,
+        each: list[ImageLoss],
+        spec: str | None,
+        *,
+        knows_target: bool = False,
+    ) -> None:
         self.views, self._each, self.spec = views, each, spec
+        self._shown = View.blended if knows_target else View.shown
         self.name = each[0].name
         version = each[0].version
         self.version = None if version is None else version + views.version
@@ -101,17 +110,16 @@ class LossOfViews(_OfViews):
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders, without further checks."""
         parts = zip(self.views.views, self._each, self.views.split(batch), strict=True)
-        values = [_loss_of_view(*part) for part in parts]  # (n,) each
+        values = [self._of_view(*part) for part in parts]  # (n,) each
         mean: Float64 = values[0] if len(values) == 1 else np.mean(values, axis=0)
         return mean
 
-
-def _loss_of_view(view: View, loss: ImageLoss, part: Float32) -> Float64:
-    weighs = getattr(loss, "weighs_pixels", False) and getattr(loss, "weights", None) is not None
-    if view.weights is None or weighs:
-        return loss.compute(part)
-    values: Float64 = loss.compute(view.shown(part)) / view.mean_weight
-    return values
+    def _of_view(self, view: View, loss: ImageLoss, part: Float32) -> Float64:
+        knows_weights = getattr(loss, "weights", None) is not None
+        if view.weights is None or (getattr(loss, "weighs_pixels", False) and knows_weights):
+            return loss.compute(part)
+        values: Float64 = loss.compute(self._shown(view, part)) / view.mean_weight
+        return values
 
 
 class CallableOfViews(_OfViews):
@@ -126,6 +134,7 @@ class CallableOfViews(_OfViews):
     @user_threads
     def compute(self, batch: Float32) -> Float64:
         """Losses (n,) of packed renders; the function gets copies, which it may modify."""
-        shown = [part.copy() for part in self._shown(batch)]
+        pairs = zip(self.views.views, self.views.split(batch), strict=True)
+        shown = [view.blended(part).copy() for view, part in pairs]
         values = self._function(shown if self.views.listed else shown[0])
         return as_losses(values, len(batch), f"the loss {self.name!r}")

@@ -24,6 +24,8 @@ from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
 
 __all__ = ["View", "Views", "is_list_of_images", "views_of"]
 
+_SHADES = 8  # steps of a channel of the color that hidden pixels get
+
 
 def is_list_of_images(value: object) -> bool:
     """Whether it is a list or tuple of pictures, rather than one picture of nested lists."""
@@ -63,11 +65,34 @@ class View:
         roots: Float32 = np.sqrt(self.weights)[..., None]
         return roots
 
+    @cached_property
+    def filled(self) -> Float32:
+        """Target whose hidden pixels have the mean color of all others, (H, W, 3).
+
+        So its own pixels there influence no tokens, and no losses that have a name.  The color is
+        rounded, since remembered tokens are compared with those of the next target (`retarget`),
+        which mostly has the same rounded one.
+        """
+        if self.hidden is None:
+            return self.target
+        filled = self.target.copy()
+        mean = self.target[~self.hidden].mean(axis=0, dtype=np.float64)
+        filled[self.hidden] = np.round(mean * _SHADES) / _SHADES
+        filled.flags.writeable = False
+        return filled
+
     def shown(self, batch: Float32) -> Float32:
-        """What loss and encoder see of renders (n, H, W, 3): x' = t + sqrt(w) (x - t)."""
+        """What encoder and named loss see of renders (n, H, W, 3): `blended` with `filled`."""
+        return self._blended(batch, self.filled)
+
+    def blended(self, batch: Float32) -> Float32:
+        """What a user's own loss, which may know the target, sees: x' = t + sqrt(w) (x - t)."""
+        return self._blended(batch, self.target)
+
+    def _blended(self, batch: Float32, t: Float32) -> Float32:
         if self.weights is None:
             return batch
-        t, roots = self.target, self._roots
+        roots = self._roots
         with np.errstate(under="ignore"):  # a tiny difference times a weight
             blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
         return blended

@@ -309,9 +309,10 @@ def test_a_mask(name: str) -> None:
     mask[:, :24] = 1
     assert not losses.takes_weights(name)
     opt = FIDE(3, target, loss=name, mask=mask, seed=0)
-    shown = np.where(mask[..., None] == 1, image, target)
+    filled = opt.views.views[0].filled  # the target, with one color where it is hidden
+    shown = np.where(mask[..., None] == 1, image, filled)
     other = np.where(mask[..., None] == 1, image, 0.0)
-    expected = losses.make(name, target)([shown]) / 0.5
+    expected = losses.make(name, filled)([shown]) / 0.5
     np.testing.assert_allclose(opt.evaluator.loss([image]), expected, rtol=1e-6)
     np.testing.assert_array_equal(opt.evaluator.loss([other]), opt.evaluator.loss([image]))
     assert opt.evaluator.loss([target])[0] == 0.0

@@ -94,6 +94,16 @@ def test_losses_and_books_are_those_of_the_next_picture(
     assert opt.best is not None and opt.best.loss <= before
 
 
+def test_what_the_next_picture_hides_has_no_influence(render: Render, answer: Float64) -> None:
+    runs = []
+    for noise in (1, 2):
+        opt = FIDE(6, spoiled(render(answer[None])[0], noise), mask=MASK, seed=1, popsize=8)
+        first = go_on(opt, render, 12)
+        opt.retarget(spoiled(render(answer[None] * 0.9)[0], 7 * noise))
+        runs.append(np.concatenate([first, go_on(opt, render, 12)]))
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
 def test_the_number_and_the_sizes_of_views_stay(render: Render, target: Float32) -> None:
     opt = FIDE(6, [target, target[:8]], seed=1, popsize=8)
     for wrong in (target, [target], [target[:8], target], [target, target[:8], target]):

@@ -1,0 +1,131 @@
+"""What a target shows where a mask hides it has no influence on the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import FIDE, losses
+from fide_plugins.losses.perceptual import PerceptualLoss
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views import View, Views
+
+Render = Callable[[Float64], Float32]
+MASK = np.ones((16, 16), np.float32)
+MASK[:, 9:] = 0
+SOFT = MASK.copy()
+SOFT[:4] *= 0.2
+OPTIONS: dict[str, dict[str, Any]] = {
+    "balanced": {"popsize": 8},
+    "paper": {"preset": "paper", "popsize": 8, "epochs": 2},
+}
+
+
+def other_where(hidden: Any, picture: Float32, seed: int = 0) -> Float32:
+    """The picture with noise where it is hidden."""
+    noise = np.random.default_rng(seed).random(picture.shape, np.float32)
+    return np.where(hidden[..., None], noise, picture)
+
+
+def run(opt: FIDE, images_of: Callable[[Float64], Any], generations: int) -> tuple[Float64, ...]:
+    """All candidates and losses."""
+    asked, told = [], []
+    for _ in range(generations):
+        asked.append(opt.ask())
+        told.append(opt.tell(asked[-1], images_of(asked[-1])))
+    return np.concatenate(asked), np.concatenate(told)
+
+
+@pytest.mark.parametrize("loss", ["mse", "perceptual", "loi"])
+@pytest.mark.parametrize("preset", OPTIONS)
+@pytest.mark.parametrize("mask", [MASK, SOFT], ids=["hard", "soft"])
+def test_the_run_is_the_same(
+    mask: Float32, preset: str, loss: str, render: Render, target: Float32
+) -> None:
+    targets = target, other_where(mask == 0, target)
+    one, other = (
+        run(FIDE(6, each, mask=mask, loss=loss, seed=0, **OPTIONS[preset]), render, 6)
+        for each in targets
+    )
+    for here, there in zip(one, other, strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
+@pytest.mark.parametrize("preset", OPTIONS)
+def test_the_run_of_views_is_the_same(preset: str, render: Render, target: Float32) -> None:
+    def pair(X: Float64) -> list[Float32]:
+        return [render(X), render(X)[:, ::-1]]
+
+    runs = []
+    for side in (target[::-1], other_where(SOFT == 0, target[::-1])):
+        opt = FIDE(6, [target, side], mask=[None, SOFT], seed=0, **OPTIONS[preset])
+        runs.append(run(opt, pair, 6))
+    for here, there in zip(*runs, strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
+@pytest.mark.parametrize("seen", [0.2, 1e-6])
+def test_a_pixel_that_counts_a_little_is_visible(seen: float, target: Float32) -> None:
+    tokens = [
+        FIDE(6, each, mask=np.where(MASK == 0, seen, 1.0)).target_tokens
+        for each in (target, other_where(MASK == 0, target))
+    ]
+    assert not torch.equal(*tokens)
+
+
+def test_hidden_pixels_have_the_color_of_what_counts(target: Float32) -> None:
+    view = Views.read(target, SOFT).views[0]
+    mean = target[:, :9].mean(axis=(0, 1))
+    assert np.abs(view.filled[:, 9:] - mean).max() <= 1 / 16 + 1e-6
+    assert (view.filled[:, 9:] == view.filled[0, 9]).all()
+    np.testing.assert_array_equal(view.filled[:, :9], target[:, :9])
+    np.testing.assert_array_equal(view.target, target)
+    for whole in (None, np.where(MASK == 0, 0.5, 1.0)):
+        view = Views.read(target, whole).views[0]
+        assert view.filled is view.target
+
+
+def test_a_users_own_loss_gets_the_targets_own_pixels(render: Render, target: Float32) -> None:
+    """It may have been made for them, so they must cost nothing."""
+    images = render(np.random.default_rng(0).random((3, 6)))
+    right = np.where(MASK[..., None] > 0, target, images)
+
+    def distance(batch: Float32) -> Float64:
+        values: Float64 = np.square(batch - target).mean(axis=(1, 2, 3), dtype=np.float64)
+        return values
+
+    for loss in (distance, PerceptualLoss(target), losses.make("perceptual", target)):
+        assert FIDE(6, target, mask=MASK, loss=loss).evaluator.loss(right).tolist() == [0, 0, 0]
+
+
+def test_a_made_loss_goes_on_from_a_checkpoint(
+    render: Render, target: Float32, tmp_path: Path
+) -> None:
+    made = losses.make("perceptual", target)
+    opt = FIDE(6, target, mask=MASK, loss=made, seed=0, popsize=8)
+    run(opt, render, 2)
+    opt.save(tmp_path / "c")
+    again = FIDE.load(tmp_path / "c")
+    for here, there in zip(run(opt, render, 3), run(again, render, 3), strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
+def test_a_run_that_was_saved_before_goes_on(
+    render: Render, target: Float32, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its tokens are of images with the hidden pixels of the target itself."""
+    with monkeypatch.context() as former:
+        former.setattr(View, "filled", property(lambda view: view.target))
+        opt = FIDE(6, other_where(MASK == 0, target), mask=MASK, seed=0, popsize=8)
+        run(opt, render, 4)
+        opt.save(tmp_path / "c")
+    again = FIDE.load(tmp_path / "c")
+    assert again.best is not None and opt.best is not None
+    assert again.best.loss == opt.best.loss
+    run(again, render, 20)
+    assert again.evaluations == 24 * 8 and again.best.loss < opt.best.loss / 10
