@@ -85,7 +85,8 @@ class FIDE(Asking):
         images to (n, T, C) features; None: the preset's own.
     mask, weights
         which pixels count: (H, W) in [0, 1], or any gray picture; "alpha": that of the target; for
-        views a list of them, None for a view without; both: their product (`fide_plugins.views`).
+        views a list of them, None for a view without, or a single one for all, if they have its
+        size; both: their product (`fide_plugins.views`).
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0

@@ -11,8 +11,9 @@ file, or --space. --command runs a program for each image, without a shell: {out
 image that it writes, {NAME} a parameter, {NAME:.3f} the same in a format. For several targets, give
 --command several times.
 
-Several targets are views of one scene: give --mask once for each, too. --live opens a page in the
-browser that shows how far the fit is; `fide watch DIR` does so for a fit that runs already.
+Several targets are views of one scene: give --mask once for each, too, or once for all if they have
+one size. --live opens a page in the browser that shows how far the fit is; `fide watch DIR` does so
+for a fit that runs already.
 
 With --resume and a larger --budget or --time a finished fit goes on. There is more in
 docs/reference/own_renderer.md.

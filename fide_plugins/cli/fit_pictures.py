@@ -20,7 +20,7 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
     """What `FIDE` takes as `mask` or `weights`; None if none are given.
 
     name: "mask" or "weights".  given: a file for each target, or "alpha" for the target's own alpha
-    channel; a single "alpha" for that of each.
+    channel; a single "alpha" for that of each, a single file for all targets of one size.
 
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
@@ -29,17 +29,25 @@ def weights_of(name: str, given: list[str] | None, targets: list[str], side: int
 
     if given is None:
         return None
-    if given == [ALPHA]:
+    if len(given) == 1 < len(targets) and (given == [ALPHA] or _have_one_size(targets, side)):
         given = given * len(targets)
     if len(given) != len(targets):
+        of = " of different sizes" if len(given) == 1 else ""
         raise OptionError(
-            f"{len(given)} of --{name} for {len(targets)} targets; give --{name} once for each"
+            f"{len(given)} of --{name} for {len(targets)} targets{of}; give --{name} once for each"
         )
     read = [  # pixels as they are: what transparency means is known where the mask is used
         _alpha_of(target, side, name) if one == ALPHA else read_pixels(one, side)
         for one, target in zip(given, targets, strict=True)
     ]
     return read[0] if len(read) == 1 else read
+
+
+def _have_one_size(targets: list[str], side: int | None) -> bool:
+    """Whether the files of all targets have the same size, in pixels."""
+    from fide_plugins.validation.image_sources import read_pixels
+
+    return len({read_pixels(target, side).shape[:2] for target in targets}) == 1
 
 
 def _alpha_of(target: str, side: int | None, name: str) -> Any:

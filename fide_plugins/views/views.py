@@ -135,7 +135,8 @@ class Views:
 
         target: a picture, any input of `as_target`, or a list of them; or views, as they are.
         mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
-            channel; for a list of targets a list with one of them for each view, or "alpha".
+            channel; for a list of targets a list with one of them for each view, "alpha", or a
+            single one for all views, which then have its size.
 
         Raises ImageError, naming the view.
         """
@@ -144,8 +145,8 @@ class Views:
         if not is_list_of_images(target):
             return cls([_view(target, mask, weights, "")], listed=False)
         assert isinstance(target, list | tuple)
-        k = len(target)
-        each = zip(target, _one_a_view("mask", mask, k), _one_a_view("weights", weights, k))  # noqa: B905
+        masks, others = _one_a_view("mask", mask, target), _one_a_view("weights", weights, target)
+        each = zip(target, masks, others, strict=True)
         return cls([_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
 
     def retargeted(self, target: object) -> Views:
@@ -343,17 +344,24 @@ def _sizes(shapes: Sequence[Sequence[int]]) -> str:
     return " + ".join(f"{height} x {width}" for height, width, *_ in shapes)
 
 
-def _one_a_view(name: str, given: object, k: int) -> list[object]:
-    """A list of k masks or weights."""
+def _one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
+    """A list of masks or weights, one for each target; a single one is that of all of one size."""
+    k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
         return [given] * k
-    if not isinstance(given, list | tuple) or len(given) != k:
-        got = f"{len(given)} of them" if isinstance(given, list | tuple) else "a single one"
-        raise ImageError(
-            f"{name} must be a list with one entry for each of the {k} views, None for a view "
-            f"without; got {got}"
-        )
-    return list(given)
+    if not isinstance(given, list | tuple):
+        shapes = [picture.shape for picture in _opened(targets)]
+        if len({shape[:2] for shape in shapes}) == 1:
+            return [given] * k
+        got = f"a single one, which needs views of one size, not {_sizes(shapes)}"
+    elif len(given) == k:
+        return list(given)
+    else:
+        got = f"{len(given)} of them"
+    raise ImageError(
+        f"{name} must be a list with one entry for each of the {k} views, None for a view "
+        f"without; got {got}"
+    )
 
 
 def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:

@@ -46,6 +46,20 @@ def told(opt: FIDE, X: Float64) -> None:
     opt.tell(X, [np.stack(fronts), np.stack(sides)])
 
 
+def test_a_single_mask_is_that_of_all_views_of_its_size() -> None:
+    targets = [TARGETS[1], 1 - TARGETS[1]]
+    box = ng.p.Array(shape=(DIM,), lower=0, upper=1)
+    made: list[tuple[Any, Any]] = []
+    for mask in (MASK, [MASK, MASK]):
+        optimizer: Any = ParametrizedFIDE(target=targets, mask=mask, seed=0)(box)
+        optimizer.ask()
+        sampler = FIDESampler(targets, mask=mask, seed=0)
+        images = sampler._images()
+        made.append((optimizer.fide.encoder.version, images.evaluator.encoder.version))
+    assert made[0] == made[1]
+    assert made[0] != (FIDE(DIM, targets).encoder.version,) * 2
+
+
 def test_nevergrad_asks_and_tells_the_same() -> None:
     alone = core()
     box = ng.p.Array(shape=(DIM,), lower=0, upper=1)

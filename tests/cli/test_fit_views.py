@@ -191,4 +191,15 @@ def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]
     assert fide("fit", "small.png", "target.png", *words) == 2
     assert "small.png has 8 x 6 pixels, and the renderer's image has 16 x 12" in last_line(capsys)
     assert fide("fit", "target.png", "small.png", *words, "--mask", "mask.png") == 2
-    assert "1 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
+    assert "1 of --mask for 2 targets of different sizes; give --mask once" in last_line(capsys)
+    masks = ["--mask", "mask.png"] * 3
+    assert fide("fit", "target.png", "target.png", *words, *masks) == 2
+    assert "3 of --mask for 2 targets; give --mask once for each" in last_line(capsys)
+
+
+@pytest.mark.usefixtures("hidden")
+def test_one_file_is_the_mask_of_all_targets_of_its_size() -> None:
+    targets = ["target.png", "spoiled.png"]
+    for side in (None, 8):
+        one, each = (weights_of("mask", ["mask.png"] * n, targets, side) for n in (1, 2))
+        np.testing.assert_array_equal(one, each)

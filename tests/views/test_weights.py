@@ -286,7 +286,7 @@ def test_wrong_masks(mask: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("mask", "message"),
     [
-        (HALF, "mask must be a list with one entry for each of the 2 views.*got a single one"),
+        (HALF, "one entry for each of the 2 views.*a single one.*one size, not 20 x 24 \\+ 9 x 8"),
         ([HALF], "one entry for each of the 2 views.*got 1 of them"),
         ([None, HALF], "mask of view 1 must have .*9 x 8.*got 20 x 24"),
         ([HALF * 0, None], "mask of view 0 is zero everywhere"),
@@ -295,6 +295,35 @@ def test_wrong_masks(mask: Any, message: str) -> None:
 def test_wrong_masks_of_views(mask: Any, message: str) -> None:
     with pytest.raises(ImageError, match=message):
         FIDE(3, [TARGET, TARGET[:9, :8]], mask=mask)
+
+
+@pytest.mark.parametrize("form", ["array", "path", "PIL", "tensor"])
+@pytest.mark.parametrize("name", ["mask", "weights"])
+def test_a_single_mask_counts_for_all_views_of_its_size(
+    name: str, form: str, tmp_path: Path
+) -> None:
+    picture = Image.fromarray((HALF * 255).astype(np.uint8))
+    picture.save(tmp_path / "m.png")
+    forms = {"array": HALF, "path": tmp_path / "m.png", "PIL": picture}
+    given: Any = forms.get(form, torch.from_numpy(HALF))
+    targets = [TARGET, 1 - TARGET]
+    one, each = (Views.read(targets, **{name: m}) for m in (given, [HALF, HALF]))
+    assert one.version == each.version
+    for weights in one.weights:
+        np.testing.assert_array_equal(weights, HALF)
+    with pytest.raises(ImageError, match=f"{name} of view 0 must have .*20 x 24.*got 9 x 24"):
+        Views.read(targets, **{name: HALF[:9]})
+
+
+def test_a_single_mask_in_fit() -> None:
+    def render(x: Float64) -> list[Float64]:
+        return [np.full((20, 24, 3), x[0]), np.full((20, 24, 3), x[1])]
+
+    def losses_with(mask: Any) -> list[float]:
+        result = fit(render, TARGET, 2, views=[1 - TARGET], mask=mask, budget=12, workers=0, seed=0)
+        return [loss for _, loss in result.curve]
+
+    assert losses_with(HALF) == losses_with([HALF, HALF])
 
 
 def test_mask_times_weights_must_leave_something() -> None:
