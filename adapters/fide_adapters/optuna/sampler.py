@@ -148,16 +148,21 @@ class FIDESampler(BaseSampler):
             a list of targets a list of them.
         loss: None: the sampler's own loss of the image, which must be minimized.
 
-        The image is encoded at once and not kept.  Raises, before anything is recorded,
-        `ImageError`, `LossError` or, in a study of several objectives, `OptionError`, all
-        ValueErrors, and `ProtocolError` for a sampler without target and for what is no trial.
+        The image is encoded at once and not kept.  A sampler without a target needs the loss, and
+        does not use the image, with one warning.
+
+        Raises, before anything is recorded, `ImageError`, `LossError` or, in a study of several
+        objectives, `OptionError`, all ValueErrors, and `ProtocolError` for a sampler without target
+        and loss and for what is no trial.
         """
-        images = self._images()
         if image is None:
             raise ImageError(
                 "tell_image needs the image of the trial, not None; without one return the loss "
                 "from the objective, or raise optuna.TrialPruned where the render failed"
             )
+        if loss is not None and self._settings.images is None:
+            return self._loss_alone(trial, loss)
+        images = self._images()
         running, batch = running_trial(trial, loss is None), images.read(image)
         value = images.loss(batch) if loss is None else float(as_losses([loss], 1)[0])
         if running is not None:
@@ -176,8 +181,12 @@ class FIDESampler(BaseSampler):
         version: attribute `version` of the encoder that made the features, which must equal that
             of the sampler's encoder; None: it is not compared.
 
+        A sampler without a target does not use the features, with one warning.
+
         Raises `FeaturesError`, a ValueError; otherwise as `tell_image`.
         """
+        if self._settings.images is None:
+            return self._loss_alone(trial, loss)
         tokens, running = self._images().check(features, version), running_trial(trial, False)
         value = float(as_losses([loss], 1)[0])
         if running is not None:
@@ -190,8 +199,22 @@ class FIDESampler(BaseSampler):
 
     def _images(self) -> ImageEvaluator:
         if self._settings.images is None:
-            raise ProtocolError("images need a target: FIDESampler(target=...)")
+            raise ProtocolError(
+                "the loss of an image needs a target: FIDESampler(target=...), or give the loss, "
+                "tell_image(trial, image, loss=...)"
+            )
         return self._settings.images
+
+    def _loss_alone(self, trial: Any, loss: float) -> float:
+        """The loss of a trial whose image means nothing, since there is no target."""
+        running_trial(trial, False)
+        value = float(as_losses([loss], 1)[0])
+        self._settings.warnings.warn(
+            "no target",
+            "FIDESampler has no target, so it is CMA-ES and uses no images; make it with one, "
+            "FIDESampler(target=...), or return the loss alone from the objective",
+        )
+        return value
 
     def _record(
         self, study: Study, storage: BaseStorage, trial: Trial | FrozenTrial, tokens: Tensor

@@ -10,7 +10,7 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from fide_adapters.optuna import FIDESampler
-from fide_plugins.errors import ImageError, OptionError, ProtocolError
+from fide_plugins.errors import ImageError, LossError, OptionError, ProtocolError
 
 from .conftest import Bench, counts_of
 
@@ -47,6 +47,43 @@ def test_images_need_a_target(bench: Bench) -> None:
     with pytest.raises(ProtocolError, match="target=") as caught:
         sampler.tell_image(trial, bench.target)
     assert isinstance(caught.value, RuntimeError)
+
+
+def test_without_a_target_the_loss_of_an_image_counts(bench: Bench) -> None:
+    """The image and the features do not, which is warned of once."""
+
+    def points(told: str) -> list[dict[str, Any]]:
+        sampler = FIDESampler(seed=0, popsize=4)
+
+        def objective(trial: optuna.Trial) -> float:
+            x = bench.suggest(trial)
+            if told == "loss":
+                return sum(x)
+            if told == "features":
+                return sampler.tell_features(trial, np.zeros((1, 2, 3)), sum(x))
+            return sampler.tell_image(trial, bench.render(x), loss=sum(x))
+
+        study = optuna.create_study(sampler=sampler)
+        study.optimize(objective, n_trials=12)
+        assert counts_of(study)["image"] == 0
+        return [{**trial.params, "value": trial.value} for trial in study.trials]
+
+    alone = points("loss")
+    for told in ("image", "features"):
+        with pytest.warns(RuntimeWarning, match="no target, .* uses no images; make it") as caught:
+            assert points(told) == alone
+        assert len(caught) == 1
+
+
+def test_without_a_target_what_is_told_is_checked(bench: Bench) -> None:
+    sampler = FIDESampler()
+    trial = optuna.create_study(sampler=sampler).ask()
+    with pytest.raises(ImageError, match="not None"):
+        sampler.tell_image(trial, None, 1.0)
+    with pytest.raises(LossError, match="loss"):
+        sampler.tell_image(trial, bench.target, "low")  # type: ignore[arg-type]
+    with pytest.raises(ProtocolError, match="type int; give that trial"):
+        sampler.tell_image(0, bench.target, 1.0)
 
 
 def test_no_image_is_refused_with_what_to_do(bench: Bench) -> None:
