@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         losses as losses,
         optimizers as optimizers,
     )
+    from .errors import WeightsNotFoundError as WeightsNotFoundError
     from .experiments import compare as compare, report as report, run as harness
     from .fide import FIDE as FIDE
     from .fitting.one_call import fit as fit
@@ -59,6 +60,7 @@ _ATTRIBUTES = {
     "Int": ".space",
     "Solution": ".types",
     "Space": ".space",
+    "WeightsNotFoundError": ".errors",
     "fit": ".fitting.one_call",
     "learn": ".learning",
 }
@@ -71,6 +73,7 @@ __all__ = [
     "Int",
     "Solution",
     "Space",
+    "WeightsNotFoundError",
     "__version__",
     "baselines",
     "checkpoint",

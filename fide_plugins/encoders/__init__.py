@@ -31,6 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from fide_plugins.errors import WeightsNotFoundError
 from fide_plugins.runtime.registry import Registry
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
     from fide_plugins.encoders.base import PatchEncoder
 
-__all__ = ["make", "name_of", "names", "register", "uses_network"]
+__all__ = ["WeightsNotFoundError", "make", "name_of", "names", "register", "uses_network"]
 
 _REGISTRY: Registry[Any] = Registry("encoder")
 

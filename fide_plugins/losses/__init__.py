@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
-from fide_plugins.errors import LossError
+from fide_plugins.errors import LossError, WeightsNotFoundError
 from fide_plugins.runtime.registry import Registry
 
 if TYPE_CHECKING:
@@ -39,7 +39,15 @@ if TYPE_CHECKING:
 
     from fide_plugins.losses.base import ImageLoss, LossOfTarget
 
-__all__ = ["knows", "make", "names", "register", "resolve", "takes_weights"]
+__all__ = [
+    "WeightsNotFoundError",
+    "knows",
+    "make",
+    "names",
+    "register",
+    "resolve",
+    "takes_weights",
+]
 
 _REGISTRY: Registry[Any] = Registry("loss")
 

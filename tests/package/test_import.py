@@ -39,6 +39,13 @@ def test_submodules_are_loaded_on_demand() -> None:
         _ = fide_plugins.nothing  # type: ignore[attr-defined]
 
 
+def test_the_error_of_missing_weights_is_found_where_weights_are_read() -> None:
+    error = fide_plugins.errors.WeightsNotFoundError
+    for where in (fide_plugins, fide_plugins.encoders, fide_plugins.losses):
+        assert where.WeightsNotFoundError is error
+        assert "WeightsNotFoundError" in where.__all__
+
+
 SUBMODULES_FIRST = """
 import importlib, pkgutil, types
 import fide_plugins.learning
