@@ -8,22 +8,26 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fide_plugins.evaluation import Evaluator
-from fide_plugins.learning.hypotheses import posterior_of
+from fide_plugins.learning.hypotheses import as_model, posterior_of
 from fide_plugins.population.training_sample import TrainingSample, columns
-from fide_plugins.proposers import Proposer
+from fide_plugins.proposers import Proposer, make_proposer
 from fide_plugins.proposers.remembered import MOST, for_jacobian
 from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
 from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.recall import Recalled, recall
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Posterior
+
+if TYPE_CHECKING:
+    from fide_plugins.learning.model import Model
 
 __all__ = ["Retargeting"]
 
@@ -37,13 +41,24 @@ class Retargeting(Readings):
         learned: argument of `FIDE`; raises and warns as that does, before anything changes.
         renders: of the same run, from which it was learned.  They count as evaluations.
         """
-        space = self.space or self.dim
-        self.state = self._initial_state(posterior_of(learned, space, self.target, self.seed))
+        model = as_model(learned)
+        self.state = self._initial_state(self._posterior(model, self.target))
         self.state.begin_after(renders)
+        self._model = model  # of the renderer, so of the next picture, too; it is never saved
+
+    def _posterior(self, model: Model | None, target: Any) -> Posterior | None:
+        """What a model says of a target, as the seed draws it."""
+        return posterior_of(model, self.space or self.dim, target, self.seed)
 
     @one_at_a_time
     @one_thread
-    def retarget(self, picture: object, *, loss: str | Callable[..., object] | None = None) -> None:
+    def retarget(
+        self,
+        picture: object,
+        *,
+        loss: str | Callable[..., object] | None = None,
+        learned: Any = None,
+    ) -> None:
         """Find the parameters of the next picture, with what was learned from earlier ones.
 
         Parameters
@@ -53,6 +68,9 @@ class Retargeting(Readings):
         loss
             None keeps a loss that was given by its name.  A callable, which may know the old
             picture only, must be given again.
+        learned
+            model of the renderer, or its file, as `learned` of the constructor.  None keeps that
+            model, which is not saved: after `load` there is none.
 
         The search begins at the candidate whose image, of all that are remembered, is nearest to
         the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
@@ -61,19 +79,34 @@ class Retargeting(Readings):
         known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
         still out may be told, with images or with the loss to the new picture: they count as points
         that were never asked.  Told with the loss to the old picture, one may become a false
-        `best`.  Hypotheses of a learned model, which are of the first picture, are dropped.
+        `best`.
+
+        With a model its hypotheses of the picture are rendered after the remembered candidates, and
+        the best of all is where the search begins.  The run goes on as one that began with a model:
+        without steps between the generations.  Where the remembered candidates say more exactly
+        than the model where the parameters are, as those of a slow video do, there are none.
 
         Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
         far, as wide as the first one.
 
-        Raises ImageError, LossError or UnknownNameError (ValueErrors), before anything changes.
+        Raises ImageError, LossError, UnknownNameError or OptionError (ValueErrors), OSError or
+        CheckpointError for a file that is no model, before anything changes.
         """
         evaluator = self.evaluator.retargeted(picture, loss)
+        model = self._model if learned is None else as_model(learned)
+        posterior = self._posterior(model, evaluator.views.targets)
         with timed(self.times, "search"):
-            recalled = self._recalled(evaluator)
-            self.evaluator = evaluator
-            self.state.retarget(evaluator.target_tokens, recalled.start)
-            self._begin(recalled)
+            recalled, last = self._recalled(evaluator), self.state.best
+            if self._knows_better(recalled, posterior):
+                posterior = None
+            self.evaluator, self._model = evaluator, model
+            self.state.retarget(evaluator.target_tokens, recalled.start, posterior)
+            if posterior is None:
+                self._begin(recalled)
+            elif len(recalled.hypotheses) or last is None:
+                self._begin_with_hypotheses(recalled.hypotheses)
+            else:  # nothing is remembered but where the last search came to
+                self._begin_with_hypotheses(last.solution.x[None])
 
     def _recalled(self, evaluator: Evaluator) -> Recalled:
         """What the memory says of the target of an evaluator."""
@@ -101,6 +134,30 @@ class Retargeting(Readings):
         x = state.search.clipped(recalled.hypotheses)[: state.population.remaining]
         none = np.zeros(len(x), bool)
         state.population.replace(0, x, state.search.near(x), proposed=none)
+
+    def _knows_better(self, recalled: Recalled, posterior: Posterior | None) -> bool:
+        """Whether the memory says more exactly than a model where the answer is."""
+        if posterior is None or not len(recalled.hypotheses):
+            return False
+        known = self.state.moves.known
+        sets = known.exchangeability.blocks is not None
+        hypotheses = Hypotheses(posterior, self.dim, sets=sets, place=known.place)
+        return hypotheses.is_wider(known, recalled.start)
+
+    def _begin_with_hypotheses(self, remembered: Float64) -> None:
+        """Ask for remembered candidates (m, d), and then for hypotheses, in one generation.
+
+        Nothing is taught: a search begins after them, and proposers forget what was before it.
+        """
+        state = self.state
+        state.gate.note_known()
+        state.steps = None
+        if not self.options.has_network:  # which keeps its weights
+            state.proposer = make_proposer(
+                self.options, self.dim, self.popsize, self.seed, self.encoder, learned=True
+            )
+        x = state.search.clipped(np.concatenate([remembered, state.moves.draw(state.rng)]))
+        state.population.draw(x, x)
 
     @abstractmethod
     def draw_generation(self) -> None:

@@ -40,7 +40,7 @@ from fide_plugins.runtime.schema import (
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
-from fide_plugins.types import Estimate, Float32, Float64, Solution
+from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.images import warn_clipped
 from fide_plugins.views.grain import Grain
@@ -223,8 +223,10 @@ class State:
         self.evaluations = evaluations
         self.improved_at = self.retargeted_at = self.over_at = evaluations
 
-    def retarget(self, target: torch.Tensor, start: Start) -> None:
+    def retarget(self, target: torch.Tensor, start: Start, posterior: Posterior | None) -> None:
         """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
+
+        posterior: of the target, by a learned model; its hypotheses come before the search.
 
         The memory stays, and what was found of the scene.
         """
@@ -235,7 +237,7 @@ class State:
         self.begin_after(self.evaluations)
         self.improved_to = np.inf
         self.grain.forget_repeat()
-        self.moves.retarget(target, start)
+        self.moves.retarget(target, start, posterior)
         self._begin_search()
 
     def _begin_search(self) -> None:

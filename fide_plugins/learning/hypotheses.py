@@ -18,28 +18,16 @@ from fide_plugins.types import Float64, Mask, Posterior
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
 
-__all__ = ["model_for", "posterior_of", "unlike_all", "with_model"]
+__all__ = ["as_model", "model_for", "posterior_of", "unlike_all", "with_model"]
 
 _DRAWN = 512
 _DESCENTS = 16  # from hypotheses that were drawn, and as many from anywhere
 
 
-def posterior_of(
-    learned: Model | str | os.PathLike[str] | None,
-    space: Space | int,
-    target: Any,
-    seed: int,
-) -> Posterior | None:
-    """Draw hypotheses of a target's parameters, and refine some where there is a good emulator.
+def as_model(learned: Any) -> Model | None:
+    """Return the model that `learned` is, or that its file has; None for None.
 
-    It is None without a model, and, with a warning, for a picture unlike all renders.  Warns of a
-    model that a second round has made for another picture.
-
-    learned: model, or its file.
-    target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
-
-    Raises OSError or CheckpointError for a file that is no model, OptionError for a model of
-    another space or for several views, ImageError for another aspect.
+    Raises OSError or CheckpointError for a file that is no model, OptionError for anything else.
     """
     if learned is None:
         return None
@@ -49,6 +37,24 @@ def posterior_of(
         learned = Model.load(learned)
     if not isinstance(learned, Model):
         raise OptionError(f"learned is a model or its file, not {type(learned).__name__}")
+    return learned
+
+
+def posterior_of(
+    learned: Model | None, space: Space | int, target: Any, seed: int
+) -> Posterior | None:
+    """Draw hypotheses of a target's parameters, and refine some where there is a good emulator.
+
+    It is None without a model, and, with a warning, for a picture unlike all renders.  Warns of a
+    model that a second round has made for another picture.
+
+    target: (H, W, 3), or a list with it.  What a mask hides of it is seen, too.
+
+    Raises OptionError for a model of another space or for several views, ImageError for another
+    aspect.
+    """
+    if learned is None:
+        return None
     learned.check_space(space)
     target = _only(target)
     far = learned.unfamiliarity(target)

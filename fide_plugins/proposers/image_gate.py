@@ -78,7 +78,9 @@ class ImageGate:
         self._sum = 0.0
         self._variance = 0.0  # of the sum, if images said nothing
         self._recent, self._weight = 0.0, 0.0  # sums of c n rho and c n, over a short memory
-        self._noted = _ENOUGH if known else 0  # generations
+        self._noted = 0  # generations
+        if known:
+            self.note_known()
 
     @property
     def strength(self) -> float:
@@ -110,6 +112,10 @@ class ImageGate:
     def number(self, popsize: int, rng: np.random.Generator) -> int:
         """How many of a generation to propose, at random around the expected number."""
         return min(int(self.proposed * popsize + rng.random()), popsize - 1) if self.proposed else 0
+
+    def note_known(self) -> None:
+        """Note that a learned model knows the picture."""
+        self._noted = max(self._noted, _ENOUGH)
 
     def note_images(self, tokens: Tensor, target: Tensor, losses: Float64) -> None:
         """Note one generation: tokens (n, T, C) of images, those of the target, losses (n,).

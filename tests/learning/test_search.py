@@ -181,22 +181,6 @@ def test_several_views_are_refused(model: Model) -> None:
         FIDE(SPACE, [PICTURE, PICTURE], learned=model)
 
 
-@pytest.mark.parametrize("renders", [0, 20, 120])
-def test_the_next_picture_is_not_searched_at_hypotheses_of_the_first(
-    renders: int, model: Model, tmp_path: Path
-) -> None:
-    opt = FIDE(SPACE, PICTURE, learned=model, seed=1)
-    advance(opt, renders)
-    opt.retarget(disk({"x": 0.7, "y": 0.3, "gray": 0.8, "hidden": 0.5}))
-    assert opt.state.moves.move is None and not opt.state.moves.hypotheses.waiting
-    opt.save(tmp_path / "run")
-    again = FIDE.load(tmp_path / "run")
-    for one in (opt, again):
-        X = one.ask()
-        one.tell(X, losses=np.arange(len(X)) + 1.0)
-    np.testing.assert_array_equal(opt.ask(), again.ask())
-
-
 def test_a_file_that_is_missing_is_named_with_what_makes_one(tmp_path: Path) -> None:
     absent, said = tmp_path / "absent.fide", r"no model at .*absent\.fide: .fide learn. or .learn"
     with pytest.raises(ModelNotFoundError, match=said):

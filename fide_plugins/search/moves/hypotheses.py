@@ -1,5 +1,7 @@
 """Hypotheses that a learned model has of this picture: where a run begins, if there is a model.
 
+So begins the search for the next picture (`retarget`), which renders what it remembers beside them.
+
 The first generation renders some of them. The best distinct ones are the starts of searches, each
 as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
 (`termination.is_hopeless`). Between two of them `refine` goes on with what is in the right place,
@@ -17,12 +19,13 @@ learned renders as they are. These three, which are no optima, say what a typica
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
-from fide_plugins.search.moves.base import Known, Move, Start
+from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.types import Float64, Posterior
 
 __all__ = ["Hypotheses"]
@@ -64,7 +67,12 @@ class Hypotheses(Move):
         sets: bool = False,
         place: Callable[[Float64], Float64] = np.copy,
     ) -> None:
-        self._sets, self._place, nothing = sets, place, np.empty((0, dim))
+        self._sets, self._place, self._dim = sets, place, dim
+        self.begin(posterior)
+
+    def begin(self, posterior: Posterior | None) -> None:
+        """Begin with those of a target; None: there are none."""
+        nothing = np.empty((0, self._dim))
         self.x, refined = posterior or Posterior(nothing)
         self._refined = nothing if refined is None else refined
         self._waiting = nothing  # starts that were not searched yet, best first
@@ -75,6 +83,11 @@ class Hypotheses(Move):
     def available(self) -> bool:
         """Whether there are any."""
         return len(self.x) > 0
+
+    @property
+    def first(self) -> tuple[Stage, str | None]:
+        """Stage with which a run begins, and its move: these, if there are any."""
+        return (Stage.RESTART, self.name) if self.available else (Stage.SEARCH, None)
 
     @property
     def waiting(self) -> bool:
@@ -125,10 +138,23 @@ class Hypotheses(Move):
         typical = float(np.median(losses)) if losses else np.inf
         self.typical = typical if np.isfinite(typical) else None
 
-    def next(self, known: Known) -> Start:
-        """Begin at the next one; there must be one."""
+    def next(self, known: Known, before: Start) -> Start:
+        """Begin at the next one; there must be one.
+
+        before: what it was before.  Where that is the same place, which `retarget` remembers, the
+            search is no wider.
+        """
         x, self._waiting = self._waiting[0], self._waiting[1:]
-        return self.begin_at(known, x)
+        start = self.begin_at(known, x)
+        if not np.array_equal(x, before.mean):
+            return start
+        return replace(start, std=np.minimum(start.std, before.std))
+
+    def is_wider(self, known: Known, start: Start) -> bool:
+        """Whether a search from the first of them is wider, on the whole, than `start`."""
+        first = self._refined if len(self._refined) else self.x
+        std = self.begin_at(known, first[0]).std
+        return bool(np.log(start.std).sum() < np.log(std).sum())
 
     def begin_at(self, known: Known, x: Float64) -> Start:
         """Begin at x (d,), as wide as the hypotheses around it."""
@@ -154,11 +180,6 @@ class Hypotheses(Move):
         """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
         return bool((self._place(points) == x).all(axis=1).any())
 
-    def forget(self) -> None:
-        """There are none: the target is another one."""
-        self.x = self._waiting = self._refined = np.empty((0, self.x.shape[1]))
-        self.typical = None
-
     def state_dict(self) -> dict[str, Any]:
         """All of it."""
         return {
@@ -170,7 +191,7 @@ class Hypotheses(Move):
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
-        dim = self.x.shape[1]
+        dim = self._dim
         check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
         self.x = state["x"].reshape(-1, dim)
         self._refined = state["refined"].reshape(-1, dim)

@@ -113,9 +113,8 @@ class MovePolicy:
         self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
         self._moves = {move.name: move for move in (*family, self.hypotheses)}
         self._rng = np.random.default_rng((seed, 1))
-        self.stage = Stage.RESTART if self.hypotheses.available else Stage.SEARCH
-        self.move: str | None = self.hypotheses.name if self.hypotheses.available else None
-        """Name of the move that is under way; None in the first search."""
+        self.stage, self.move = self.hypotheses.first
+        """What the present generation is for; the move under way, None in the first search."""
         self.start = Start(x0, self.known.sigma0)
         self.noise: float | None = None
         """Standard deviation of the loss of the first local optimum; None: it was not measured."""
@@ -251,15 +250,16 @@ class MovePolicy:
         self._the_move.note_begun(self.known, x)
 
     def _begin_at_hypothesis(self) -> Stage:
-        self.move, self.start = self.hypotheses.name, self.hypotheses.next(self.known)
+        self.move = self.hypotheses.name
+        self.start = self.hypotheses.next(self.known, self.start)
         return self._go(Stage.SEARCH)
 
     def _go(self, stage: Stage) -> Stage:
         self.stage = stage
         return stage
 
-    def retarget(self, target: Tensor, start: Start) -> None:
-        """Begin at `start` for another target, tokens (T, C).
+    def retarget(self, target: Tensor, start: Start, posterior: Posterior | None) -> None:
+        """Begin at `start`, or with hypotheses, for another target, tokens (T, C).
 
         What was found of the scene stays: exchangeable blocks, sensitivity, gains of moves.
         """
@@ -267,11 +267,10 @@ class MovePolicy:
         known.target, known.incumbent, known.optima = target, None, Optima()
         known.removal.forget()
         known.values.forget()
-        self.hypotheses.forget()
+        self.hypotheses.begin(posterior)
         self.noise = None  # of the loss, which was to another target
         self.loss_only_searches, self.guided = 0, True
-        self.move, self.start = None, start
-        self._go(Stage.SEARCH)
+        self.start, (self.stage, self.move) = start, self.hypotheses.first
 
     # -- a generation that is no search's ----------------------------------------------------------
 

@@ -26,7 +26,7 @@ def begin(hypotheses: Float64) -> Float64:
         SPACE.largest_family, SPACE.layout, Posterior(hypotheses),
     )  # fmt: skip
     policy.hypotheses.learn([(0.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
-    return policy.hypotheses.next(policy.known).std
+    return policy.hypotheses.next(policy.known, policy.start).std
 
 
 def test_the_spread_goes_around_circles_and_knows_lamps_in_any_order() -> None:
@@ -56,7 +56,7 @@ def test_of_sets_few_are_rendered_and_one_is_searched_narrowly() -> None:
     for policy in policies:
         found = [(float(i), row) for i, row in enumerate(policy.draw(rng))]
         policy.hypotheses.learn(found, found[0][1], policy.known.exchangeability.distance)
-        stds.append(policy.hypotheses.next(policy.known).std.max())
+        stds.append(policy.hypotheses.next(policy.known, policy.start).std.max())
         waiting.append(policy.hypotheses.waiting)
     assert waiting == [False, True]
     assert stds[0] < stds[1] / 2
@@ -91,14 +91,14 @@ def test_what_was_refined_is_rendered_first_and_searched_narrowly() -> None:
     there, first = policy.hypotheses, np.concatenate([refined[:5], draws[:3]])
     np.testing.assert_array_equal(policy.draw(rng), first)
     there.learn([(1.0, TRUTH)], TRUTH, policy.known.exchangeability.distance)
-    assert there.next(policy.known).std.max() < 0.01
+    assert there.next(policy.known, policy.start).std.max() < 0.01
     assert begin(np.tile(TRUTH, (512, 1))).min() == 0.02  # a density may be wrong by as much
 
     again = Hypotheses(None, 7, sets=True)
     again.load_state_dict(there.state_dict())
     np.testing.assert_array_equal(again.draw(policy.known, 20, rng), first)
     np.testing.assert_array_equal(again.x, draws)
-    again.forget()
+    again.begin(None)
     assert not len(again.draw(policy.known, 20, rng))
 
 
@@ -112,7 +112,7 @@ def test_where_the_emulator_was_wrong_the_search_begins_as_wide_as_the_draws() -
     for one in (policy, without):
         found = [(float(not np.array_equal(x, TRUTH)), x) for x in one.draw(rng)]
         one.hypotheses.learn(found, TRUTH, one.known.exchangeability.distance)
-    starts = [one.hypotheses.next(one.known) for one in (policy, without)]
+    starts = [one.hypotheses.next(one.known, one.start) for one in (policy, without)]
     np.testing.assert_array_equal(starts[0].mean, TRUTH)
     np.testing.assert_array_equal(starts[0].std, starts[1].std)
 
