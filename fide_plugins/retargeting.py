@@ -22,7 +22,6 @@ from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
 from fide_plugins.search.moves.base import Start
-from fide_plugins.search.moves.hypotheses import Hypotheses
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64, Posterior
 
@@ -139,10 +138,7 @@ class Retargeting(Readings):
         """Whether the memory says more exactly than a model where the answer is."""
         if posterior is None or not len(recalled.hypotheses):
             return False
-        known = self.state.moves.known
-        sets = known.exchangeability.blocks is not None
-        hypotheses = Hypotheses(posterior, self.dim, sets=sets, place=known.place)
-        return hypotheses.is_wider(known, recalled.start)
+        return self.state.moves.is_wider(posterior, recalled.start)
 
     def _begin_with_hypotheses(self, remembered: Float64) -> None:
         """Ask for remembered candidates (m, d), and then for hypotheses, in one generation.

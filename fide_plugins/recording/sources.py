@@ -93,12 +93,12 @@ def versions_with(
     before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
         state, which is of the versions before.
 
-    Warns, once for each edit, of a file that has changed since; of a model that is not read again
-    `warn_of_model` does.
+    Warns, once for each edit, of a file that has changed since, but of no model of FIDE: that of
+    its hypotheses is not read again (`warn_of_model`), and its encoder refuses another one.
     """
     there = versions_there(before) if begun else {}
     if begun and before is not None and before["settings"].get("optimizer") == "fide":
-        here = {name: now for name, now in here.items() if not name.startswith(_HYPOTHESES)}
+        here = {name: now for name, now in here.items() if not name.startswith(_MODELS)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):
         file = file_of(reference)

@@ -47,11 +47,12 @@ def loss_of(
                 f"{len(views.views)} views; pass its name, or a function of a list of batches"
             )
         of_one, view = losses.resolve(loss, views.target), views.views[0]
-        if of_one.spec is None:
+        spec = of_one.spec
+        if spec is None:
             return LossOfViews(views, [of_one], None, knows_target=True)
-        if view.hidden is not None:  # as a checkpoint makes it again
-            of_one = _of_view(of_one.spec, view, device)
-        return LossOfViews(views, [of_one], of_one.spec)
+        if view.weights is not None:  # as a checkpoint makes it again
+            of_one = _of_view(spec, view, device)
+        return LossOfViews(views, [of_one], spec)
     if not callable(loss):
         return losses.resolve(loss, views.target)  # raises
     several = CallableOfViews(views, loss)

@@ -12,6 +12,7 @@ from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model, learn
 from fide_plugins.proposers.linear import LinearProposer
+from fide_plugins.search.moves.base import Start
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 
@@ -97,6 +98,16 @@ def test_a_memory_that_is_more_exact_than_the_model_is_searched_alone(model: Mod
     without.retarget(NEAR)
     np.testing.assert_array_equal(advance(opt, 60), advance(without, 60))
     assert opt.state.moves.move is None and opt.best is not None and opt.best.loss < 1e-4
+
+
+def test_the_memory_is_compared_with_the_search_that_would_follow() -> None:
+    """Also where exchangeable blocks were found: only those that are declared narrow a search."""
+    opt = FIDE(4, FIRST, seed=1)
+    moves = opt.state.moves
+    moves.known.exchangeability.blocks = np.array([[0, 1], [2, 3]])
+    posterior = Posterior(np.random.default_rng(0).random((512, 4)))
+    assert moves.is_wider(posterior, Start(np.full(4, 0.5), np.full(4, 0.1)))
+    assert not moves.hypotheses.available
 
 
 @pytest.mark.parametrize("renders", [0, 30, 200])

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from fide_plugins import FIDE, losses
+from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.perceptual import PerceptualLoss
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import View, Views
@@ -108,6 +109,39 @@ def test_a_made_loss_goes_on_from_a_checkpoint(
 ) -> None:
     made = losses.make("perceptual", target)
     opt = FIDE(6, target, mask=MASK, loss=made, seed=0, popsize=8)
+    run(opt, render, 2)
+    opt.save(tmp_path / "c")
+    again = FIDE.load(tmp_path / "c")
+    for here, there in zip(run(opt, render, 3), run(again, render, 3), strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
+class Absolute(LossOfTarget):
+    """Mean absolute difference, weighed by itself."""
+
+    name, version = "absolute-of-tests", "absolute-of-tests-1"
+    weighs_pixels = True
+
+    def __init__(self, target: Float32, weights: Float32 | None = None) -> None:
+        super().__init__(target)
+        self.weights = np.ones(target.shape[:2], np.float32) if weights is None else weights
+
+    def _distance(self, image: Float32) -> float:
+        apart = np.abs(image - self.target).mean(axis=2, dtype=np.float64)
+        return float((apart * self.weights).sum() / self.weights.sum())
+
+
+@pytest.mark.parametrize("weights", [MASK, SOFT, np.maximum(SOFT, 0.1)])
+def test_a_made_loss_that_weighs_pixels_goes_on_from_a_checkpoint(
+    weights: Float32,
+    render: Render,
+    target: Float32,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(losses._REGISTRY._factories, "absolute-of-tests", Absolute)
+    made = losses.make("absolute-of-tests", target)
+    opt = FIDE(6, target, weights=weights, loss=made, seed=0, popsize=8)
     run(opt, render, 2)
     opt.save(tmp_path / "c")
     again = FIDE.load(tmp_path / "c")
