@@ -138,7 +138,8 @@ class Retargeting(Readings):
         """Whether the memory says more exactly than a model where the answer is."""
         if posterior is None or not len(recalled.hypotheses):
             return False
-        return self.state.moves.is_wider(posterior, recalled.start)
+        moves = self.state.moves
+        return moves.hypotheses.is_wider(posterior, moves.known, recalled.start)
 
     def _begin_with_hypotheses(self, remembered: Float64) -> None:
         """Ask for remembered candidates (m, d), and then for hypotheses, in one generation.

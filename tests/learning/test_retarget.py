@@ -106,7 +106,8 @@ def test_the_memory_is_compared_with_the_search_that_would_follow() -> None:
     moves = opt.state.moves
     moves.known.exchangeability.blocks = np.array([[0, 1], [2, 3]])
     posterior = Posterior(np.random.default_rng(0).random((512, 4)))
-    assert moves.is_wider(posterior, Start(np.full(4, 0.5), np.full(4, 0.1)))
+    start = Start(np.full(4, 0.5), np.full(4, 0.1))
+    assert moves.hypotheses.is_wider(posterior, moves.known, start)
     assert not moves.hypotheses.available
 
 

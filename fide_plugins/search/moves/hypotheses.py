@@ -19,6 +19,7 @@ learned renders as they are. These three, which are no optima, say what a typica
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -150,10 +151,12 @@ class Hypotheses(Move):
             return start
         return replace(start, std=np.minimum(start.std, before.std))
 
-    def is_wider(self, known: Known, start: Start) -> bool:
-        """Whether a search from the first of them is wider, on the whole, than `start`."""
-        first = self._refined if len(self._refined) else self.x
-        std = self.begin_at(known, first[0]).std
+    def is_wider(self, posterior: Posterior, known: Known, start: Start) -> bool:
+        """Whether a search from the first one of a target is wider, on the whole, than `start`."""
+        others = copy(self)
+        others.begin(posterior)
+        first = others._refined if len(others._refined) else others.x
+        std = others.begin_at(known, first[0]).std
         return bool(np.log(start.std).sum() < np.log(std).sum())
 
     def begin_at(self, known: Known, x: Float64) -> Start:

@@ -21,7 +21,6 @@ where to go on, the next search begins at once at a random place (`anew`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -258,12 +257,6 @@ class MovePolicy:
     def _go(self, stage: Stage) -> Stage:
         self.stage = stage
         return stage
-
-    def is_wider(self, posterior: Posterior, start: Start) -> bool:
-        """Whether a search from the first hypothesis of a target is wider, in all, than `start`."""
-        hypotheses = copy(self.hypotheses)
-        hypotheses.begin(posterior)
-        return hypotheses.is_wider(self.known, start)
 
     def retarget(self, target: Tensor, start: Start, posterior: Posterior | None) -> None:
         """Begin at `start`, or with hypotheses, for another target, tokens (T, C).
