@@ -26,7 +26,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -35,15 +34,15 @@ from rows import Row, read, run_missing
 
 from fide_plugins import FIDE, Float, Group, Space, learn
 from fide_plugins.learning import Model
+from fide_plugins.space.space import Params
 from fide_plugins.types import Float64
-
-Params: TypeAlias = dict[str, Any]
 
 RESULTS = Path(__file__).parent / "results" / "retarget_learned.jsonl"
 SIDE = 16
 GRID = (np.arange(SIDE) + 0.5) / SIDE
 NEAR = 0.02  # of the box
 MOST = 3000  # renders of a picture
+PAIRS = 12  # of pictures
 WAYS = ("model", "loaded", "new", "never")
 
 
@@ -81,20 +80,19 @@ def unit(*names: str) -> dict[str, Float]:
 
 @dataclass(frozen=True)
 class Scene:
-    """A renderer, its space, the renders of its model, the goal, and how many pairs there are."""
+    """A renderer, its space, the renders of its model, and the goal."""
 
     render: Callable[[Params], Float64]
     space: Space
     renders: int
     goal: float
-    pairs: int
 
 
 ONE_OF_TWO = Group(**unit("x", "y", "radius", "gray"))
 SCENES = {
-    "hard": Scene(hard, Space(**unit("x", "y", "radius")), 1200, 1e-4, 12),
-    "soft": Scene(soft, Space(**unit("x", "y", "gray")), 1200, 1e-4, 12),
-    "two": Scene(two, Space(first=ONE_OF_TWO, second=ONE_OF_TWO), 6000, 1e-5, 12),
+    "hard": Scene(hard, Space(**unit("x", "y", "radius")), 1200, 1e-4),
+    "soft": Scene(soft, Space(**unit("x", "y", "gray")), 1200, 1e-4),
+    "two": Scene(two, Space(first=ONE_OF_TWO, second=ONE_OF_TWO), 6000, 1e-5),
 }
 
 
@@ -146,9 +144,9 @@ def renders_of(name: str, how: str, seed: int, way: str) -> int:
 
 def planned() -> Iterator[Row]:
     """All runs."""
-    for name, scene in SCENES.items():
+    for name in SCENES:
         for how in ("far", "near"):
-            for seed in range(scene.pairs):
+            for seed in range(PAIRS):
                 for way in WAYS:
                     yield {"scene": name, "second": how, "seed": seed, "way": way}
 
@@ -167,12 +165,12 @@ def table(rows: list[Row]) -> str:
     found = {key(row): row["renders"] for row in rows}
     for name, scene in SCENES.items():
         for how in ("far", "near"):
-            of = {way: [found[name, how, s, way] for s in range(scene.pairs)] for way in WAYS}
+            of = {way: [found[name, how, s, way] for s in range(PAIRS)] for way in WAYS}
             means = " | ".join(f"{np.exp(np.log(of[way]).mean()):.0f}" for way in WAYS)
             pairs = list(zip(of["model"], of["loaded"], strict=True))
             fewer, more = sum(a < b for a, b in pairs), sum(a > b for a, b in pairs)
             lines.append(
-                f"| {name}, {scene.goal:g} | {how} | {scene.pairs} | {means} "
+                f"| {name}, {scene.goal:g} | {how} | {PAIRS} | {means} "
                 f"| {fewer} of {fewer + more} that differ |"
             )
     return "\n".join(lines)

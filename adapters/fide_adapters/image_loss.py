@@ -13,7 +13,6 @@ stays attached to this float, also through pickle to and from worker processes. 
 from __future__ import annotations
 
 import os
-import sys
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +20,7 @@ import numpy as np
 from fide_plugins.errors import ImageError, ImageNotFoundError, LossError
 from fide_plugins.types import Float32
 from fide_plugins.validation import images
+from fide_plugins.validation.image_sources import is_path, is_pil, is_torch_tensor
 from fide_plugins.views import Views
 
 __all__ = [
@@ -181,7 +181,7 @@ def read_result(result: object) -> Result:
     return Result(result)
 
 
-def is_image(value: object) -> bool:
+def is_image(value: Any) -> bool:
     """Whether a value is an image, and not a number or a list of numbers.
 
     Images are `ImageRef`, paths, PIL images, arrays, torch tensors and nested lists of two or more
@@ -189,14 +189,9 @@ def is_image(value: object) -> bool:
     """
     if isinstance(value, list | tuple):
         return len(value) > 0 and (all(is_image(one) for one in value) or _is_table(value))
-    if isinstance(value, ImageRef | str | os.PathLike):
+    if isinstance(value, ImageRef) or is_path(value) or is_pil(value):
         return True
-    pil, torch = sys.modules.get("PIL.Image"), sys.modules.get("torch")
-    if pil is not None and isinstance(value, pil.Image):
-        return True
-    if torch is not None and isinstance(value, torch.Tensor):
-        return bool(value.ndim >= 2)
-    return isinstance(value, np.ndarray) and value.ndim >= 2
+    return (isinstance(value, np.ndarray) or is_torch_tensor(value)) and value.ndim >= 2
 
 
 def _is_table(value: list[Any] | tuple[Any, ...]) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 from fide_plugins.cli.availability import KINDS, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.messages import plain
 from fide_plugins.runtime import opencv_distributions
-from fide_plugins.runtime.extras import EXTRAS
+from fide_plugins.runtime.extras import EXTRAS, install_command
 from fide_plugins.runtime.wording import counted
 
 __all__ = ["add_arguments", "execute"]
@@ -50,8 +50,7 @@ def _summary() -> str:
         f"extras: {', '.join(extra for extra in extras if extra not in missing) or 'none'}",
     ]
     if missing:
-        packages = (package for extra in missing for package in EXTRAS[extra])
-        lines.append(f"missing: pip install {' '.join(packages)}")
+        lines.append(f"missing: {install_command(*missing)}")
     if collision := opencv_distributions.collision():
         lines.append(f"OpenCV: {collision}")
     for kind in KINDS:
@@ -113,7 +112,7 @@ def _try_mitsuba() -> dict[str, str]:
     from fide_tasks import mitsuba_variant
 
     if mitsuba_variant.problem_with("scalar"):
-        return {"mitsuba": f"not installed: pip install {' '.join(EXTRAS['mitsuba'])}"}
+        return {"mitsuba": f"not installed: {install_command('mitsuba')}"}
     facts = {}
     for short, name in mitsuba_variant.VARIANTS.items():
         problem = mitsuba_variant.problem_with(short)
@@ -143,6 +142,6 @@ def _text(facts: dict[str, Any]) -> str:
     lines.append("\nextras")
     width = max(map(len, facts["extras"]))
     for extra, version in facts["extras"].items():
-        state = version or f"not installed: pip install {' '.join(EXTRAS[extra])}"
+        state = version or f"not installed: {install_command(extra)}"
         lines.append(f"  {extra:{width}}  {state}")
     return "\n".join(lines)

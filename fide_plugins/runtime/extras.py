@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from fide_plugins.errors import DependencyError
 
-__all__ = ["EXTRAS", "missing"]
+__all__ = ["EXTRAS", "install_command", "missing"]
 
 EXTRAS = {
     "nevergrad": ("nevergrad",),
@@ -26,6 +26,11 @@ EXTRAS = {
 """Packages of each extra of pyproject.toml, but for those of this project's development."""
 
 
+def install_command(*extras: str) -> str:
+    """Command that installs the packages of extras."""
+    return f"pip install {' '.join(package for extra in extras for package in EXTRAS[extra])}"
+
+
 def missing(extra: str, what: str, *packages: str) -> DependencyError:
     """Error, to be raised, that says what to install.
 
@@ -37,7 +42,8 @@ def missing(extra: str, what: str, *packages: str) -> DependencyError:
     this task needs MuJoCo: pip install mujoco
     (or this distribution with its extra robot: pip install 'fide-plugins[robot]')
     """
+    install = f"pip install {' '.join(packages)}" if packages else install_command(extra)
     return DependencyError(
-        f"{what}: pip install {' '.join(packages or EXTRAS[extra])} "
+        f"{what}: {install} "
         f"(or this distribution with its extra {extra}: pip install 'fide-plugins[{extra}]')"
     )

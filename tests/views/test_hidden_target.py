@@ -104,16 +104,21 @@ def test_a_users_own_loss_gets_the_targets_own_pixels(render: Render, target: Fl
         assert FIDE(6, target, mask=MASK, loss=loss).evaluator.loss(right).tolist() == [0, 0, 0]
 
 
+def check_that_it_goes_on(opt: FIDE, render: Render, folder: Path) -> None:
+    """From a checkpoint after two generations, with the same candidates and losses."""
+    run(opt, render, 2)
+    opt.save(folder / "c")
+    again = FIDE.load(folder / "c")
+    for here, there in zip(run(opt, render, 3), run(again, render, 3), strict=True):
+        np.testing.assert_array_equal(here, there)
+
+
 def test_a_made_loss_goes_on_from_a_checkpoint(
     render: Render, target: Float32, tmp_path: Path
 ) -> None:
     made = losses.make("perceptual", target)
     opt = FIDE(6, target, mask=MASK, loss=made, seed=0, popsize=8)
-    run(opt, render, 2)
-    opt.save(tmp_path / "c")
-    again = FIDE.load(tmp_path / "c")
-    for here, there in zip(run(opt, render, 3), run(again, render, 3), strict=True):
-        np.testing.assert_array_equal(here, there)
+    check_that_it_goes_on(opt, render, tmp_path)
 
 
 class Absolute(LossOfTarget):
@@ -142,11 +147,7 @@ def test_a_made_loss_that_weighs_pixels_goes_on_from_a_checkpoint(
     monkeypatch.setitem(losses._REGISTRY._factories, "absolute-of-tests", Absolute)
     made = losses.make("absolute-of-tests", target)
     opt = FIDE(6, target, weights=weights, loss=made, seed=0, popsize=8)
-    run(opt, render, 2)
-    opt.save(tmp_path / "c")
-    again = FIDE.load(tmp_path / "c")
-    for here, there in zip(run(opt, render, 3), run(again, render, 3), strict=True):
-        np.testing.assert_array_equal(here, there)
+    check_that_it_goes_on(opt, render, tmp_path)
 
 
 def test_a_run_that_was_saved_before_goes_on(
