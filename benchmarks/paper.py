@@ -1,7 +1,8 @@
 """The main comparison of the paper: five scenes, six optimizers, both losses of every result.
 
-The stage `backbones` adds the published method with the features of a pretrained network, the stage
-`dibo-long` DiBO with 10,000 renders, half an hour a run.
+The stages `backbones` and `backbones-rendered` add the published method with the features of a
+pretrained network, the latter on three pictures of San Miguel; the stage `dibo-long` adds DiBO with
+10,000 renders, half an hour a run.
 
     python benchmarks/paper.py --stages mse perceptual loi
 
@@ -83,9 +84,10 @@ STAGES = {
     "dibo": [Stage(FAST, METRICS, (DIBO,))],
     "published": [Stage(FAST, (*METRICS, "loi"), (PUBLISHED,))],
     "rendered": [Stage(RENDERED, ("perceptual",), RENDERED_RACERS, (0,))],
-    "backbones": [
-        Stage(FAST, ("mse",), (PRETRAINED,)),
+    "backbones": [Stage(FAST, ("mse",), (PRETRAINED,))],
+    "backbones-rendered": [
         Stage(RENDERED, ("perceptual",), (PRETRAINED,), (0,)),
+        Stage(("san_miguel",), ("perceptual",), (PRETRAINED, PUBLISHED), (1, 2)),
     ],
     "rendered-mse": [Stage(RENDERED, ("mse",), RENDERED_RACERS, (0,))],
     "rendered-loi": [Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,))],
