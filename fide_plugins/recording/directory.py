@@ -6,6 +6,7 @@
     improvements.csv   one line for each evaluation that was the best so far, with other metrics
     best.png       the best image so far
     target.png     the picture to find
+    target.ckpt    the same to the last bit, if the task has rendered it
     frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
@@ -34,7 +35,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
-from fide_plugins.recording import sources as sources_module, tables
+from fide_plugins.recording import rendered_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.record_schema import check_record
@@ -63,7 +64,10 @@ TABLES = ("curve.csv", "improvements.csv")
 _KIND = "run"
 _CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
-_OF_PICTURES = {"weights": "the mask or the weights differ", "target": "the target is another one"}
+_OF_PICTURES = {
+    "weights": "the mask or the weights differ",
+    "target": "the target is another one, as one that is rendered anew may be (keep it in a file)",
+}
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 
 
@@ -269,8 +273,9 @@ class RunDirectory:
 
     def remove_checkpoint(self) -> None:
         """Remove the state from which the run could continue."""
-        with suppress(OSError):
-            (self.path / _CHECKPOINT).unlink()
+        for name in (_CHECKPOINT, rendered_target.NAME):
+            with suppress(OSError):
+                (self.path / name).unlink()
         self._remove_optimizers()
 
     def _remove_optimizers(self, but: str = "") -> None:

@@ -2,7 +2,7 @@
 
     study.json   record: settings; "cells", one entry for each run, with the digest of its
                  settings; calls of the command, with versions and machine
-    targets/TASK.png
+    targets/TASK.png     and, if it was rendered, TASK.ckpt, which all runs read
     cells/TASK/LOSS/CONFIGURATION/seed-N/   run directory of each run
 
 Tasks, losses, configurations and seeds may be added later.  Settings that make runs comparable
@@ -55,7 +55,7 @@ class ComparisonDirectory:
         *,
         resume: bool,
     ) -> None:
-        self.path, self._targets = Path(path), checked.targets
+        self.path, self._targets, self._rendered = Path(path), checked.targets, checked.rendered
         settings = checked.settings
         self._settings = _comparable(plan, settings)
         self._runs = {key: digest(run) for key, run in settings.items()}
@@ -99,6 +99,8 @@ class ComparisonDirectory:
         (self.path / "targets").mkdir(exist_ok=True)
         for task, target in self._targets.items():
             files.write_bytes(target_file(self.path, task), as_png(target))
+        for task, kept in self._rendered.items():
+            kept.write(self._targets[task])
 
     def end(self) -> None:
         """Record that the last call has ended or was stopped."""

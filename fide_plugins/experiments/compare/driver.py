@@ -64,7 +64,7 @@ def prepare(
         )
     if dask is not None and jobs > 1:
         raise OptionError("jobs are processes of this machine; with Dask, start more workers")
-    checked = plan.check()
+    checked = plan.check(Path(out))
     directory = ComparisonDirectory(out, plan, checked, resume=resume)
     return Comparison(plan, directory, checked.settings, jobs, dask, list(command))
 

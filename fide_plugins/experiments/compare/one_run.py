@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments.compare.plan import Plan, RunKey
+from fide_plugins.experiments.compare.plan import Plan, RunKey, rendered_file
 from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
 from fide_plugins.recording.directory import (
     TABLES,
@@ -137,7 +137,7 @@ def run_one(
         # of an earlier attempt: from here on the run counts as unfinished, not as failed
         (folder / ERROR).unlink(missing_ok=True)
         try:
-            run, note = _prepare(plan, key, folder, command)
+            run, note = _prepare(plan, key, out, command)
             run.execute(on_progress)
         except Interrupted as stop:
             return Outcome(key, "interrupted", str(stop), signum=stop.signum)
@@ -150,8 +150,9 @@ def run_one(
         return Outcome(key, "done", note, _totals(folder))
 
 
-def _prepare(plan: Plan, key: RunKey, folder: Path, command: list[str] | None) -> tuple[Run, str]:
+def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> tuple[Run, str]:
     """The run, continued if possible; otherwise a new one, and the reason."""
+    folder = out / key.folder
     configuration = plan.configuration(key.configuration)
 
     def attempt() -> Run:
@@ -169,6 +170,7 @@ def _prepare(plan: Plan, key: RunKey, folder: Path, command: list[str] | None) -
             resume=True,
             command=command,
             keep=plan.keep,
+            target_file=rendered_file(out, key.task),
         )
 
     try:

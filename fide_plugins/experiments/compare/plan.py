@@ -12,8 +12,14 @@ from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
 from fide_plugins.experiments.run import Keep, renderer_task
-from fide_plugins.experiments.run.prepare import make_task, settings_of, target_of
+from fide_plugins.experiments.run.prepare import (
+    make_task,
+    rendered_target,
+    settings_of,
+    target_of,
+)
 from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.recording.rendered_target import RenderedTarget
 from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.warn import warn_user
@@ -21,7 +27,7 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Checked", "Plan", "RunKey"]
+__all__ = ["Checked", "Plan", "RunKey", "rendered_file"]
 
 
 class RunKey(NamedTuple):
@@ -52,10 +58,12 @@ class Checked(NamedTuple):
 
     settings: settings that define each run, in the order of the plan.
     targets: target of each task, (H, W, 3).
+    rendered: where those that were rendered are kept, or are to be kept.
     """
 
     settings: dict[RunKey, dict[str, Any]]
     targets: dict[str, Float32]
+    rendered: dict[str, RenderedTarget]
 
 
 @dataclass(frozen=True)
@@ -139,8 +147,10 @@ class Plan:
         for configuration in self.configurations:
             _check_options(configuration, self.options_of(configuration))
 
-    def check(self) -> Checked:
+    def check(self, out: Path) -> Checked:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.
+
+        out: folder of the comparison, which has the targets that were rendered before.
 
         Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
         package, OSError for missing weights.  Warns of a budget below one population.
@@ -148,11 +158,15 @@ class Plan:
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, Float32] = {}
+        rendered: dict[str, RenderedTarget] = {}
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             for configuration in self.configurations:  # a model may be of another version
                 model_for(self.options_of(configuration).get("learned"), task)
-            target = targets[name] = target_of(task)
+            kept = rendered_target(task, self.task_options, rendered_file(out, name))
+            if kept is not None:
+                rendered[name] = kept
+            target = targets[name] = target_of(task, kept)
             mine = [key for key in self.runs() if key.task == name]
             for loss in {*(key.loss for key in mine), *self.metrics}:
                 losses_module.make(loss, target)
@@ -169,7 +183,12 @@ class Plan:
                     self.task_options, options, self.keep,
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
-        return Checked({key: settings[key] for key in self.runs()}, targets)
+        return Checked({key: settings[key] for key in self.runs()}, targets, rendered)
+
+
+def rendered_file(out: Path, task: str) -> Path:
+    """File of a rendered target, to the last bit, in the folder of a comparison."""
+    return out / "targets" / f"{as_file_name(task)}.ckpt"
 
 
 def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
@@ -20,6 +24,7 @@ from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording.directory import RunDirectory, is_saved
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.rendered_target import NAME, RenderedTarget
 from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
@@ -28,7 +33,7 @@ from fide_plugins.validation.images import as_target
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["make_task", "prepare", "run", "settings_of", "target_of"]
+__all__ = ["make_task", "prepare", "rendered_target", "run", "settings_of", "target_of"]
 
 
 def run(
@@ -67,6 +72,7 @@ def prepare(
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
     keep: Keep | None = None,
+    target_file: Path | None = None,
 ) -> Run:
     """Check the arguments, and make or resume a run; one image is rendered at most.
 
@@ -105,6 +111,9 @@ def prepare(
         command line to record.
     keep
         what to record in addition to the losses; see `Keep`.
+    target_file
+        file with the target, if it is rendered, of all runs of a comparison; None: of this run, in
+        `out`.
 
     Raises
     ------
@@ -120,7 +129,8 @@ def prepare(
     resumed = resume and out is not None and is_saved(out)
     search_options = _options_of(optimizer, options, task, resumed)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
-    target = target_of(task)
+    kept = None if out is None else rendered_target(task, task_options, _file(out, target_file))
+    target = target_of(task, kept)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
     metrics = {name: losses_module.make(name, target) for name in keep.metrics}
     settings = settings_of(
@@ -132,13 +142,11 @@ def prepare(
     if out is not None:
         _check_reloads(optimizer, searcher)
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
-        files = of_files({settings["task"]: fingerprint_of(task), **_source_of(optimizer)})
-        files |= of_models(options)
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
-            sources=files,
+            sources=_sources(settings["task"], task, optimizer, options),
         )  # fmt: skip
-        record, searcher = _started(directory, record, searcher, fidelity, budget)
+        record, searcher = _started(directory, record, searcher, fidelity, budget, target, kept)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
@@ -163,8 +171,14 @@ def _options_of(
     return with_model(options, task)
 
 
-def _source_of(optimizer: str | Callable[..., AskTell]) -> dict[str, str | None]:
-    return {optimizer: optimizers.source_of(optimizer)} if isinstance(optimizer, str) else {}
+def _sources(
+    name: str, task: Task, optimizer: str | Callable[..., AskTell], options: Mapping[str, Any]
+) -> dict[str, str]:
+    """Fingerprints of the user's files: of the task of this name, the optimizer and models."""
+    files = {name: fingerprint_of(task)}
+    if isinstance(optimizer, str):
+        files[optimizer] = optimizers.source_of(optimizer)
+    return of_files(files) | of_models(options)
 
 
 def _rounds(
@@ -200,12 +214,19 @@ def _started(
     searcher: Optimizer,
     fidelity: Fidelity | None,
     budget: int,
+    target: Float32,
+    kept: RenderedTarget | None,
 ) -> tuple[Record, Optimizer]:
-    """As `_restored`, and the run is written down; where it is refused the lock ends."""
+    """As `_restored`, and the run is written down; where it is refused the lock ends.
+
+    kept: where the target is kept from then on, before the record names it; None: nowhere.
+    """
     with ExitStack() as refused:
         refused.callback(directory.close)
         record, searcher = _restored(directory, record, searcher, fidelity)
         _check_budget(budget, record, directory)
+        if kept is not None:
+            kept.write(target)
         directory.write_run()
         refused.pop_all()
     return record, searcher
@@ -269,7 +290,7 @@ def settings_of(
     settings = {
         "task": info.name,
         "task_seed": info.seed,
-        "task_options": {k: v for k, v in task_options.items() if k not in info.incidental_options},
+        "task_options": _images_options(info, task_options),
         "size": list(target.shape[:2]),
         "dim": task.dim,
         "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
@@ -286,6 +307,16 @@ def settings_of(
     if keep.metrics:
         settings["metrics"] = list(keep.metrics)
     return settings
+
+
+def _images_options(info: TaskInfo, task_options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the task on which its images depend."""
+    return {k: v for k, v in task_options.items() if k not in info.incidental_options}
+
+
+def _file(out: str | os.PathLike[str], target_file: Path | None) -> Path:
+    """File of the rendered target of a run."""
+    return Path(out) / NAME if target_file is None else target_file
 
 
 def _make_optimizer(
@@ -311,8 +342,26 @@ def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
     return not isinstance(optimizer, str) or "budget" in optimizers.options(optimizer)
 
 
-def target_of(task: Task) -> Float32:
-    """The target of a task; RenderError if the renderer fails."""
+def rendered_target(
+    task: Task, task_options: Mapping[str, Any], path: Path
+) -> RenderedTarget | None:
+    """Where the target of this task is kept, if `path` is the file; None for a picture."""
+    info = TaskInfo.of(task)
+    if info.x_star is None:
+        return None
+    options = _images_options(info, task_options)
+    made_from = info.seed, info.size, options, np.asarray(info.x_star).tolist()
+    return RenderedTarget(path, json.dumps(made_from, sort_keys=True, default=str))
+
+
+def target_of(task: Task, kept: RenderedTarget | None = None) -> Float32:
+    """The target of a task: the one that is kept, or a new one.
+
+    Raises RenderError if the renderer fails; CheckpointError if the kept one is damaged.
+    """
+    target = None if kept is None else kept.read()
+    if target is not None:
+        return target
     try:
         return as_target(task.target)
     except FideError:

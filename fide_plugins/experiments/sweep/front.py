@@ -16,10 +16,12 @@ import numpy as np
 
 from fide_plugins import losses as losses_module
 from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
+from fide_plugins.experiments.compare.plan import rendered_file
 from fide_plugins.experiments.compare.results import NoResultsError
-from fide_plugins.experiments.run.prepare import make_task, target_of
+from fide_plugins.experiments.run.prepare import make_task, rendered_target, target_of
 from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.experiments.run.task import Task, TaskInfo
+from fide_plugins.types import Float32
 
 __all__ = ["AXES", "MARKS", "Combination", "Point", "best_within", "front", "read"]
 
@@ -161,7 +163,7 @@ class _Judge:
     """Noise-free loss of a run's best candidate at the largest size of the sweep."""
 
     def __init__(self, results: list[Results]) -> None:
-        self._finest = max(results, key=lambda r: (r.settings["size"], _spp(r) or 0)).settings
+        self._finest = max(results, key=lambda r: (r.settings["size"], _spp(r) or 0))
         self._tasks: dict[str, Task] = {}
 
     def __call__(self, run: StoredRun) -> float:
@@ -169,13 +171,18 @@ class _Judge:
         if x is None:
             return float(np.inf)
         task, point = self._task(run.key.task), np.asarray(x, np.float64)
-        loss = losses_module.make(run.key.loss, target_of(task))
+        loss = losses_module.make(run.key.loss, self._target(run.key.task, task))
         reference = TaskInfo.of(task).reference
         image = task.render(point[None], seed=[0])[0] if reference is None else reference(point)
         return float(loss(np.asarray(image)[None])[0])
 
+    def _target(self, name: str, task: Task) -> Float32:
+        file = rendered_file(self._finest.path, name)
+        options = self._finest.settings["task_options"]
+        return target_of(task, rendered_target(task, options, file))
+
     def _task(self, name: str) -> Task:
-        s = self._finest
+        s = self._finest.settings
         if name not in self._tasks:
             made = make_task(name, s["size"], s["task_seed"], s["task_options"])
             self._tasks[name] = made

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -118,9 +119,11 @@ def test_impossible_plans(changes: dict[str, Any], message: str) -> None:
         (small(task_options={"colour": 1}), ValueError, "voronoi has no option 'colour'"),
     ],
 )
-def test_what_cannot_be_run_is_named(plan: Plan, error: type[Exception], message: str) -> None:
+def test_what_cannot_be_run_is_named(
+    plan: Plan, error: type[Exception], message: str, tmp_path: Path
+) -> None:
     with pytest.raises(error, match=message):
-        plan.check()
+        plan.check(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -131,19 +134,21 @@ def test_what_cannot_be_run_is_named(plan: Plan, error: type[Exception], message
         (small("cma:popsize=41"), "which is 41 for 10 parameters: the optimizer never learns"),
     ],
 )
-def test_a_budget_below_one_population_gets_a_warning(plan: Plan, message: str) -> None:
+def test_a_budget_below_one_population_gets_a_warning(
+    plan: Plan, message: str, tmp_path: Path
+) -> None:
     with pytest.warns(RuntimeWarning, match=message):
-        assert set(plan.check().settings) == set(plan.runs())
+        assert set(plan.check(tmp_path).settings) == set(plan.runs())
 
 
-def test_a_population_that_depends_on_the_budget_fits_it() -> None:
+def test_a_population_that_depends_on_the_budget_fits_it(tmp_path: Path) -> None:
     pytest.importorskip("sbi")
-    small("npe", budget=40).check()
+    small("npe", budget=40).check(tmp_path)
 
 
-def test_everyone_of_a_task_has_the_same_target() -> None:
+def test_everyone_of_a_task_has_the_same_target(tmp_path: Path) -> None:
     plan = small("cma", "random", "cma:popsize=20", tasks=("voronoi",), losses=("mse", "loi"))
-    checked = plan.check()
+    checked = plan.check(tmp_path)
     assert list(checked.settings) == list(plan.runs())
     assert len({run["target"] for run in checked.settings.values()}) == 1
     assert {run["budget"] for run in checked.settings.values()} == {40}

@@ -1,0 +1,66 @@
+"""All runs of a comparison have one target, also where no two renders have the same bits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fide_plugins.experiments import compare
+from fide_plugins.experiments.compare import Plan
+
+from .conftest import small
+
+NOISY = """
+import os
+import numpy as np
+from fide_plugins import Float, Space
+
+space = Space(x=Float(0, 1), y=Float(0, 1))
+noise = np.random.default_rng(int.from_bytes(os.urandom(8), "little"))
+
+def render(p):
+    gray = np.outer(np.linspace(0, p["x"], 8), np.linspace(1, p["y"], 8))
+    return np.clip(gray + noise.normal(0, 1e-3, (8, 8)), 0, 1)
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> str:
+    file = tmp_path / "scene.py"
+    file.write_text(NOISY)
+    return f"{file}:render"
+
+
+def plan_of(scene: str, *optimizers: str, seeds: int = 1) -> Plan:
+    return small(*optimizers, tasks=(scene,), seeds=seeds, task_options={}, losses=("mse",))
+
+
+def targets(out: Path) -> set[str]:
+    runs = [json.loads(path.read_text()) for path in out.rglob("run.json")]
+    return {run["settings"]["target"] for run in runs}
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_it_is_rendered_once_for_all_runs_and_all_calls(
+    scene: str, jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fide_plugins.runtime.machine.cores", lambda: 2)
+    out = tmp_path / "out"
+    outcomes = compare.run(plan_of(scene, "cma", "random"), out, jobs=jobs)
+    assert [outcome.kind for outcome in outcomes] == ["done"] * 2
+    more = plan_of(scene, "cma", "random", "fide", seeds=2)
+    kinds = [outcome.kind for outcome in compare.run(more, out, resume=True)]
+    assert sorted(kinds) == ["done"] * 4 + ["kept"] * 2
+    assert len(targets(out)) == 1
+    assert {run.status for run in compare.read(out).runs} == {"finished"}
+    assert [path.name for path in out.rglob("target.ckpt")] == []
+    assert len(list((out / "targets").glob("*.ckpt"))) == 1
+
+
+def test_two_comparisons_have_two_targets(scene: str, tmp_path: Path) -> None:
+    """So the renderer is one whose target no second process repeats."""
+    for name in "ab":
+        compare.run(plan_of(scene, "cma"), tmp_path / name)
+    assert targets(tmp_path / "a") != targets(tmp_path / "b")
