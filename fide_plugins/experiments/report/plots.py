@@ -185,14 +185,15 @@ def profile(
     x: (m,), increasing, positive.  shares: (m, S) in [0, 1], S curves called `names`.
     marks: vertical lines.
     """
-    room = 0.5 + 0.062 * max(map(len, names)) if legend else 0.1
+    labels = [plain(fitted(name, _LONGEST)) for name in names]
+    room = 0.5 + 0.062 * max(map(len, labels)) if legend else 0.1
     figure, axes = _canvas(5.1 + room, 3.6, left=0.62, top=0.26, right=room)
     for mark in marks:
         axes.axvline(mark, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
-    for index, name in enumerate(names):
+    for index, label in enumerate(labels):
         look = style(index)
         axes.step(x, 100 * shares[:, index], where="post", color=look.color, linestyle=look.dash,
-                  linewidth=1.8, label=plain(fitted(name, _LONGEST)))  # fmt: skip
+                  linewidth=1.8, label=label)  # fmt: skip
     _scale(axes, "x", x)
     axes.set_ylim(-2, 102)
     axes.set_xlabel(axis, fontsize=10, color=INK)
