@@ -9,8 +9,13 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
-__all__ = ["warn_user"]
+__all__ = ["said_once", "warn_user"]
+
+_SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
 _BETWEEN = (
     *("fide_plugins", "fide_adapters", "fide_tasks", "optuna", "nevergrad"),
@@ -21,10 +26,25 @@ _BETWEEN = (
 
 def warn_user(message: str, category: type[Warning] = RuntimeWarning) -> None:
     """Warn at the innermost line that is neither of this library nor of what calls it."""
+    said = _SAID.get()
+    if said is not None:
+        if message in said:
+            return
+        said.add(message)
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and _is_between(frame.f_globals.get("__name__")):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
+
+
+@contextmanager
+def said_once(said: set[str]) -> Iterator[None]:
+    """Within this block, `warn_user` says nothing that is in `said`, and adds what it says."""
+    token = _SAID.set(said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
 
 
 def _is_between(module: object) -> bool:

@@ -14,7 +14,7 @@ from fide_plugins.experiments.compare import processes
 from fide_plugins.experiments.compare.cluster import on_dask
 from fide_plugins.experiments.compare.directory import ComparisonDirectory
 from fide_plugins.experiments.compare.one_run import ERROR, Outcome, State, run_one
-from fide_plugins.experiments.compare.plan import Plan, RunKey
+from fide_plugins.experiments.compare.plan import Checked, Plan, RunKey
 from fide_plugins.experiments.run import Interrupted, Progress
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.runtime import files, machine
@@ -66,7 +66,7 @@ def prepare(
         raise OptionError("jobs are processes of this machine; with Dask, start more workers")
     checked = plan.check(Path(out))
     directory = ComparisonDirectory(out, plan, checked, resume=resume)
-    return Comparison(plan, directory, checked.settings, jobs, dask, list(command))
+    return Comparison(plan, directory, checked, jobs, dask, list(command))
 
 
 class Comparison:
@@ -76,12 +76,12 @@ class Comparison:
         self,
         plan: Plan,
         directory: ComparisonDirectory,
-        settings: dict[RunKey, dict[str, Any]],
+        checked: Checked,
         jobs: int,
         dask: str | None,
         command: list[str],
     ) -> None:
-        self._plan, self._directory, self._settings = plan, directory, settings
+        self._plan, self._directory, self._checked = plan, directory, checked
         self._jobs, self._dask, self._command = jobs, dask, command
 
     @property
@@ -121,8 +121,8 @@ class Comparison:
         return outcomes
 
     def _outcomes(self, on_progress: OnProgress | None) -> Generator[Outcome, None, None]:
-        items = list(self._settings.items())
-        work = partial(_work, self._plan, self.out, self._command)
+        items = list(self._checked.settings.items())
+        work = partial(_work, self._plan, self.out, self._command, self._checked.said)
         lost = partial(_lost, self.out)
         if self._dask is not None:
             yield from on_dask(work, items, self._dask, self.out, lost)
@@ -131,18 +131,19 @@ class Comparison:
         else:
             for item in items:
                 report = None if on_progress is None else partial(on_progress, item[0])
-                yield _work(self._plan, self.out, self._command, item, report)
+                yield work(item, report)
 
 
 def _work(
     plan: Plan,
     out: Path,
     command: list[str],
+    said: frozenset[str],
     item: Item,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Outcome:
     key, settings = item
-    return run_one(plan, key, settings, out, command, on_progress)
+    return run_one(plan, key, settings, out, command, on_progress, said)
 
 
 def _lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:

@@ -27,6 +27,7 @@ from fide_plugins.recording.directory import (
 from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.runtime import files
+from fide_plugins.runtime.warn import said_once
 
 __all__ = ["ERROR", "Outcome", "State", "examine", "is_busy", "run_one"]
 
@@ -116,10 +117,11 @@ def run_one(
     out: Path,
     command: list[str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    said: frozenset[str] = frozenset(),
 ) -> Outcome:
     """Execute or continue one run of the comparison in `out`.
 
-    settings: settings that define the run, see `Plan.check`.
+    settings, said: settings that define the run, and warnings not to repeat, see `Plan.check`.
 
     A run that fails does not raise.  Raises OSError if the folder cannot be written, and
     RunDirectoryError (a FileExistsError) if it holds a run with other settings.
@@ -137,7 +139,8 @@ def run_one(
         # of an earlier attempt: from here on the run counts as unfinished, not as failed
         (folder / ERROR).unlink(missing_ok=True)
         try:
-            run, note = _prepare(plan, key, out, command)
+            with said_once(set(said)):
+                run, note = _prepare(plan, key, out, command)
             run.execute(on_progress)
         except Interrupted as stop:
             return Outcome(key, "interrupted", str(stop), signum=stop.signum)

@@ -22,7 +22,7 @@ from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.rendered_target import RenderedTarget
 from fide_plugins.recording.sources import of_files, of_models
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.warn import said_once, warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
@@ -59,11 +59,13 @@ class Checked(NamedTuple):
     settings: settings that define each run, in the order of the plan.
     targets: target of each task, (H, W, 3).
     rendered: where those that were rendered are kept, or are to be kept.
+    said: warnings that making the optimizers gave, which their runs need not repeat.
     """
 
     settings: dict[RunKey, dict[str, Any]]
     targets: dict[str, Float32]
     rendered: dict[str, RenderedTarget]
+    said: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -153,12 +155,14 @@ class Plan:
         out: folder of the comparison, which has the targets that were rendered before.
 
         Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
-        package, OSError for missing weights.  Warns of a budget below one population.
+        package, OSError for missing weights.  Warns of a budget below one population, and of
+        what the optimizers warn of, once of each.
         """
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, Float32] = {}
         rendered: dict[str, RenderedTarget] = {}
+        said: set[str] = set()
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             for configuration in self.configurations:  # a model may be of another version
@@ -177,13 +181,15 @@ class Plan:
                 budget = configuration.budget or self.budget
                 if (key.loss, key.configuration) not in seen:
                     seen.add((key.loss, key.configuration))
-                    _try_optimizer(configuration, budget, task.dim, target, key.loss, options)
+                    with said_once(said):
+                        _try_optimizer(configuration, budget, task.dim, target, key.loss, options)
                 known = settings_of(
                     task, target, configuration.name, key.loss, budget, key.seed,
                     self.task_options, options, self.keep,
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
-        return Checked({key: settings[key] for key in self.runs()}, targets, rendered)
+        ordered = {key: settings[key] for key in self.runs()}
+        return Checked(ordered, targets, rendered, frozenset(said))
 
 
 def rendered_file(out: Path, task: str) -> Path:
