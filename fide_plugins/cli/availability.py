@@ -7,10 +7,11 @@ from typing import Any
 
 from fide_plugins.cli.messages import plain
 
-__all__ = ["KINDS", "WITH_WEIGHTS", "names", "problems"]
+__all__ = ["KINDS", "OF_A_MODEL", "WITH_WEIGHTS", "names", "problems"]
 
 KINDS = ("tasks", "optimizers", "encoders", "losses")
 WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
+OF_A_MODEL = ("learned",)  # encoders that read a model of the user's, which is named with them
 _VARIANTS = {"losses": ("lpips:squeeze", "lpips:vgg")}  # variants with their own weights
 _SIDE = 32  # pixels, side of the test images
 

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.availability import KINDS, WITH_WEIGHTS, names, problems
+from fide_plugins.cli.availability import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.messages import plain
 from fide_plugins.runtime import opencv_distributions
 from fide_plugins.runtime.extras import EXTRAS, install_command
@@ -62,9 +62,12 @@ def _summary() -> str:
 def _here(kind: str) -> str:
     """Names that can be used here, and after them those that cannot, as without their weights."""
     found = problems(kind)
-    absent = ", ".join(name for name, problem in found.items() if problem)
-    present = ", ".join(name for name, problem in found.items() if not problem)
-    return f"{present}; not here: {absent}" if absent else present
+    groups = {
+        "": [name for name, problem in found.items() if not problem],
+        "with a model of yours: ": [f"{name}:FILE" for name in OF_A_MODEL if name in found],
+        "not here: ": [name for name, why in found.items() if why and name not in OF_A_MODEL],
+    }
+    return "; ".join(f"{what}{', '.join(each)}" for what, each in groups.items() if each)
 
 
 def _versions_of_extras() -> dict[str, str | None]:

@@ -210,7 +210,7 @@ def test_list_says_what_is_missing(no_weights: Path, capsys: pytest.CaptureFixtu
 def test_list_says_what_a_learned_encoder_needs(capsys: pytest.CaptureFixture[str]) -> None:
     assert fide("list", "encoders") == 0
     (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("learned"))
-    assert re.match("learned +not here: the encoder 'learned' needs the file of a model: ", line)
+    assert re.match("learned +the encoder 'learned' needs the file of a model: ", line)
 
 
 def test_list_finds_weights_that_are_there(
@@ -244,14 +244,16 @@ def test_doctor_says_which_weights_are_here(
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     assert fide("doctor") == 0
     lines = dict(line.partition(": ")[::2] for line in capsys.readouterr().out.splitlines())
-    here, absent = lines["encoders"].split("; not here: ")
+    here, learned, absent = lines["encoders"].split("; ")
     assert {"dense", "patch"} <= set(here.split(", "))
-    assert {"learned", "vgg19"} <= set(absent.split(", "))
+    assert learned == "with a model of yours: learned:FILE"
+    assert "vgg19" in absent.removeprefix("not here: ").split(", ")
     assert lines["losses"] == "loi, mse, perceptual; not here: lpips, lpips:squeeze, lpips:vgg"
     for kind in ("encoders", "losses"):  # as the command that gives the reasons
         assert fide("list", kind) == 0
-        listed = [line.split() for line in capsys.readouterr().out.splitlines()]
-        usable, missing = lines[kind].split("; not here: ")
+        output = capsys.readouterr().out.splitlines()
+        listed = [line.split() for line in output if not line.startswith("learned ")]
+        usable, *_, missing = re.split("; (?:not here: )?", lines[kind])
         assert usable.split(", ") == [words[0] for words in listed if len(words) == 1]
         assert missing.split(", ") == [words[0] for words in listed if len(words) > 1]
 
