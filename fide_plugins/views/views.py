@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Number
 from typing import Any
 
 import numpy as np
@@ -349,7 +350,7 @@ def _one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obj
     k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
         return [given] * k
-    if not isinstance(given, list | tuple):
+    if not isinstance(given, list | tuple) or _is_nested(given):
         shapes = [picture.shape for picture in _opened(targets)]
         if len({shape[:2] for shape in shapes}) == 1:
             return [given] * k
@@ -362,6 +363,18 @@ def _one_a_view(name: str, given: object, targets: Sequence[object]) -> list[obj
         f"{name} must be a list with one entry for each of the {k} views, None for a view "
         f"without; got {got}"
     )
+
+
+def _is_nested(given: Sequence[object]) -> bool:
+    """Whether it is one mask as nested lists, H rows of W numbers; an entry of a list is none."""
+    return len(given) > 0 and all(map(_is_row, given))
+
+
+def _is_row(value: object) -> bool:
+    if isinstance(value, list | tuple):
+        return len(value) > 0 and all(isinstance(one, Number | np.bool_) for one in value)
+    ndim = getattr(value, "ndim", None)
+    return isinstance(ndim, int) and ndim == 1
 
 
 def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:

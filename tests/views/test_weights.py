@@ -287,6 +287,8 @@ def test_wrong_masks(mask: Any, message: str) -> None:
     ("mask", "message"),
     [
         (HALF, "one entry for each of the 2 views.*a single one.*one size, not 20 x 24 \\+ 9 x 8"),
+        (HALF.tolist(), "a single one, which needs views of one size, not 20 x 24 \\+ 9 x 8"),
+        (HALF[:2].tolist(), "a single one, which needs views of one size"),
         ([HALF], "one entry for each of the 2 views.*got 1 of them"),
         ([None, HALF], "mask of view 1 must have .*9 x 8.*got 20 x 24"),
         ([HALF * 0, None], "mask of view 0 is zero everywhere"),
@@ -297,14 +299,15 @@ def test_wrong_masks_of_views(mask: Any, message: str) -> None:
         FIDE(3, [TARGET, TARGET[:9, :8]], mask=mask)
 
 
-@pytest.mark.parametrize("form", ["array", "path", "PIL", "tensor"])
+@pytest.mark.parametrize("form", ["array", "path", "PIL", "tensor", "lists", "bools", "rows"])
 @pytest.mark.parametrize("name", ["mask", "weights"])
 def test_a_single_mask_counts_for_all_views_of_its_size(
     name: str, form: str, tmp_path: Path
 ) -> None:
     picture = Image.fromarray((HALF * 255).astype(np.uint8))
     picture.save(tmp_path / "m.png")
-    forms = {"array": HALF, "path": tmp_path / "m.png", "PIL": picture}
+    forms = {"array": HALF, "path": tmp_path / "m.png", "PIL": picture, "lists": HALF.tolist()}
+    forms |= {"bools": tuple(map(tuple, HALF > 0)), "rows": list(HALF)}
     given: Any = forms.get(form, torch.from_numpy(HALF))
     targets = [TARGET, 1 - TARGET]
     one, each = (Views.read(targets, **{name: m}) for m in (given, [HALF, HALF]))
@@ -315,6 +318,18 @@ def test_a_single_mask_counts_for_all_views_of_its_size(
         Views.read(targets, **{name: HALF[:9]})
 
 
+@pytest.mark.parametrize("name", ["mask", "weights"])
+def test_nested_lists_of_as_many_rows_as_views_are_one_mask(name: str) -> None:
+    target = np.zeros((2, 3, 3))
+    rows = [[1.0, 0.0, 0.5], [0.0, 1.0, 1.0]]
+    views = [Views.read([target] * 2, **{name: m}) for m in (rows, [rows, rows], np.array(rows))]
+    for one in views:
+        np.testing.assert_array_equal(one.weights, [rows, rows])
+    other = Views.read([target] * 2, **{name: [None, rows]})
+    assert other.weights[0] is None
+    np.testing.assert_array_equal(other.weights[1], rows)
+
+
 def test_a_single_mask_in_fit() -> None:
     def render(x: Float64) -> list[Float64]:
         return [np.full((20, 24, 3), x[0]), np.full((20, 24, 3), x[1])]
@@ -323,7 +338,7 @@ def test_a_single_mask_in_fit() -> None:
         result = fit(render, TARGET, 2, views=[1 - TARGET], mask=mask, budget=12, workers=0, seed=0)
         return [loss for _, loss in result.curve]
 
-    assert losses_with(HALF) == losses_with([HALF, HALF])
+    assert losses_with(HALF) == losses_with([HALF, HALF]) == losses_with(HALF.tolist())
 
 
 def test_mask_times_weights_must_leave_something() -> None:
