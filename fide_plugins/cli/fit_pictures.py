@@ -16,38 +16,35 @@ def pictures(paths: list[str], side: int | None) -> list[Any]:
     return [images.load(path, max_side=side) for path in paths]
 
 
-def weights_of(name: str, given: list[str] | None, targets: list[str], side: int | None) -> Any:
+def weights_of(
+    name: str, given: list[str] | None, paths: list[str], targets: list[Any], side: int | None
+) -> Any:
     """What `FIDE` takes as `mask` or `weights`; None if none are given.
 
     name: "mask" or "weights".  given: a file for each target, or "alpha" for the target's own alpha
     channel; a single "alpha" for that of each, a single file for all targets of one size.
+    paths, targets: files of the targets, and what `pictures` read of them.
 
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
     from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.views.views import one_a_view
     from fide_plugins.views.weights import ALPHA
 
     if given is None:
         return None
-    if len(given) == 1 < len(targets) and (given == [ALPHA] or _have_one_size(targets, side)):
-        given = given * len(targets)
-    if len(given) != len(targets):
+    try:
+        each: list[Any] = one_a_view(name, given[0] if len(given) == 1 else given, targets)
+    except ImageError as error:
         of = " of different sizes" if len(given) == 1 else ""
         raise OptionError(
-            f"{len(given)} of --{name} for {len(targets)} targets{of}; give --{name} once for each"
-        )
+            f"{len(given)} of --{name} for {len(paths)} targets{of}; give --{name} once for each"
+        ) from error
     read = [  # pixels as they are: what transparency means is known where the mask is used
-        _alpha_of(target, side, name) if one == ALPHA else read_pixels(one, side)
-        for one, target in zip(given, targets, strict=True)
+        _alpha_of(path, side, name) if one == ALPHA else read_pixels(one, side)
+        for one, path in zip(each, paths, strict=True)
     ]
     return read[0] if len(read) == 1 else read
-
-
-def _have_one_size(targets: list[str], side: int | None) -> bool:
-    """Whether the files of all targets have the same size, in pixels."""
-    from fide_plugins.validation.image_sources import read_pixels
-
-    return len({read_pixels(target, side).shape[:2] for target in targets}) == 1
 
 
 def _alpha_of(target: str, side: int | None, name: str) -> Any:

@@ -107,7 +107,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         workers=workers,
         seed=args.seed,
         timeout=timeout,
-        options=_options(args),
+        options=_options(args, targets),
         out=out,
         resume=args.resume,
         command=command,
@@ -137,14 +137,14 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     return *program_of(templates, space, limit), None if args.timeout is None else limit + 5
 
 
-def _options(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the optimizer."""
+def _options(args: argparse.Namespace, targets: list[Any]) -> dict[str, Any]:
+    """Options of the optimizer for these pictures."""
     options = {"loss": args.loss, **optimizer_options(args)}
     for name in ("encoder", "learned"):
         if getattr(args, name) is not None:
             options[name] = getattr(args, name)
     for name in ("mask", "weights"):
-        read = weights_of(name, getattr(args, name), args.targets, args.size)
+        read = weights_of(name, getattr(args, name), args.targets, targets, args.size)
         if read is not None:
             options[name] = read
     return options

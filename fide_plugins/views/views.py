@@ -23,7 +23,7 @@ from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_batch, as_pixels, as_target, is_image
 from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
 
-__all__ = ["View", "Views", "is_list_of_images", "views_of"]
+__all__ = ["View", "Views", "is_list_of_images", "one_a_view", "views_of"]
 
 _SHADES = 8  # steps of a channel of the color that hidden pixels get
 
@@ -146,7 +146,7 @@ class Views:
         if not is_list_of_images(target):
             return cls([_view(target, mask, weights, "")], listed=False)
         assert isinstance(target, list | tuple)
-        masks, others = _one_a_view("mask", mask, target), _one_a_view("weights", weights, target)
+        masks, others = one_a_view("mask", mask, target), one_a_view("weights", weights, target)
         each = zip(target, masks, others, strict=True)
         return cls([_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
 
@@ -345,8 +345,13 @@ def _sizes(shapes: Sequence[Sequence[int]]) -> str:
     return " + ".join(f"{height} x {width}" for height, width, *_ in shapes)
 
 
-def _one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
-    """A list of masks or weights, one for each target; a single one is that of all of one size."""
+def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
+    """A list of masks or weights, one for each target; a single one is that of all of one size.
+
+    name, given: the argument and its value, see `Views.read`; masks themselves are not read.
+
+    Raises ImageError for another number of them, or a single one where the sizes differ.
+    """
     k = len(targets)
     if given is None or (isinstance(given, str) and given == ALPHA):
         return [given] * k
