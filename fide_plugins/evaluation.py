@@ -10,7 +10,7 @@ from typing import TypeAlias
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.encoders.base import REMEDY, PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.losses.base import LossOfTarget, as_losses
@@ -30,9 +30,6 @@ Images: TypeAlias = Float32 | torch.Tensor
 
 Result: TypeAlias = tuple[Float64, float, Images | None, torch.Tensor | None]
 """x (d,), loss, image (H, W, 3), tokens (T, C) of one candidate."""
-
-
-_OLD = "take the version of FIDE, and the weights, that wrote it"
 
 
 @dataclass(frozen=True)
@@ -142,20 +139,12 @@ class Evaluator:
         """
         own = self.versions
         check(saved, dict.fromkeys(own, anything), {}, "versions")
-        if saved["encoder"] != own["encoder"]:
-            name = self.encoder.name
-            remedy = _OLD
-            if name.startswith("learned:"):
-                remedy = f"put that model back, which encoder={name!r} reads"
-            raise CheckpointError(
-                f"the saved state has features of the encoder {saved['encoder']}; the one here is "
-                f"{own['encoder']}: {remedy}, or start again"
-            )
+        self.encoder.check_version(saved["encoder"])
         loss, same = saved["loss"], saved["loss_name"] == own["loss_name"]
         if loss is not None and same and loss != own["loss"]:
             raise CheckpointError(
                 f"the saved state has values of the loss {loss}; the one here is {own['loss']}: "
-                f"{_OLD}, or start again"
+                f"{REMEDY}, or start again"
             )
 
     def as_batch(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.images_needed import needed_images, needed_target
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float32
 from fide_plugins.validation.points import whole_number
@@ -72,6 +74,23 @@ class ImageBased(Baseline):
         tokens = self._encoder.compute(images)[..., : self.channels]  # (n, T, C)
         features: Float32 = tokens.flatten(1).cpu().numpy().astype(np.float32)
         return features
+
+    @one_at_a_time
+    def state_dict(self) -> dict[str, Any]:
+        """As that of any baseline, and the version of the encoder."""
+        return {**super().state_dict(), "encoder": self._encoder.version}
+
+    @one_at_a_time
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was called; ValueError if `state` is impossible.
+
+        Raises CheckpointError (a ValueError) if the features are of another encoder, or of other
+        weights.
+        """
+        if isinstance(state, Mapping) and "encoder" in state:  # one that is older has none
+            self._encoder.check_version(state["encoder"])
+            state = {name: value for name, value in state.items() if name != "encoder"}
+        super().load_state_dict(state)
 
     def _sides(self) -> Sides:
         return super()._sides() | {"f": len(self.target_features)}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, encoders
+from fide_plugins import FIDE, encoders, optimizers
 from fide_plugins.errors import (
     CheckpointError,
     ImageError,
@@ -128,19 +129,20 @@ def test_an_encoder_that_was_made_before_is_saved_by_its_whole_name(saved: Path)
     assert FIDE.load(saved.parent / "run").encoder.version == opt.encoder.version
 
 
+@pytest.mark.parametrize("name", ["fide", "eki", "fide-annealing"])
 def test_a_saved_optimizer_refuses_another_model(
-    saved: Path, random_model: Callable[..., Model]
+    name: str, saved: Path, random_model: Callable[..., Model]
 ) -> None:
-    opt = FIDE(3, pictures(1)[0], encoder=f"learned:{saved}", seed=4)
+    opt: Any = optimizers.make(name, 3, pictures(1)[0], encoder=f"learned:{saved}", seed=4)
     opt.save(saved.parent / "run")
     random_model((SIDE, SIDE), seed=1).save(saved)
     with pytest.raises(CheckpointError, match="features of the encoder learned-1-") as raised:
-        FIDE.load(saved.parent / "run")
+        optimizers.load(name, saved.parent / "run")
     assert f"put that model back, which encoder='learned:{saved}' reads" in str(raised.value)
     assert "impossible contents" not in str(raised.value)
     saved.unlink()
     with pytest.raises(WeightsNotFoundError, match="no model at"):
-        FIDE.load(saved.parent / "run")
+        optimizers.load(name, saved.parent / "run")
 
 
 def test_views_of_two_sizes_have_tokens_of_one_model(saved: Path) -> None:
