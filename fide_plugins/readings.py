@@ -60,6 +60,12 @@ class Readings(Saved):
         return self.evaluator.encoder
 
     @property
+    def pretrained(self) -> tuple[str, str] | None:
+        """Name of the encoder and digest of its pretrained weights; None if it has none."""
+        digest = self.encoder.weights_digest
+        return None if digest is None else (self.options.encoder, digest)
+
+    @property
     def target_tokens(self) -> Tensor:
         """Tokens (T, C) of the target."""
         return self.evaluator.target_tokens

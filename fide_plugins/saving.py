@@ -37,6 +37,11 @@ class Saved(Locked, ABC):
     def loss_name(self) -> str | None:
         """Name from which the loss can be made again; None for a user's own callable."""
 
+    @property
+    def pretrained(self) -> tuple[str, str] | None:
+        """Name of the encoder and digest of its pretrained weights; None if it has none."""
+        return None
+
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """The evolving state, as nested dicts of arrays, tensors and numbers, not copies."""

@@ -58,6 +58,12 @@ class ImageBased(Baseline):
         self.target_features: Float32 = self._encode(image[None])[0]
         """Features (f,) of the target."""
 
+    @property
+    def pretrained(self) -> tuple[str, str] | None:
+        """Name of the encoder and digest of its pretrained weights; None if it has none."""
+        digest = self._encoder.weights_digest
+        return None if digest is None else (self.encoder, digest)
+
     @cached_property
     def target_tokens(self) -> Tensor:
         """Tokens (T, C) of the target."""

@@ -35,6 +35,8 @@ class PatchEncoder(ABC):
     """Whether a GPU makes it faster."""
     version: str
     """Changes whenever the features of an image change."""
+    weights_digest: str | None = None
+    """Which pretrained weights its network has; None without, as of a model of the user's."""
     channel_subsets: tuple[int | None, ...] = (None,)
     """Sets of features for linear models: so many leading channels; None: all."""
     takes_tensors: bool = False

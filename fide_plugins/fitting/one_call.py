@@ -22,7 +22,7 @@ from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.directory import is_saved
-from fide_plugins.recording.sources import of_files, of_models
+from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
@@ -235,7 +235,7 @@ def _saved_run(
     settings = settings_of(name, optimizer, options, stopping.budget)
     own = callable(options.get("encoder"))  # others are known by name and version
     facts = {"features": features_of(optimizer)} if own else None
-    files = of_files({name: fingerprint_of(render)}) | of_models(options)
+    files = of_files({name: fingerprint_of(render)}) | of_models(options) | of_weights(optimizer)
     return SavedRun(
         out, settings, stopping.record(), facts, resume=resume, command=command, sources=files
     )

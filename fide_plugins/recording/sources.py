@@ -1,8 +1,8 @@
-"""The user's files on which a run depends: their versions are recorded, so that an edit is noticed.
+"""Files on which a run depends: their versions are recorded, so that another one is noticed.
 
 A reference such as ``mine.py:Search`` or ``learned=model.fide`` is all that the settings of a run
-have of them.  `run.json` has the digest of each file beside it, one for each version that calls of
-the run have had.  What a file imports is not known.
+have of them.  `run.json` has the digest of each file beside it, and of the weights of a pretrained
+encoder, one for each version that calls of the run have had.  What a file imports is not known.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Any
 
 from fide_plugins.runtime.fingerprints import changed, kind_of, of_file
 from fide_plugins.runtime.warn import warn_user
+from fide_plugins.saving import Saved
 
 __all__ = [
     "edited",
     "file_of",
     "of_files",
     "of_models",
+    "of_weights",
     "versions_there",
     "versions_with",
     "warn_of_model",
@@ -28,6 +30,7 @@ __all__ = [
 
 _HYPOTHESES = "learned="  # FIDE reads this model once, when a search begins
 _MODELS = (_HYPOTHESES, "encoder=learned:")  # options, as they name the file of a learned model
+_ENCODER, _WEIGHTS = "encoder=", "weights"  # reference, and kind of the fingerprint
 _OBJECT = "Model"  # in the settings, for a model that was given as an object
 
 
@@ -49,15 +52,25 @@ def of_models(*options: Mapping[str, Any]) -> dict[str, str]:
     return of_files({reference: of_file(file_of(reference)) for reference in models})
 
 
+def of_weights(optimizer: object) -> dict[str, str]:
+    """Fingerprint of the pretrained weights that an optimizer's encoder has, by reference."""
+    known = optimizer.pretrained if isinstance(optimizer, Saved) else None
+    return {} if known is None else {f"{_ENCODER}{known[0]}": f"{_WEIGHTS}:{known[1]}"}
+
+
 def file_of(reference: str) -> str:
-    """File or module of a reference.
+    """File or module of a reference, or the network of an encoder.
 
     >>> file_of("mine.py:Search"), file_of("encoder=learned:model.fide")
     ('mine.py', 'model.fide')
+    >>> file_of("encoder=vgg19:relu4_1")
+    'the network of vgg19:relu4_1'
     """
     for option in _MODELS:
         if reference.startswith(option):
             return reference.removeprefix(option)
+    if reference.startswith(_ENCODER):
+        return f"the network of {reference.removeprefix(_ENCODER)}"
     return reference.rpartition(":")[0] or reference
 
 
@@ -94,9 +107,12 @@ def versions_with(
         state, which is of the versions before.
 
     Warns, once for each edit, of a file that has changed since, but of no model of FIDE: that of
-    its hypotheses is not read again (`warn_of_model`), and its encoder refuses another one.
+    its hypotheses is not read again (`warn_of_model`), and its encoder refuses another one, as
+    every encoder refuses other weights.
     """
     there = versions_there(before) if begun else {}
+    if begun:
+        here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
     if begun and before is not None and before["settings"].get("optimizer") == "fide":
         here = {name: now for name, now in here.items() if not name.startswith(_MODELS)}
     newest = {reference: versions[-1:] for reference, versions in there.items()}

@@ -35,6 +35,7 @@ class EncoderOfViews(PatchEncoder):
     def __init__(self, views: Views, base: PatchEncoder) -> None:
         self.views, self.base = views, base
         self.name, self.uses_network = base.name, base.uses_network
+        self.weights_digest = base.weights_digest
         self.version = base.version + views.version
         self.channel_subsets, self.threads = base.channel_subsets, base.threads
         self.device = base.device

@@ -119,3 +119,6 @@ def test_tokens_can_be_trained_on(name: str, make: Make) -> None:
 def test_named_and_versioned(name: str, make: Make) -> None:
     encoder = make(name)
     assert encoder.name.partition(":")[0] == name and encoder.version.startswith(f"{name}-")
+    pretrained = name in ("dinov3", "efficientnet", "vgg19")
+    assert (encoder.weights_digest is not None) == pretrained
+    assert encoder.weights_digest is None or encoder.weights_digest in encoder.version

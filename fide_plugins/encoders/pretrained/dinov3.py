@@ -85,8 +85,8 @@ class DinoEncoder(NetworkEncoder):
         self.patch, self.channels = config.patch_size, config.hidden_size
         self._not_patches = 1 + getattr(config, "num_register_tokens", 0)  # class, registers
         kind, bits = config.model_type, str(self._dtype).removeprefix("torch.")
-        which = digest(network, extra=[_settings(config), mean, std])
-        self.version = f"dinov3-2-{kind}-{which}-{bits}"
+        self.weights_digest = digest(network, extra=[_settings(config), mean, std])
+        self.version = f"dinov3-2-{kind}-{self.weights_digest}-{bits}"
         self._network = network.to(self.device, self._dtype)
 
     def _features(self, images: Tensor) -> Tensor:

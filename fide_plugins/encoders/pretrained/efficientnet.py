@@ -67,7 +67,8 @@ class EfficientNetEncoder(NetworkEncoder):
         whole = _load(_file() if weights is None else Path(weights))
         network = _until(stage, whole)
         self.patch, self.channels = _patch_and_channels(stage, whole)
-        self.version = f"efficientnet-lite0-1-{variant}-{digest(network)}"
+        self.weights_digest = digest(network)
+        self.version = f"efficientnet-lite0-1-{variant}-{self.weights_digest}"
         self._network = network.to(self.device)
 
     def _features(self, images: Tensor) -> Tensor:

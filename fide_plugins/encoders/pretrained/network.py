@@ -23,7 +23,7 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 class NetworkEncoder(PatchEncoder):
     """Tokens of patches by a frozen network.
 
-    A subclass defines `name`, `version`, `patch`, `channels` and `_features`.
+    A subclass defines `name`, `version`, `weights_digest`, `patch`, `channels` and `_features`.
 
     mean, std: mean and standard deviation of the network's training colors, which normalize the
         images.

@@ -67,7 +67,8 @@ class VGG19Encoder(NetworkEncoder):
         block, self._layer = _find_layer(variant)
         self.patch, self.channels = 2 ** (block - 1), _WIDTHS[block - 1]
         network = backbones.load(backbones.VGG19, weights, download=download, how=_HOW)
-        self.version = f"vgg19-2-{variant}-{digest(network)}"
+        self.weights_digest = digest(network)
+        self.version = f"vgg19-2-{variant}-{self.weights_digest}"
         self._network = network.to(self.device)
 
     def _features(self, images: Tensor) -> Tensor:

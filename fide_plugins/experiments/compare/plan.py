@@ -20,7 +20,7 @@ from fide_plugins.experiments.run.prepare import (
 )
 from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.rendered_target import RenderedTarget
-from fide_plugins.recording.sources import of_files, of_models
+from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.warn import said_once, warn_user
 from fide_plugins.types import Float32
@@ -59,12 +59,14 @@ class Checked(NamedTuple):
     settings: settings that define each run, in the order of the plan.
     targets: target of each task, (H, W, 3).
     rendered: where those that were rendered are kept, or are to be kept.
+    weights: fingerprints of the pretrained weights of their encoders, by reference.
     said: warnings that making the optimizers gave, which their runs need not repeat.
     """
 
     settings: dict[RunKey, dict[str, Any]]
     targets: dict[str, Float32]
     rendered: dict[str, RenderedTarget]
+    weights: dict[str, str]
     said: frozenset[str]
 
 
@@ -162,6 +164,7 @@ class Plan:
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, Float32] = {}
         rendered: dict[str, RenderedTarget] = {}
+        weights: dict[str, str] = {}
         said: set[str] = set()
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
@@ -182,14 +185,16 @@ class Plan:
                 if (key.loss, key.configuration) not in seen:
                     seen.add((key.loss, key.configuration))
                     with said_once(said):
-                        _try_optimizer(configuration, budget, task.dim, target, key.loss, options)
+                        weights |= _try_optimizer(
+                            configuration, budget, task.dim, target, key.loss, options
+                        )
                 known = settings_of(
                     task, target, configuration.name, key.loss, budget, key.seed,
                     self.task_options, options, self.keep,
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
         ordered = {key: settings[key] for key in self.runs()}
-        return Checked(ordered, targets, rendered, frozenset(said))
+        return Checked(ordered, targets, rendered, weights, frozenset(said))
 
 
 def rendered_file(out: Path, task: str) -> Path:
@@ -217,8 +222,11 @@ def _try_optimizer(
     target: Any,
     loss: str,
     options: dict[str, Any],
-) -> None:
-    """Make it, which raises if it cannot be; warn of a budget below one population."""
+) -> dict[str, str]:
+    """Make it, which raises if it cannot be; warn of a budget below one population.
+
+    Returns the fingerprint of the weights of its encoder, see `of_weights`.
+    """
     name = configuration.name
     if "budget" in optimizers.options(name):  # a run gives it, too: populations may depend on it
         options = {"budget": budget, **options}
@@ -229,3 +237,4 @@ def _try_optimizer(
             f"which is {optimizer.popsize} for {dim} parameters: the optimizer never learns, all "
             "of its candidates are of its first population; give more renders, or a smaller popsize"
         )
+    return of_weights(optimizer)

@@ -1,9 +1,9 @@
 """Results of a user's file that has changed since: kept as they are, never mixed with new ones.
 
-The file is that of an optimizer, of a task, or of a learned model.  The runs of an optimizer, or of
-a task, belong together: the report takes medians over them, and pairs them with those of others.
-So where some are finished and their file has changed since, no more are added.  Where all are
-finished they can still be reported.
+The file is that of an optimizer, of a task, of a learned model, or of the weights of a pretrained
+encoder.  The runs of an optimizer, or of a task, belong together: the report takes medians over
+them, and pairs them with those of others.  So where some are finished and their file has changed
+since, no more are added.  Where all are finished they can still be reported.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def check_versions(
 ) -> None:
     """Compare the versions of finished runs with the present ones.
 
-    path: folder of the comparison; sources: those of its plan, see `Plan.sources`.
+    path: folder of the comparison; sources: those of its plan, and its pretrained weights.
     states: of the runs of the plan; there: all runs of the comparison so far.
 
     Warns once for each file that has changed since all its runs of an optimizer or a task were

@@ -25,7 +25,7 @@ from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording.directory import RunDirectory, is_saved
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
 from fide_plugins.recording.rendered_target import NAME, RenderedTarget
-from fide_plugins.recording.sources import of_files, of_models
+from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
@@ -144,7 +144,7 @@ def prepare(
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
-            sources=_sources(settings["task"], task, optimizer, options),
+            sources=_sources(settings["task"], task, optimizer, options) | of_weights(searcher),
         )  # fmt: skip
         record, searcher = _started(directory, record, searcher, fidelity, budget, target, kept)
     return Run(
