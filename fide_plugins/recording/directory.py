@@ -66,7 +66,7 @@ _CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 _OF_PICTURES = {
     "weights": "the mask or the weights differ",
-    "target": "the target is another one, as one that is rendered anew may be (keep it in a file)",
+    "target": "the target is another one; if it is rendered, keep it in a file, or undo the edit",
 }
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 

@@ -28,7 +28,7 @@ class RenderedTarget(NamedTuple):
     """A file that holds a rendered target, or will hold it.
 
     path: of the file.
-    made_from: what the target is rendered from, such as its parameters, as text.
+    made_from: what the target is rendered from, its parameters and the source, as text.
     """
 
     path: Path
@@ -52,7 +52,9 @@ class RenderedTarget(NamedTuple):
             ) from error
 
     def write(self, image: Float32) -> None:
-        """Write the image (H, W, 3), atomically, unless the file is there.  Raises OSError."""
-        if self.path.exists():
-            return
-        checkpoint.write(self.path, _KIND, {"made_from": self.made_from, "image": image})
+        """Write the image (H, W, 3), atomically, unless `read` gives one.
+
+        Raises what `read` raises, and OSError.
+        """
+        if self.read() is None:
+            checkpoint.write(self.path, _KIND, {"made_from": self.made_from, "image": image})

@@ -33,6 +33,7 @@ from fide_plugins.runtime import files, machine
 
 __all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of", "target_file"]
 
+_TARGETS = "targets"
 _OLD = 3600.0  # seconds; nothing that is written here takes so long
 
 
@@ -76,13 +77,13 @@ class ComparisonDirectory:
 
     def _check(self, theirs: dict[str, Any], resume: bool) -> None:
         mine = self._settings
-        shared = set(theirs["targets"]) & set(mine["targets"])
         there, here = (
-            {**{k: v for k, v in settings.items() if k != "targets"},
-             **{f"the target of {task}": settings["targets"][task] for task in sorted(shared)}}
-            for settings in (theirs, mine)
-        )  # fmt: skip
+            {k: v for k, v in settings.items() if k != "targets"} for settings in (theirs, mine)
+        )
         check_settings(there, here, f"{self.path} holds a comparison")
+        for task in sorted(set(theirs["targets"]) & set(mine["targets"])):
+            there, here = ({"target": s["targets"][task]} for s in (theirs, mine))
+            check_settings(there, here, f"{self.path} holds a comparison on {task}")
         if not resume:
             raise RunDirectoryError(
                 f"{self.path} already holds a comparison with these settings; continue or extend "
@@ -96,11 +97,8 @@ class ComparisonDirectory:
         comparison here since the check.
         """
         self._write({"command": command, "started": now(), "finished": None, **workers})
-        (self.path / "targets").mkdir(exist_ok=True)
         for task, target in self._targets.items():
             files.write_bytes(target_file(self.path, task), as_png(target))
-        for task, kept in self._rendered.items():
-            kept.write(self._targets[task])
 
     def end(self) -> None:
         """Record that the last call has ended or was stopped."""
@@ -113,9 +111,16 @@ class ComparisonDirectory:
             there = read_record(self.path)
             if there is not None:
                 self._check(there["settings"], resume=True)
+            if self._call is None:  # before the record names them: nobody renders them again
+                self._keep_targets()
             record = self._merged(there, call)
             files.write_text(self.path / "study.json", json.dumps(record, indent=1) + "\n")
         self._call = call
+
+    def _keep_targets(self) -> None:
+        (self.path / _TARGETS).mkdir(exist_ok=True)
+        for task, kept in self._rendered.items():
+            kept.write(self._targets[task])
 
     def _merged(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
         """The record `there` with the runs of this plan; `call` replaces its last call."""
@@ -135,7 +140,7 @@ class ComparisonDirectory:
 
 def target_file(path: Path, task: str) -> Path:
     """File of a task's target in the folder of a comparison."""
-    return path / "targets" / f"{as_file_name(task)}.png"
+    return path / _TARGETS / f"{as_file_name(task)}.png"
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
@@ -191,7 +196,10 @@ def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> S
 
 
 def _check_empty(path: Path) -> None:
-    if path.is_dir() and any(not entry.name.startswith(".") for entry in path.iterdir()):
+    """Raise RunDirectoryError for other files than a call leaves that ends before its record."""
+    if path.is_dir() and any(
+        not entry.name.startswith(".") and entry.name != _TARGETS for entry in path.iterdir()
+    ):
         raise RunDirectoryError(
             f"{path} holds files that belong to no comparison; name an empty or a new directory"
         )

@@ -345,12 +345,16 @@ def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
 def rendered_target(
     task: Task, task_options: Mapping[str, Any], path: Path
 ) -> RenderedTarget | None:
-    """Where the target of this task is kept, if `path` is the file; None for a picture."""
+    """Where the target of this task is kept, if `path` is the file; None for a picture.
+
+    After an edit of the renderer's file it is rendered anew: the earlier one may be no image of it.
+    """
     info = TaskInfo.of(task)
     if info.x_star is None:
         return None
     options = _images_options(info, task_options)
-    made_from = info.seed, info.size, options, np.asarray(info.x_star).tolist()
+    x_star, source = np.asarray(info.x_star).tolist(), fingerprint_of(task)
+    made_from = info.seed, info.size, options, x_star, source
     return RenderedTarget(path, json.dumps(made_from, sort_keys=True, default=str))
 
 

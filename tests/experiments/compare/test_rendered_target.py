@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
 
 from fide_plugins.experiments import compare
 from fide_plugins.experiments.compare import Plan
+from fide_plugins.recording.directory import RunDirectoryError
 
 from .conftest import small
 
@@ -64,3 +67,58 @@ def test_two_comparisons_have_two_targets(scene: str, tmp_path: Path) -> None:
     for name in "ab":
         compare.run(plan_of(scene, "cma"), tmp_path / name)
     assert targets(tmp_path / "a") != targets(tmp_path / "b")
+
+
+EXACT = NOISY.replace("1e-3", "0.0")
+REMARK = "\n# nothing that shows"
+
+
+def edit(scene: str, text: str) -> None:
+    """Write another version of the renderer, as if the next process were to load it."""
+    file = scene.removesuffix(":render")
+    Path(file).write_text(text)
+    for name, module in list(sys.modules.items()):
+        if getattr(module, "__file__", None) == file:
+            del sys.modules[name]
+
+
+def run_again_after(scene: str, version: str, out: Path) -> list[str]:
+    """Outcomes where the renderer was edited, and all runs of its first version were deleted."""
+    compare.run(plan_of(scene, "cma"), out)
+    shutil.rmtree(out / "cells")
+    edit(scene, version)
+    return [outcome.kind for outcome in compare.run(plan_of(scene, "cma"), out, resume=True)]
+
+
+@pytest.mark.parametrize(
+    ("version", "later"),
+    [(EXACT, EXACT.replace("gray +", "1 - gray +")), (NOISY, NOISY + REMARK)],
+)
+def test_no_version_of_a_renderer_is_given_the_target_of_another(
+    scene: str, version: str, later: str, tmp_path: Path
+) -> None:
+    """Of a noisy one nobody knows whether the edit has changed the images."""
+    edit(scene, version)
+    with pytest.raises(RunDirectoryError, match=r"render with other .*another one.*undo"):
+        run_again_after(scene, later, tmp_path / "out")
+
+
+def test_an_edit_that_does_not_change_the_target_is_none(scene: str, tmp_path: Path) -> None:
+    edit(scene, EXACT)
+    assert run_again_after(scene, EXACT + REMARK, tmp_path / "out") == ["done"]
+
+
+def test_a_call_that_is_killed_before_its_record_leaves_the_target_for_the_next(
+    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(path: Path, text: str) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("fide_plugins.experiments.compare.directory.files.write_text", killed)
+        compare.run(plan_of(scene, "cma"), out)
+    (kept,) = (out / "targets").iterdir()
+    before = kept.read_bytes()
+    assert [outcome.kind for outcome in compare.run(plan_of(scene, "cma"), out)] == ["done"]
+    assert kept.read_bytes() == before

@@ -63,6 +63,17 @@ def test_it_is_kept_before_the_first_checkpoint(tmp_path: Path) -> None:
     assert RendersItsTarget.renders == 1
 
 
+def test_one_of_other_parameters_that_is_left_over_is_replaced(tmp_path: Path) -> None:
+    """By a run that was killed before it was written down."""
+    run(tmp_path, budget=5, blue=0.7)
+    left = (tmp_path / "target.ckpt").read_bytes()
+    out = tmp_path / "new"
+    out.mkdir()
+    (out / "target.ckpt").write_bytes(left)
+    run(out, budget=5)
+    run(out, resume=True)
+
+
 def test_a_run_that_keeps_no_checkpoint_keeps_no_target_for_it(tmp_path: Path) -> None:
     keep = harness.Keep(checkpoint=False)
     harness.run(RendersItsTarget(), "cma", budget=5, out=tmp_path, keep=keep)
