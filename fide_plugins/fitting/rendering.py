@@ -7,14 +7,19 @@ no PyTorch.
 from __future__ import annotations
 
 import pickle
+import random
 import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from io import BytesIO
 from typing import Any, TypeAlias, TypeVar
 
+import numpy as np
+
 from fide_plugins.errors import ImageError, RenderError
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_sources import is_path, is_pil, read_pixels
@@ -32,6 +37,7 @@ __all__ = [
 ]
 
 _T = TypeVar("_T")
+_GENERATORS = (np.random.Generator, np.random.RandomState, random.Random)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,16 +148,42 @@ class Portable:
     payload: bytes
 
     @classmethod
-    def of(cls, renderer: Callable[[Any], Outcome]) -> Portable:
-        """Pickle the renderer; raises whatever an object raises that cannot be pickled."""
-        import cloudpickle
+    def of(cls, renderer: Callable[[Any], Outcome], workers: int) -> Portable:
+        """Pickle the renderer for so many workers.
 
-        return cls(cloudpickle.dumps(renderer))
+        Raises whatever an object raises that cannot be pickled.  Warns of a random generator that
+        travels by value: all workers would draw the same noise.
+        """
+        payload, draws = _pickled(renderer)
+        if draws and workers > 1:
+            warn_user(
+                f"render refers to a random generator, and each of {workers} workers has a copy of "
+                "it: they all draw the same numbers, so images share their noise; make it inside "
+                "of render, by np.random.default_rng()"
+            )
+        return cls(payload)
 
     def __call__(self, x: Float64) -> Outcome:
         """Image of the point x (d,) of the cube, as bytes."""
         renderer = attempt(partial(restored, self.payload))
         return renderer if isinstance(renderer, Failed) else pack(renderer(x))
+
+
+def _pickled(renderer: Callable[[Any], Outcome]) -> tuple[bytes, bool]:
+    """The renderer as bytes, and whether a random generator is in them."""
+    import cloudpickle
+
+    class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
+        draws = False
+
+        def reducer_override(self, obj: Any) -> Any:
+            self.draws |= isinstance(obj, _GENERATORS)
+            return super().reducer_override(obj)
+
+    file = BytesIO()
+    pickler = Pickler(file)
+    pickler.dump(renderer)
+    return file.getvalue(), pickler.draws
 
 
 @lru_cache(maxsize=4)

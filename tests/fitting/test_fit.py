@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 import warnings
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +18,9 @@ from fide_plugins import FIDE, fit
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.callbacks import Event, StopFitting
 from fide_plugins.fitting.one_call import prepare
+from fide_plugins.fitting.rendering import Rendered, Renderer
 from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.types import Float64
 
 from .scene import ANSWER, SPACE, disk, target
@@ -112,6 +115,42 @@ def test_what_cannot_be_sent_to_processes_runs_in_threads() -> None:
     assert result.evaluations == 10
     with pytest.raises(OptionError, match="cannot be sent to other processes"):
         fit(render, target(), SPACE, budget=10, executor="processes")
+
+
+def noisy(*, inside: bool) -> Callable[[Float64], Any]:
+    """A renderer that makes its random generator anew for each image, or has one."""
+    one = None if inside else np.random.default_rng()
+
+    def render(x: Float64) -> Any:
+        generator = one or np.random.default_rng()
+        return np.clip(x[0] + generator.normal(0, 0.05, (8, 8)), 0, 1)
+
+    return render
+
+
+def firsts(workers: int, *, inside: bool) -> list[float]:
+    """First random number of each of four renders, by the workers in turn."""
+    renderer = Renderer(noisy(inside=inside), None)
+    pool = workers_for(renderer, workers, None, None)
+    try:
+        found = []
+        for _ in range(4 // workers):
+            tasks = [pool.submit(np.array([0.5])) for _ in range(workers)]
+            found += [pool.outcome(task) for task in tasks]
+        assert all(isinstance(one, Rendered) for one in found)
+        return [float(one.image[0, 0]) for one in found if isinstance(one, Rendered)]
+    finally:
+        pool.close()
+
+
+def test_a_warning_says_that_workers_share_their_noise() -> None:
+    with pytest.warns(RuntimeWarning, match=r"each of 2 workers has a copy.*inside of render"):
+        assert len(set(firsts(2, inside=False))) == 2, "the same numbers in both workers"
+
+
+@pytest.mark.parametrize(("workers", "inside"), [(2, True), (1, False), (1, True)])
+def test_noise_of_each_image_is_its_own_without_a_warning(workers: int, inside: bool) -> None:
+    assert len(set(firsts(workers, inside=inside))) == 4
 
 
 def in_a_pool(_: int) -> tuple[int, list[str], str]:

@@ -42,7 +42,7 @@ class OfExecutor:
         self.number = number
         self._executor, self._own = executor, own
         self._threads = isinstance(executor, ThreadPoolExecutor | DaemonThreads)
-        self._renderer = renderer if self._threads else Portable.of(renderer)
+        self._renderer = renderer if self._threads else Portable.of(renderer, number)
         self._clocks: dict[Task, _Clock] = {}
         self._tells = self._threads
         """Whether the executor tells when a render begins."""

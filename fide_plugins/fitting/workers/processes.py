@@ -48,7 +48,7 @@ class Processes:
 
     def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
         self.number = self.usable = number
-        self._portable = Portable.of(renderer)
+        self._portable = Portable.of(renderer, number)
         self._workers: list[_Worker] = []
         self._of: dict[Task, _Worker] = {}
 
