@@ -30,13 +30,15 @@ METHOD = (
     "All optimizers have the same target, the same box and, unless the table says otherwise, the "
     "same number of renders. A search starts at or around the center of the box; random search "
     "draws uniformly from the whole box. Runs with the same seed form a pair.",
-    "The loss of a run is the loss of its best candidate, rendered without noise. The curves show "
-    "the lowest loss so far that the optimizer received.",
+    "The loss of a run is the loss of its best candidate, rendered without noise where the task "
+    "can do that. A renderer of your own cannot: its loss is that of the best image as it was "
+    "seen. If it is noisy, the more renders, the lower is that loss by luck. The curves show the "
+    "lowest loss so far that the optimizer received.",
     "Lines and bands are medians and quantiles (25 to 75 %, 5 to 95 %) over seeds. A run that "
     "failed, or never had a finite loss, counts as infinite: no optimizer gains by failing. "
     "Missing and unfinished runs are left out. Pictures and times are of finished runs.",
-    "A run succeeds if its noise-free final loss is at most the threshold. The success rate has "
-    "Wilson's 95 % interval. Renders to the threshold are a median in which a run that does not "
+    "A run succeeds if the loss of the run is at most the threshold. The success rate has Wilson's "
+    "95 % interval. Renders to the threshold are a median in which a run that does not "
     "succeed counts as infinite.",
     "The winner has the lowest median. A two-sided Wilcoxon signed-rank test compares each rival "
     "with the winner, pair by pair. It uses logarithms of the losses, or the losses if one of them "

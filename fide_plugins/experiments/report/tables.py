@@ -57,7 +57,8 @@ def ranking(panel: Panel) -> Table:
         *([("renders", "renders of each run")] if budgets else []),
         (
             f"median {panel.loss}",
-            "median over runs of the noise-free final loss; a failed run's is infinite",
+            "median over runs of the final loss, without noise where the task can render so; a "
+            "failed run's is infinite",
         ),
         ("25 to 75 %", "quantiles over runs"),
         *((f"median {name}", "median over runs of the same images") for name in others),

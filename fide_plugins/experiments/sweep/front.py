@@ -2,7 +2,8 @@
 
 Losses during a run can be compared if all images have the same size and no noise.  If the sweep
 has several sizes or numbers of samples per pixel, or if images are noisy, a run counts only from
-its end, with the loss of its best candidate at the largest size and without noise.
+its end, with the loss of its best candidate at the largest size and without noise.  A user's
+renderer has no image without noise; whether it is noisy is not known, and its losses count as seen.
 """
 
 from __future__ import annotations

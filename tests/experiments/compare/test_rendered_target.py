@@ -11,6 +11,7 @@ import pytest
 
 from fide_plugins.experiments import compare
 from fide_plugins.experiments.compare import Plan
+from fide_plugins.experiments.report.sentences import METHOD
 from fide_plugins.recording.directory import RunDirectoryError
 
 from .conftest import small
@@ -122,3 +123,13 @@ def test_a_call_that_is_killed_before_its_record_leaves_the_target_for_the_next(
     before = kept.read_bytes()
     assert [outcome.kind for outcome in compare.run(plan_of(scene, "cma"), out)] == ["done"]
     assert kept.read_bytes() == before
+
+
+def test_the_loss_of_a_user_s_renderer_is_that_of_the_image_as_it_was_seen(
+    scene: str, tmp_path: Path
+) -> None:
+    """It has no image without noise, and the method of a report says so."""
+    compare.run(plan_of(scene, "random"), tmp_path / "out")
+    (run,) = compare.read(tmp_path / "out").runs
+    assert run.final == run.totals["best_loss"] == run.totals["reference_loss"] > 0
+    assert any("renderer of your own cannot" in said for said in METHOD)
