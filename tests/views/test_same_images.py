@@ -39,6 +39,18 @@ def test_a_fit_says_once_that_all_images_are_equal() -> None:
     assert "candidates have the same image" in result.status.sentence
 
 
+@pytest.mark.parametrize(("noise", "equal"), [(1e-7, True), (1e-4, False)])
+def test_a_gpu_s_rounding_makes_no_image_another_one(noise: float, equal: bool) -> None:
+    generator = np.random.default_rng(0)
+    opt = FIDE(SPACE, TARGET, seed=0)
+    images = [TARGET * 0.5 + 0.1 + generator.normal(0, noise, (8, 8)) for _ in range(40)]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        opt.tell(opt.ask(40), images)
+    assert [one.category for one in said] == [RuntimeWarning] * equal
+    assert opt.status.sentence.startswith("All 40 candidates") == equal
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_where_only_some_images_differ_nothing_is_said(seed: int) -> None:
     result = fit(mostly, TARGET, SPACE, 60, workers=0, seed=seed)
