@@ -38,6 +38,7 @@ __all__ = [
 
 _T = TypeVar("_T")
 _GENERATORS = (np.random.Generator, np.random.RandomState, random.Random)
+_GLOBAL = np.random.mtrand._rand  # that of NumPy, which SciPy's distributions refer to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,7 +178,7 @@ def _pickled(renderer: Callable[[Any], Outcome]) -> tuple[bytes, bool]:
         draws = False
 
         def reducer_override(self, obj: Any) -> Any:
-            self.draws |= isinstance(obj, _GENERATORS)
+            self.draws |= isinstance(obj, _GENERATORS) and obj is not _GLOBAL
             return super().reducer_override(obj)
 
     file = BytesIO()

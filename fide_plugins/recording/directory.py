@@ -6,7 +6,7 @@
     improvements.csv   one line for each evaluation that was the best so far, with other metrics
     best.png       the best image so far
     target.png     the picture to find
-    target.ckpt    the same to the last bit, if the task has rendered it
+    target.ckpt    the same to the last bit, of a run by itself
     frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError, FideError
-from fide_plugins.recording import rendered_target, sources as sources_module, tables
+from fide_plugins.recording import kept_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.record_schema import check_record
@@ -66,7 +66,7 @@ _CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 _OF_PICTURES = {
     "weights": "the mask or the weights differ",
-    "target": "the target is another one; if it is rendered, keep it in a file, or undo the edit",
+    "target": "the target is another one (if it is rendered with noise, give it as a picture)",
 }
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 
@@ -273,7 +273,7 @@ class RunDirectory:
 
     def remove_checkpoint(self) -> None:
         """Remove the state from which the run could continue."""
-        for name in (_CHECKPOINT, rendered_target.NAME):
+        for name in (_CHECKPOINT, kept_target.NAME):
             with suppress(OSError):
                 (self.path / name).unlink()
         self._remove_optimizers()

@@ -377,9 +377,13 @@ def _is_nested(given: Sequence[object]) -> bool:
 
 def _is_row(value: object) -> bool:
     if isinstance(value, list | tuple):
-        return len(value) > 0 and all(isinstance(one, Number | np.bool_) for one in value)
+        return len(value) > 0 and all(map(_is_number, value))
     ndim = getattr(value, "ndim", None)
     return isinstance(ndim, int) and ndim == 1
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Number | np.bool_) or getattr(value, "ndim", None) == 0
 
 
 def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from fide_plugins import FIDE, fit
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.callbacks import Event, StopFitting
 from fide_plugins.fitting.one_call import prepare
-from fide_plugins.fitting.rendering import Rendered, Renderer
+from fide_plugins.fitting.rendering import Portable, Rendered, Renderer
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.types import Float64
@@ -151,6 +152,12 @@ def test_a_warning_says_that_workers_share_their_noise() -> None:
 @pytest.mark.parametrize(("workers", "inside"), [(2, True), (1, False), (1, True)])
 def test_noise_of_each_image_is_its_own_without_a_warning(workers: int, inside: bool) -> None:
     assert len(set(firsts(workers, inside=inside))) == 4
+
+
+def test_a_distribution_of_scipy_is_no_generator_of_the_user() -> None:
+    """Though it holds that of NumPy, from which it would draw."""
+    distribution = stats.norm(0, 1)
+    Portable.of(lambda x: distribution.pdf(x), 2)
 
 
 def in_a_pool(_: int) -> tuple[int, list[str], str]:

@@ -322,7 +322,9 @@ def test_a_single_mask_counts_for_all_views_of_its_size(
 def test_nested_lists_of_as_many_rows_as_views_are_one_mask(name: str) -> None:
     target = np.zeros((2, 3, 3))
     rows = [[1.0, 0.0, 0.5], [0.0, 1.0, 1.0]]
-    views = [Views.read([target] * 2, **{name: m}) for m in (rows, [rows, rows], np.array(rows))]
+    scalars = [[torch.tensor(value) for value in row] for row in rows]
+    forms = rows, [rows, rows], np.array(rows), scalars
+    views = [Views.read([target] * 2, **{name: m}) for m in forms]
     for one in views:
         np.testing.assert_array_equal(one.weights, [rows, rows])
     other = Views.read([target] * 2, **{name: [None, rows]})

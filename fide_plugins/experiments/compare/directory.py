@@ -2,7 +2,7 @@
 
     study.json   record: settings; "cells", one entry for each run, with the digest of its
                  settings; calls of the command, with versions and machine
-    targets/TASK.png     and, if it was rendered, TASK.ckpt, which all runs read
+    targets/TASK.png     and the same to the last bit, TASK.ckpt, which all runs read
     cells/TASK/LOSS/CONFIGURATION/seed-N/   run directory of each run
 
 Tasks, losses, configurations and seeds may be added later.  Settings that make runs comparable
@@ -17,10 +17,10 @@ import os
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.one_run import State, examine, is_busy
-from fide_plugins.experiments.compare.plan import Checked, Plan, RunKey
+from fide_plugins.experiments.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_plugins.experiments.compare.versions import check_versions
+from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import (
     FORMAT,
     RunDirectoryError,
@@ -31,9 +31,8 @@ from fide_plugins.recording.directory import (
 from fide_plugins.recording.figures import as_png
 from fide_plugins.runtime import files, machine
 
-__all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of", "target_file"]
+__all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of"]
 
-_TARGETS = "targets"
 _OLD = 3600.0  # seconds; nothing that is written here takes so long
 
 
@@ -56,7 +55,7 @@ class ComparisonDirectory:
         *,
         resume: bool,
     ) -> None:
-        self.path, self._targets, self._rendered = Path(path), checked.targets, checked.rendered
+        self.path, self._targets = Path(path), checked.targets
         settings = checked.settings
         self._settings = _comparable(plan, settings)
         self._runs = {key: digest(run) for key, run in settings.items()}
@@ -98,7 +97,7 @@ class ComparisonDirectory:
         """
         self._write({"command": command, "started": now(), "finished": None, **workers})
         for task, target in self._targets.items():
-            files.write_bytes(target_file(self.path, task), as_png(target))
+            files.write_bytes(target_file(self.path, task, "png"), as_png(target.image))
 
     def end(self) -> None:
         """Record that the last call has ended or was stopped."""
@@ -111,16 +110,16 @@ class ComparisonDirectory:
             there = read_record(self.path)
             if there is not None:
                 self._check(there["settings"], resume=True)
-            if self._call is None:  # before the record names them: nobody renders them again
+            if self._call is None:  # before the record names them: nobody renders the same again
                 self._keep_targets()
             record = self._merged(there, call)
             files.write_text(self.path / "study.json", json.dumps(record, indent=1) + "\n")
         self._call = call
 
     def _keep_targets(self) -> None:
-        (self.path / _TARGETS).mkdir(exist_ok=True)
-        for task, kept in self._rendered.items():
-            kept.write(self._targets[task])
+        (self.path / TARGETS).mkdir(exist_ok=True)
+        for task, target in self._targets.items():
+            kept_target.write(target_file(self.path, task), target)
 
     def _merged(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
         """The record `there` with the runs of this plan; `call` replaces its last call."""
@@ -136,11 +135,6 @@ class ComparisonDirectory:
             "versions": machine.versions(),
             "machine": machine.machine(),
         }
-
-
-def target_file(path: Path, task: str) -> Path:
-    """File of a task's target in the folder of a comparison."""
-    return path / _TARGETS / f"{as_file_name(task)}.png"
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
@@ -197,9 +191,10 @@ def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> S
 
 def _check_empty(path: Path) -> None:
     """Raise RunDirectoryError for other files than a call leaves that ends before its record."""
-    if path.is_dir() and any(
-        not entry.name.startswith(".") and entry.name != _TARGETS for entry in path.iterdir()
-    ):
+    there = [entry for entry in path.glob("*") if not entry.name.startswith(".")]
+    if there == [path / TARGETS]:
+        there = [entry for entry in there[0].glob("*") if entry.suffix != ".ckpt"]
+    if there:
         raise RunDirectoryError(
             f"{path} holds files that belong to no comparison; name an empty or a new directory"
         )

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments.compare.plan import Plan, RunKey, rendered_file
+from fide_plugins.experiments.compare.plan import Plan, RunKey, target_file
 from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
+from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import (
     TABLES,
     RunDirectoryError,
@@ -157,6 +158,8 @@ def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> t
     """The run, continued if possible; otherwise a new one, and the reason."""
     folder = out / key.folder
     configuration = plan.configuration(key.configuration)
+    kept = kept_target.read(target_file(out, key.task))
+    target = None if kept is None else kept.image
 
     def attempt() -> Run:
         return prepare(
@@ -173,7 +176,7 @@ def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> t
             resume=True,
             command=command,
             keep=plan.keep,
-            target_file=rendered_file(out, key.task),
+            target=target,
         )
 
     try:

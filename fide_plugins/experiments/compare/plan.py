@@ -12,22 +12,19 @@ from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
 from fide_plugins.experiments.run import Keep, renderer_task
-from fide_plugins.experiments.run.prepare import (
-    make_task,
-    rendered_target,
-    settings_of,
-    target_of,
-)
+from fide_plugins.experiments.run.prepare import kept_of, make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
-from fide_plugins.recording.rendered_target import RenderedTarget
+from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.warn import said_once, warn_user
-from fide_plugins.types import Float32
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Checked", "Plan", "RunKey", "rendered_file"]
+__all__ = ["TARGETS", "Checked", "Plan", "RunKey", "target_file"]
+
+TARGETS = "targets"
+"""Folder of the targets in that of a comparison."""
 
 
 class RunKey(NamedTuple):
@@ -57,15 +54,13 @@ class Checked(NamedTuple):
     """Result of `Plan.check`.
 
     settings: settings that define each run, in the order of the plan.
-    targets: target of each task, (H, W, 3).
-    rendered: where those that were rendered are kept, or are to be kept.
+    targets: that of each task, as it is to be kept.
     weights: fingerprints of the pretrained weights of their encoders, by reference.
     said: warnings that making the optimizers gave, which their runs need not repeat.
     """
 
     settings: dict[RunKey, dict[str, Any]]
-    targets: dict[str, Float32]
-    rendered: dict[str, RenderedTarget]
+    targets: dict[str, KeptTarget]
     weights: dict[str, str]
     said: frozenset[str]
 
@@ -154,7 +149,7 @@ class Plan:
     def check(self, out: Path) -> Checked:
         """Make every task, loss and optimizer once; returns settings of all runs, and targets.
 
-        out: folder of the comparison, which has the targets that were rendered before.
+        out: folder of the comparison, which may have the targets of an earlier call.
 
         Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
         package, OSError for missing weights.  Warns of a budget below one population, and of
@@ -162,18 +157,15 @@ class Plan:
         """
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
-        targets: dict[str, Float32] = {}
-        rendered: dict[str, RenderedTarget] = {}
+        targets: dict[str, KeptTarget] = {}
         weights: dict[str, str] = {}
         said: set[str] = set()
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
             for configuration in self.configurations:  # a model may be of another version
                 model_for(self.options_of(configuration).get("learned"), task)
-            kept = rendered_target(task, self.task_options, rendered_file(out, name))
-            if kept is not None:
-                rendered[name] = kept
-            target = targets[name] = target_of(task, kept)
+            target = target_of(task, target_file(out, name))
+            targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]
             for loss in {*(key.loss for key in mine), *self.metrics}:
                 losses_module.make(loss, target)
@@ -194,12 +186,12 @@ class Plan:
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
         ordered = {key: settings[key] for key in self.runs()}
-        return Checked(ordered, targets, rendered, weights, frozenset(said))
+        return Checked(ordered, targets, weights, frozenset(said))
 
 
-def rendered_file(out: Path, task: str) -> Path:
-    """File of a rendered target, to the last bit, in the folder of a comparison."""
-    return out / "targets" / f"{as_file_name(task)}.ckpt"
+def target_file(out: Path, task: str, kind: str = "ckpt") -> Path:
+    """File of the target of a task in the folder of a comparison; kind: "ckpt" or "png"."""
+    return out / TARGETS / f"{as_file_name(task)}.{kind}"
 
 
 def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:

@@ -28,7 +28,7 @@ from urllib.parse import quote
 
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import as_file_name
-from fide_plugins.experiments.compare.directory import target_file
+from fide_plugins.experiments.compare.plan import target_file
 from fide_plugins.experiments.compare.results import (
     AXES,
     AllFailedError,
@@ -110,7 +110,7 @@ def _write_figures(results: Results, panel: Panel, folder: Path) -> dict[str, by
         stem = f"times-{name}" if kind == "times" else f"convergence-{name}-{kind}"
         files.write_bytes(folder / f"{stem}.svg", svg.as_file(figure))
         files.write_bytes(folder / f"{stem}.png", svg.png(figure))
-    images = pictures.grid(panel, target_file(results.path, panel.task))
+    images = pictures.grid(panel, target_file(results.path, panel.task, "png"))
     files.write_bytes(folder / f"images-{name}.png", svg.png(images))
     return {kind: svg.as_file(figure) for kind, figure in _charts(panel, legend=False).items()}
 

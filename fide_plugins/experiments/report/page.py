@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.compare.directory import target_file
+from fide_plugins.experiments.compare.plan import target_file
 from fide_plugins.experiments.compare.results import AXES, Results, StoredRun
 from fide_plugins.experiments.report import pictures, plots, sentences, svg, tables
 from fide_plugins.experiments.report.panel import Panel
@@ -109,7 +109,7 @@ def _section(
         "time_table": tables.times(panel),
         "losses": tables.losses(panel),
         "target": pictures.picture(
-            target_file(results.path, panel.task), f"target of {panel.task}", "target"
+            target_file(results.path, panel.task, "png"), f"target of {panel.task}", "target"
         ),
         "found": pictures.rows_of(panel),
         "marks": marks,

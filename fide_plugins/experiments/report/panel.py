@@ -171,7 +171,7 @@ class Panel:
     def renders_to_target(self, run: StoredRun) -> float:
         """Renders after which a run reached the threshold; infinity if it is no success.
 
-        Losses during the run may be noisy, and success is judged without noise.  A run that
+        Losses during the run may be noisy, and success is judged by the final loss.  A run that
         succeeds although no loss was that low counts from the evaluation of its best candidate.
         """
         if run.curve is None or not self.succeeded(run):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from fide_plugins import losses as losses_module, optimizers
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
@@ -22,9 +20,10 @@ from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, 
 from fide_plugins.experiments.suite import read as read_suite
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import RunDirectory, is_saved
+from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
-from fide_plugins.recording.rendered_target import NAME, RenderedTarget
 from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
@@ -33,7 +32,7 @@ from fide_plugins.validation.images import as_target
 from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["make_task", "prepare", "rendered_target", "run", "settings_of", "target_of"]
+__all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
 
 
 def run(
@@ -72,7 +71,7 @@ def prepare(
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
     keep: Keep | None = None,
-    target_file: Path | None = None,
+    target: Float32 | None = None,
 ) -> Run:
     """Check the arguments, and make or resume a run; one image is rendered at most.
 
@@ -111,9 +110,9 @@ def prepare(
         command line to record.
     keep
         what to record in addition to the losses; see `Keep`.
-    target_file
-        file with the target, if it is rendered, of all runs of a comparison; None: of this run, in
-        `out`.
+    target
+        picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the task,
+        which is kept in `out`.
 
     Raises
     ------
@@ -129,8 +128,8 @@ def prepare(
     resumed = resume and out is not None and is_saved(out)
     search_options = _options_of(optimizer, options, task, resumed)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
-    kept = None if out is None else rendered_target(task, task_options, _file(out, target_file))
-    target = target_of(task, kept)
+    file = None if out is None or target is not None else Path(out) / kept_target.NAME
+    target = target_of(task, file) if target is None else target
     judge = losses_module.resolve(loss, target, device=options.get("device"))
     metrics = {name: losses_module.make(name, target) for name in keep.metrics}
     settings = settings_of(
@@ -146,7 +145,8 @@ def prepare(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
             sources=_sources(settings["task"], task, optimizer, options) | of_weights(searcher),
         )  # fmt: skip
-        record, searcher = _started(directory, record, searcher, fidelity, budget, target, kept)
+        begin = partial(_begin, directory, None if file is None else (file, kept_of(task, target)))
+        record, searcher = _started(directory, record, searcher, fidelity, budget, begin)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
@@ -214,20 +214,14 @@ def _started(
     searcher: Optimizer,
     fidelity: Fidelity | None,
     budget: int,
-    target: Float32,
-    kept: RenderedTarget | None,
+    begin: Callable[[], None],
 ) -> tuple[Record, Optimizer]:
-    """As `_restored`, and the run is written down; where it is refused the lock ends.
-
-    kept: where the target is kept from then on, before the record names it; None: nowhere.
-    """
+    """As `_restored`, and the run is written down by `begin`; where it is refused the lock ends."""
     with ExitStack() as refused:
         refused.callback(directory.close)
         record, searcher = _restored(directory, record, searcher, fidelity)
         _check_budget(budget, record, directory)
-        if kept is not None:
-            kept.write(target)
-        directory.write_run()
+        begin()
         refused.pop_all()
     return record, searcher
 
@@ -245,6 +239,13 @@ def _restored(
     if fidelity is not None and record.fidelity is not None:
         fidelity.load_state_dict(record.fidelity)
     return record, searcher
+
+
+def _begin(directory: RunDirectory, kept: tuple[Path, KeptTarget] | None) -> None:
+    """Write the run down; first its target, which the record names.  None: it is kept elsewhere."""
+    if kept is not None:
+        kept_target.write(*kept)
+    directory.write_run()
 
 
 def _check_budget(budget: int, record: Record, directory: RunDirectory) -> None:
@@ -290,7 +291,7 @@ def settings_of(
     settings = {
         "task": info.name,
         "task_seed": info.seed,
-        "task_options": _images_options(info, task_options),
+        "task_options": {k: v for k, v in task_options.items() if k not in info.incidental_options},
         "size": list(target.shape[:2]),
         "dim": task.dim,
         "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
@@ -307,16 +308,6 @@ def settings_of(
     if keep.metrics:
         settings["metrics"] = list(keep.metrics)
     return settings
-
-
-def _images_options(info: TaskInfo, task_options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the task on which its images depend."""
-    return {k: v for k, v in task_options.items() if k not in info.incidental_options}
-
-
-def _file(out: str | os.PathLike[str], target_file: Path | None) -> Path:
-    """File of the rendered target of a run."""
-    return Path(out) / NAME if target_file is None else target_file
 
 
 def _make_optimizer(
@@ -342,36 +333,33 @@ def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
     return not isinstance(optimizer, str) or "budget" in optimizers.options(optimizer)
 
 
-def rendered_target(
-    task: Task, task_options: Mapping[str, Any], path: Path
-) -> RenderedTarget | None:
-    """Where the target of this task is kept, if `path` is the file; None for a picture.
+def kept_of(task: Task, target: Float32) -> KeptTarget:
+    """A target of the task, as it is kept."""
+    return KeptTarget(target, renderer_task.source_of_target(task))
 
-    After an edit of the renderer's file it is rendered anew: the earlier one may be no image of it.
+
+def target_of(task: Task, file: Path | None = None) -> Float32:
+    """The target of a task: the one that is kept in the file, if the task still has it.
+
+    A target from the same source is not rendered again, since noise may be in it.  Any other is
+    made again, and must agree with the kept one but for rounding.
+
+    Raises RenderError if the renderer fails; CheckpointError if the file is damaged.
     """
-    info = TaskInfo.of(task)
-    if info.x_star is None:
-        return None
-    options = _images_options(info, task_options)
-    x_star, source = np.asarray(info.x_star).tolist(), fingerprint_of(task)
-    made_from = info.seed, info.size, options, x_star, source
-    return RenderedTarget(path, json.dumps(made_from, sort_keys=True, default=str))
-
-
-def target_of(task: Task, kept: RenderedTarget | None = None) -> Float32:
-    """The target of a task: the one that is kept, or a new one.
-
-    Raises RenderError if the renderer fails; CheckpointError if the kept one is damaged.
-    """
-    target = None if kept is None else kept.read()
-    if target is not None:
-        return target
+    kept = None if file is None else kept_target.read(file)
+    if (
+        kept is not None
+        and kept.source is not None
+        and kept.source == renderer_task.source_of_target(task)
+    ):
+        return kept.image
     try:
-        return as_target(task.target)
+        target = as_target(task.target)
     except FideError:
         raise
     except RuntimeError as error:
         raise RenderError(f"{own_name(task)} failed to render its target: {error}") from error
+    return kept.image if kept is not None and kept_target.agree(kept.image, target) else target
 
 
 def _words(command: Sequence[str] | None) -> list[str] | None:

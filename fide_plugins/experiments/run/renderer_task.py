@@ -5,6 +5,7 @@ What is to be found are random parameters of its own, or the parameters of a giv
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
@@ -15,12 +16,13 @@ from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
 from fide_plugins.renderers.command import TIMEOUT
 from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
+from fide_plugins.runtime.fingerprints import kind_of
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch, as_target
 
-__all__ = ["RendererTask", "is_function", "is_own", "make"]
+__all__ = ["RendererTask", "is_function", "is_own", "make", "source_of_target"]
 
 _OF_BOTH = ("space", "target")
 _OF_COMMAND = (*_OF_BOTH, "command", "timeout")
@@ -104,6 +106,20 @@ class RendererTask:
     def decode(self, x: Float64) -> Any:
         """What the renderer is given for a point (dim,)."""
         return x.copy() if self.search_space is None else self.search_space.decode(x)
+
+
+def source_of_target(task: object) -> str | None:
+    """From which file, and from which parameters, a function renders the target of this task.
+
+    None for a picture, and for what a program or another task renders: nobody knows whether that
+    was changed.
+    """
+    if not isinstance(task, RendererTask) or task.x_star is None:
+        return None
+    file, space = task.fingerprint, task.search_space
+    if file is None or kind_of(file) != "file":
+        return None
+    return json.dumps([file, task.x_star.tolist(), None if space is None else space.to_dict()])
 
 
 def is_own(name: str, options: Mapping[str, Any]) -> bool:

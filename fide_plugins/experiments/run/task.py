@@ -48,8 +48,6 @@ class TaskInfo:
     piece: most candidates to render before their results are told; None: the loop's own number.
     advice: function of the name of a loss that gives a sentence, for a user who would do better
         with other settings, or None.
-    x_star: parameters, (dim,), of a target that it renders; None for a picture that was given.
-    size: (H, W) of the images, where it is known before one is rendered.
     """
 
     name: str
@@ -61,8 +59,6 @@ class TaskInfo:
     search_space: Space | None = None
     piece: int | None = None
     advice: Callable[[str], str | None] | None = None
-    x_star: Float64 | None = None
-    size: tuple[int, int] | None = None
 
     @classmethod
     def of(cls, task: object) -> TaskInfo:

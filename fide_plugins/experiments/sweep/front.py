@@ -17,9 +17,9 @@ import numpy as np
 
 from fide_plugins import losses as losses_module
 from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
-from fide_plugins.experiments.compare.plan import rendered_file
+from fide_plugins.experiments.compare.plan import target_file
 from fide_plugins.experiments.compare.results import NoResultsError
-from fide_plugins.experiments.run.prepare import make_task, rendered_target, target_of
+from fide_plugins.experiments.run.prepare import make_task, target_of
 from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.types import Float32
@@ -166,6 +166,7 @@ class _Judge:
     def __init__(self, results: list[Results]) -> None:
         self._finest = max(results, key=lambda r: (r.settings["size"], _spp(r) or 0))
         self._tasks: dict[str, Task] = {}
+        self._targets: dict[str, Float32] = {}
 
     def __call__(self, run: StoredRun) -> float:
         x = run.totals["x_best"]
@@ -178,9 +179,9 @@ class _Judge:
         return float(loss(np.asarray(image)[None])[0])
 
     def _target(self, name: str, task: Task) -> Float32:
-        file = rendered_file(self._finest.path, name)
-        options = self._finest.settings["task_options"]
-        return target_of(task, rendered_target(task, options, file))
+        if name not in self._targets:
+            self._targets[name] = target_of(task, target_file(self._finest.path, name))
+        return self._targets[name]
 
     def _task(self, name: str) -> Task:
         s = self._finest.settings

@@ -114,7 +114,6 @@ def test_a_task_that_says_nothing_of_itself() -> None:
 def test_a_task_that_says_all() -> None:
     class Scene(Gray):
         name, seed, incidental_options, renderer, spp = "scene", 4, ("workers",), "llvm", 16
-        x_star, size = None, (6, 8)
 
         def reference(self, x: Float64) -> Any:
             return x
@@ -125,7 +124,5 @@ def test_a_task_that_says_all() -> None:
     scene = Scene()
     said = TaskInfo.of(scene)
     reference, advice = scene.reference, scene.advice
-    assert said == TaskInfo(
-        "scene", 4, reference, ("workers",), "llvm", 16, advice=advice, size=(6, 8)
-    )
+    assert said == TaskInfo("scene", 4, reference, ("workers",), "llvm", 16, advice=advice)
     assert harness.prepare(scene, "random", budget=4).advice == "no mse here"

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from fide_plugins.experiments import compare
-from fide_plugins.experiments.compare import Plan
+from fide_plugins.experiments.compare import Outcome, Plan
+from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.experiments.report.sentences import METHOD
 from fide_plugins.recording.directory import RunDirectoryError
 
@@ -100,7 +101,7 @@ def test_no_version_of_a_renderer_is_given_the_target_of_another(
 ) -> None:
     """Of a noisy one nobody knows whether the edit has changed the images."""
     edit(scene, version)
-    with pytest.raises(RunDirectoryError, match=r"render with other .*another one.*undo"):
+    with pytest.raises(RunDirectoryError, match=r"render with other .*another one.*a picture"):
         run_again_after(scene, later, tmp_path / "out")
 
 
@@ -133,3 +134,31 @@ def test_the_loss_of_a_user_s_renderer_is_that_of_the_image_as_it_was_seen(
     (run,) = compare.read(tmp_path / "out").runs
     assert run.final == run.totals["best_loss"] == run.totals["reference_loss"] > 0
     assert any("renderer of your own cannot" in said for said in METHOD)
+
+
+def test_a_renderer_that_is_edited_meanwhile_leaves_the_target_as_it_is(
+    scene: str, tmp_path: Path
+) -> None:
+    """Runs of two versions are told apart by the digests of the file, see `versions`."""
+    out = tmp_path / "out"
+    plan = plan_of(scene, "cma", seeds=2)
+
+    def edit_after(outcome: Outcome) -> None:
+        edit(scene, NOISY + REMARK)
+
+    prepare(plan, out).execute(edit_after)
+    assert len(targets(out)) == 1
+    edit(scene, NOISY)
+    with pytest.warns(RuntimeWarning, match="has changed since the runs with"):
+        prepare(plan, out, resume=True)
+
+
+def test_a_user_s_folder_of_targets_is_not_taken_for_one_of_a_comparison(
+    scene: str, tmp_path: Path
+) -> None:
+    own = tmp_path / "out" / "targets" / "voronoi.png"
+    own.parent.mkdir(parents=True)
+    own.write_bytes(b"mine")
+    with pytest.raises(RunDirectoryError, match="files that belong to no comparison"):
+        compare.run(plan_of(scene, "cma"), tmp_path / "out")
+    assert own.read_bytes() == b"mine"
