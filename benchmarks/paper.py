@@ -145,6 +145,11 @@ def cells_of(stage: Stage) -> Iterator[Row]:
                     }
 
 
+def in_main_comparison(row: Row) -> bool:
+    """Whether the row is of a racer, on a picture that all of them have."""
+    return row["configuration"] in RACERS and (row["task"] in FAST or row["target"] == 0)
+
+
 def measure(cell: Row, optimizer: str, options: dict[str, Any], parts: Path, threads: int) -> Row:
     """One run: both losses of its best candidate at every mark, and of its result."""
     options = options_of(cell, options)

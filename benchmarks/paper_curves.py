@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from paper import FAST, METRICS, RACERS, RENDERED, RESULTS
+from paper import FAST, METRICS, RACERS, RENDERED, RESULTS, in_main_comparison
 from paper_tables import end, longest
 from quality import MARKS
 from rows import Row, read
@@ -112,7 +112,7 @@ def main() -> None:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerows([COLUMNS, *lines(rows)])
     if arguments.picture:
-        picture(rows).savefig(arguments.picture, dpi=90)
+        picture(list(filter(in_main_comparison, rows))).savefig(arguments.picture, dpi=90)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from paper import (
     RESULTS,
     TASK_OPTIONS,
     grid,
+    in_main_comparison,
     make_task,
 )
 from PIL import Image, ImageDraw, ImageFont
@@ -48,7 +49,7 @@ def main() -> None:
     parser.add_argument("--backbones", action="store_true", help="only the encoders' table")
     arguments = parser.parse_args()
     every = longest(read(arguments.rows))
-    rows = [row for row in every if row["configuration"] in RACERS]
+    rows = list(filter(in_main_comparison, every))
     if arguments.backbones:
         print("\n".join(backbones(every)))
     elif arguments.picture:
