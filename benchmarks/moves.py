@@ -48,6 +48,7 @@ class Scene(NamedTuple):
 
 SCENES = {
     "voronoi8": Scene("voronoi", {}, 1e-3, 4000),
+    "voronoi12": Scene("voronoi", {"cells": 12}, 1e-3, 10_000),
     "voronoi16": Scene("voronoi", {"cells": 16}, 1e-3, 10_000),
     "voronoi32": Scene("voronoi", {"cells": 32}, 1e-3, 50_000),
     "robot": Scene("robot", {}, 2e-5, 5000),

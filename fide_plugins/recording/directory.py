@@ -66,7 +66,7 @@ _CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 _OF_PICTURES = {
     "weights": "the mask or the weights differ",
-    "target": "the target is another one (if it is rendered with noise, give it as a picture)",
+    "target": "the target is another one; undo the edit, or begin anew with one that a file has",
 }
 _OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
 

@@ -72,7 +72,8 @@ class ComparisonDirectory:
         there = [] if before is None else [key for key, _ in runs_of(before)]
         check_versions(self.path, sources, self.states, there)
         files.check_writable(self.path)
-        files.remove_leftovers(self.path, age=_OLD)  # another process may be at work here
+        for folder in (self.path, self.path / TARGETS):
+            files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
 
     def _check(self, theirs: dict[str, Any], resume: bool) -> None:
         mine = self._settings
@@ -191,10 +192,14 @@ def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> S
 
 def _check_empty(path: Path) -> None:
     """Raise RunDirectoryError for other files than a call leaves that ends before its record."""
-    there = [entry for entry in path.glob("*") if not entry.name.startswith(".")]
-    if there == [path / TARGETS]:
-        there = [entry for entry in there[0].glob("*") if entry.suffix != ".ckpt"]
+    there = _visible(path)
+    if there == [path / TARGETS] and there[0].is_dir():
+        there = [entry for entry in _visible(there[0]) if entry.suffix != ".ckpt"]
     if there:
         raise RunDirectoryError(
             f"{path} holds files that belong to no comparison; name an empty or a new directory"
         )
+
+
+def _visible(folder: Path) -> list[Path]:
+    return [entry for entry in folder.glob("*") if not entry.name.startswith(".")]

@@ -129,7 +129,7 @@ def prepare(
     search_options = _options_of(optimizer, options, task, resumed)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
     file = None if out is None or target is not None else Path(out) / kept_target.NAME
-    target = target_of(task, file) if target is None else target
+    target = target_of(task, file) if target is None else as_target(target)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
     metrics = {name: losses_module.make(name, target) for name in keep.metrics}
     settings = settings_of(

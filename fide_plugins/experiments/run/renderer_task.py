@@ -119,7 +119,8 @@ def source_of_target(task: object) -> str | None:
     file, space = task.fingerprint, task.search_space
     if file is None or kind_of(file) != "file":
         return None
-    return json.dumps([file, task.x_star.tolist(), None if space is None else space.to_dict()])
+    parameters = task.x_star.tolist(), None if space is None else space.to_dict()
+    return json.dumps([task.name, file, *parameters])
 
 
 def is_own(name: str, options: Mapping[str, Any]) -> bool:

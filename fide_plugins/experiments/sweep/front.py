@@ -22,6 +22,7 @@ from fide_plugins.experiments.compare.results import NoResultsError
 from fide_plugins.experiments.run.prepare import make_task, target_of
 from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.experiments.run.task import Task, TaskInfo
+from fide_plugins.recording import kept_target
 from fide_plugins.types import Float32
 
 __all__ = ["AXES", "MARKS", "Combination", "Point", "best_within", "front", "read"]
@@ -180,7 +181,8 @@ class _Judge:
 
     def _target(self, name: str, task: Task) -> Float32:
         if name not in self._targets:
-            self._targets[name] = target_of(task, target_file(self._finest.path, name))
+            kept = kept_target.read(target_file(self._finest.path, name))
+            self._targets[name] = target_of(task) if kept is None else kept.image
         return self._targets[name]
 
     def _task(self, name: str) -> Task:
