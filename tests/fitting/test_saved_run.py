@@ -118,7 +118,11 @@ def test_another_mask_or_target_is_named_without_its_digest(tmp_path: Path) -> N
             RunDirectoryError, match="settings: the mask or the weights differ; use"
         ):
             fit(disk(), target(), SPACE, mask=given, resume=True, **arguments)
-    with pytest.raises(RunDirectoryError, match="settings: the target is another one.*; use"):
+    with pytest.raises(
+        RunDirectoryError,
+        match="settings: the target is another one; undo the edit, or begin anew with one that a "
+        "file has; use",
+    ):
         fit(disk(), 0.9 * target(), SPACE, mask=mask, resume=True, **arguments)
 
 

@@ -55,7 +55,7 @@ def test_a_run_goes_on_with_the_bits_with_which_it_began(tmp_path: Path) -> None
 def test_more_than_rounding_is_another_target(gray: float, tmp_path: Path) -> None:
     """What renders it may have changed: a program, a version of a scene, the task itself."""
     run(tmp_path)
-    with pytest.raises(RunDirectoryError, match=r"the target is another one; undo.*a file has"):
+    with pytest.raises(RunDirectoryError, match="the target is another one; undo the edit"):
         run(tmp_path, resume=True, gray=gray)
 
 
@@ -130,7 +130,7 @@ def test_a_noisy_function_renders_its_target_once(
     harness.run("scene.py:render", "cma", budget=10, out="run")
     harness.run("scene.py:render", "cma", budget=20, out="run", resume=True)
     assert len(Path("renders").read_text().splitlines()) == 1 + 20
-    with pytest.raises(RunDirectoryError, match="task_seed is 0 there and 3 here|another one"):
+    with pytest.raises(RunDirectoryError, match="task_seed is 0 there and 3 here"):
         harness.run("scene.py:render", "cma", budget=20, out="run", resume=True, task_seed=3)
 
 
