@@ -68,7 +68,7 @@ def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
     image, X, losses = target(), np.full((1, 4), 0.5), np.array([0.5])
     stopping = Stopping.of(500, None, None, False)
     least = np.inf
-    for _ in range(5):
+    for _ in range(30):  # a busy machine makes single runs slower, never faster
         fitting = prepare(lambda x: image, image, 4, stopping=stopping, workers=0, seed=0)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(fitting.optimizer, "ask", lambda n: X)
@@ -76,7 +76,9 @@ def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
             start = time.process_time()
             fitting.execute()
             least = min(least, time.process_time() - start)
-    assert least / 500 < 1e-4
+        if least / 500 < 1e-4:
+            return
+    pytest.fail(f"the loop takes {1e3 * least / 500:.3f} ms a render, limit 0.1 ms")
 
 
 def test_several_workers_find_the_disk_too() -> None:

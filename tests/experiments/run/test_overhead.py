@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from fide_plugins import losses, optimizers
 from fide_plugins.experiments import run as harness
 from fide_plugins.types import Float64
 
-BUDGET, LIMIT_MS = 600, 0.2
+BUDGET, LIMIT_MS, ROUNDS = 600, 0.2, 30
 
 
 class Tint:
@@ -41,7 +42,13 @@ def test_the_loop_adds_at_most_a_fifth_of_a_millisecond_to_cma_es(tmp_path: Path
         run.execute()
         return time.process_time() - start
 
-    # CPU time, the smallest of six: what other programs do counts as little as it can.
-    base = min(by_hand() for _ in range(6))
-    whole = min(through_the_harness(tmp_path / str(i)) for i in range(6))
-    assert 1e3 * (whole - base) / BUDGET < LIMIT_MS
+    # CPU time, the smallest of many: other programs make single runs slower, never faster.  So a
+    # busy machine needs more rounds; a loop that costs too much stays above the limit in all.
+    bases, wholes = [], []
+    for number in range(ROUNDS):
+        bases.append(by_hand())
+        wholes.append(through_the_harness(tmp_path / str(number)))
+        added_ms = 1e3 * (min(wholes) - min(bases)) / BUDGET
+        if number >= 2 and added_ms < LIMIT_MS:
+            return
+    pytest.fail(f"the loop adds {added_ms:.3f} ms to each render, limit {LIMIT_MS} ms")
