@@ -12,20 +12,24 @@
 
 `fide compare --suite` keeps every run in a folder of its own; here it is one line of the output
 file: the render that solved the problem, and the lowest loss at each budget.  So runs of several
-machines come into one file.  Targets come one after the other.  Slow optimizers and slow scenes may
-have runs that end at an earlier budget of the suite.  The table and the pictures show the problems
-that all of the optimizers have finished, up to the budget that is asked for, by the functions that
-make the page of a suite.
+machines come into one file.  Until a run ends, it has a folder beside the file, from which the next
+call goes on.  Targets come one after the other.  Slow optimizers and slow scenes may have runs that
+end at an earlier budget of the suite.  The table and the pictures show the problems that all of the
+optimizers have finished, up to the budget that is asked for, by the functions that make the page of
+a suite.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -85,11 +89,16 @@ def long_enough(budget: int) -> Callable[[Row], bool]:
     return lambda row: str(budget) in row["losses"]
 
 
-def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
-    """One run, as `fide compare --suite` has it with `--budget`."""
+def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
+    """One run, as `fide compare --suite` has it with `--budget`.
+
+    parts: has a folder of each run that has begun and not ended, from which it goes on.
+    """
+    problem, optimizer = key(run)
     name, number = suite.parts(problem)
     scene = suite.scenes[name]
     configuration = Configuration.parse(optimizer)
+    part = parts / re.sub(r"[^\w.=-]+", "-", f"{problem}-{optimizer}-{budget}")
     result = harness.run(
         problem,
         configuration.name,
@@ -98,12 +107,16 @@ def measure(suite: Suite, problem: str, optimizer: str, budget: int) -> Row:
         seed=number,
         task_options={"suite": suite.name},
         options=configuration.options,
-        keep=harness.Keep(film=False, summary=False, checkpoint=False),
+        out=part,
+        resume=True,
+        checkpoint_every=60,
+        keep=harness.Keep(film=False, summary=False),
     )
     best = np.fmin.accumulate(result.losses)
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
     losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
+    shutil.rmtree(part)
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
@@ -252,7 +265,7 @@ def main() -> None:
         runs = planned(suite, scenes, optimizers, targets)
         run_missing(
             runs,
-            lambda run: measure(suite, **run, budget=budget),
+            partial(measure, suite, budget, out.with_suffix(".parts")),
             out,
             key,
             arguments.part,

@@ -8,6 +8,7 @@ import json
 import os
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,6 +19,7 @@ import pytest
 from fide_plugins import FIDE, optimizers
 from fide_plugins.experiments.compare import Results, RunKey, StoredRun
 from fide_plugins.experiments.compare.results import AXES, Curve
+from fide_tasks.lamps import Lamps
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 pytestmark = pytest.mark.skipif(not BENCHMARKS.exists(), reason="the benchmarks are not here")
@@ -147,6 +149,34 @@ def test_of_a_suite_the_longest_run_of_a_problem_counts(program: Any) -> None:
         np.testing.assert_array_equal(found.losses[:, 0, 0], 1e-6)
     with pytest.raises(SystemExit, match="two rows of one run"):
         suite.scores(definition, [rows[0], rows[0]], ["fide"], 2000)
+
+
+def test_a_run_of_a_suite_is_gone_on_with_where_it_was_stopped(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suite = program("suite")
+    definition = suite.read("image-fitting-v1")
+    measure = partial(suite.measure, definition, 500, tmp_path / "rows.parts")
+    run = {"problem": "lamps-0", "optimizer": "cma"}
+    whole = measure(run)
+    assert not any((tmp_path / "rows.parts").iterdir())
+    batches: list[int] = []
+    plain = Lamps.render
+
+    def render(task: Any, X: Any, seed: Any = None) -> Any:
+        before = sum(batches)
+        batches.append(len(X))
+        if before <= 300 < sum(batches):
+            raise KeyboardInterrupt
+        return plain(task, X, seed)
+
+    monkeypatch.setattr(Lamps, "render", render)
+    with pytest.raises(KeyboardInterrupt):
+        measure(run)
+    again = measure(run)
+    assert again | {"seconds": 0} == whole | {"seconds": 0}
+    assert 500 <= sum(batches) <= 500 + 3 * max(batches)  # the target twice, one batch twice
+    assert not any((tmp_path / "rows.parts").iterdir())
 
 
 def test_finished_runs_of_a_comparison_are_taken_over_at_any_budget_of_the_suite(
