@@ -36,7 +36,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.cli.running import USAGE_ERRORS, continuation
     from fide_plugins.fitting.fitting import FitInterrupted
-    from fide_plugins.recording.directory import is_saved
+    from fide_plugins.recording.run_checkpoint import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -83,7 +83,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.extra_renders import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
-    from fide_plugins.recording.directory import read_run
+    from fide_plugins.recording.json_record import read_run
 
     render, space, timeout = _renderer(args)
     targets = pictures(args.targets, args.size)
@@ -194,7 +194,7 @@ def _progress() -> Any:
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.recording.directory import read_run
+    from fide_plugins.recording.json_record import read_run
     from fide_plugins.recording.record import SUMMARY
 
     run = read_run(out)

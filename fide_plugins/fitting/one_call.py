@@ -21,7 +21,7 @@ from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
-from fide_plugins.recording.directory import is_saved
+from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name

@@ -18,9 +18,11 @@ from fide_plugins.fide import FIDE
 from fide_plugins.fitting.pictures import picture
 from fide_plugins.options import GLOBAL
 from fide_plugins.recording.checkpointing import try_each
-from fide_plugins.recording.directory import RunDirectory, RunDirectoryError, is_saved, read_run
+from fide_plugins.recording.directory import RunDirectory
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Record
+from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.runtime.callables import own_name
 
 __all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]

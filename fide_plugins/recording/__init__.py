@@ -4,7 +4,9 @@
 `record`         history, progress and results of a run
 `record_schema`  schema of the history in a checkpoint
 `outcome`        the result, from record and noise-free evaluation
-`directory`      files of the run directory
+`directory`      the run directory, as a run writes it
+`json_record`    the record of a run or a comparison, as others read it
+`run_checkpoint` the state from which a run goes on, as others read it
 `kept_target`    the target to the last bit, for who goes on
 `sources`        files of the user on which a run depends
 `tables`         its two tables, as text

@@ -15,64 +15,50 @@
                    F renders that gave no image
     .run.lock      locked, and there, while a process works on the run
 
-Each file is replaced atomically.  The optimizer is written first, under a new name; then
-`run.ckpt`, which names it; then the old file is removed.  So a kill at any moment leaves a
-consistent pair.
+Each file is replaced atomically.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
-import re
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from datetime import UTC, datetime
+from collections.abc import Collection, Mapping
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins import optimizers
-from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.errors import CheckpointError
 from fide_plugins.recording import kept_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
+from fide_plugins.recording.json_record import (
+    FORMAT,
+    RunDirectoryError,
+    check_settings,
+    checksum,
+    now,
+    read_run,
+)
+from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Record, RunResult
-from fide_plugins.recording.record_schema import check_record
-from fide_plugins.runtime import checkpoint, files, machine
-from fide_plugins.runtime.schema import IMPOSSIBLE
+from fide_plugins.recording.run_checkpoint import (
+    NAME as CHECKPOINT,
+    is_saved,
+    read_record,
+    remove_checkpoint,
+    write_checkpoint,
+)
+from fide_plugins.runtime import files, machine
 from fide_plugins.saving import Saved
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
-__all__ = [
-    "TABLES",
-    "RunCheckpoint",
-    "RunDirectory",
-    "RunDirectoryError",
-    "check_settings",
-    "checksum",
-    "is_saved",
-    "is_under_way",
-    "read_checkpoint",
-    "read_run",
-]
+__all__ = ["TABLES", "RunDirectory", "is_under_way"]
 
-FORMAT = 2
 TABLES = ("curve.csv", "improvements.csv")
-_KIND = "run"
-_CHECKPOINT = "run.ckpt"
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
-_OF_PICTURES = {
-    "weights": "the mask or the weights differ",
-    "target": "the target is another one; undo the edit, or begin anew with one that a file has",
-}
-_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
-
-
-class RunDirectoryError(FideError, FileExistsError):
-    """A directory belongs to another run, is no run directory, or another process works on it."""
 
 
 class RunDirectory:
@@ -160,11 +146,8 @@ class RunDirectory:
         if not is_saved(self.path):
             self._check_is_new()
             return None
-        state, name = read_checkpoint(self.path)
-        with _possible(self.path):
-            check_record(state, self.settings["dim"], self.settings["size"])
-            record = Record.from_state(state)
-        return record, self._optimizer(self.path / name, fresh)
+        record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
+        return record, self._optimizer(file, fresh)
 
     def _optimizer(self, path: Path, fresh: Saved | None) -> Any:
         try:
@@ -177,7 +160,7 @@ class RunDirectory:
             if path.exists():  # it is another file that is missing
                 raise
             raise CheckpointError(
-                f"{path}: this file of the optimizer, which {_CHECKPOINT} names, is missing; copy "
+                f"{path}: this file of the optimizer, which {CHECKPOINT} names, is missing; copy "
                 "it back, or start again in another directory"
             ) from error
 
@@ -187,7 +170,7 @@ class RunDirectory:
         n = table.read_bytes().count(b"\n") - 1 if self._run["resumed"] and table.exists() else 0
         if n > 0:
             raise CheckpointError(
-                f"{self.path} holds results of {n} renders, but no {_CHECKPOINT}, from which the "
+                f"{self.path} holds results of {n} renders, but no {CHECKPOINT}, from which the "
                 "run could go on: it was removed (copy it back), or the run was stopped before it "
                 "was written; start again in another directory"
             )
@@ -204,15 +187,15 @@ class RunDirectory:
 
     # -- writing -----------------------------------------------------------------------------------
 
+    def begin(self, kept: KeptTarget | None) -> None:
+        """Write the run down, after its target, which the record names; None: it is elsewhere."""
+        if kept is not None:
+            kept_target.write(self.path / kept_target.NAME, kept)
+        self.write_run()
+
     def save(self, record: Record, optimizer: Optimizer) -> None:
         """Write the state from which the run can continue."""
-        pending = 0 if record.pending is None else len(record.pending)
-        failed = f"-{record.failures}" if record.failures else ""  # others were asked instead
-        name = f"optimizer-{record.evaluations}-{pending}{failed}.ckpt"  # one name for each state
-        optimizer.save(self.path / name)
-        state = {"record": record.state(), "optimizer": name}
-        checkpoint.write(self.path / _CHECKPOINT, _KIND, state)
-        self._remove_optimizers(but=name)
+        write_checkpoint(self.path, record, optimizer)
 
     def write_tables(self, record: Record, best: Float32 | None) -> None:
         """Write the tables and the best image, as a picture; they need no consistent state."""
@@ -273,16 +256,9 @@ class RunDirectory:
 
     def remove_checkpoint(self) -> None:
         """Remove the state from which the run could continue."""
-        for name in (_CHECKPOINT, kept_target.NAME):
-            with suppress(OSError):
-                (self.path / name).unlink()
-        self._remove_optimizers()
-
-    def _remove_optimizers(self, but: str = "") -> None:
-        for path in self.path.glob("optimizer-*.ckpt"):
-            if path.name != but and _OPTIMIZER_FILE.fullmatch(path.name):
-                with suppress(OSError):
-                    path.unlink()
+        remove_checkpoint(self.path)
+        with suppress(OSError):
+            (self.path / kept_target.NAME).unlink()
 
 
 def _lock(path: Path) -> ExitStack:
@@ -299,101 +275,3 @@ def _lock(path: Path) -> ExitStack:
 def is_under_way(path: Path) -> bool | None:
     """Whether a process works on the run in the folder `path`; None where no lock tells."""
     return files.is_locked(path / _LOCK)
-
-
-def is_saved(path: str | os.PathLike[str]) -> bool:
-    """Whether the folder `path` holds the state of a run, from which it can continue.
-
-    False where it may not be read: whoever writes there says that.
-    """
-    return os.path.exists(Path(path) / _CHECKPOINT)
-
-
-class RunCheckpoint(NamedTuple):
-    """Contents of `run.ckpt`."""
-
-    record: Any
-    """State of the `Record`, not checked."""
-    optimizer: str
-    """Name of the optimizer's file in the same folder."""
-
-
-def read_checkpoint(path: Path) -> RunCheckpoint:
-    """State of the run in the folder `path`, see `is_saved`.
-
-    Raises OSError, or CheckpointError (a ValueError) if the file is damaged or names a file that is
-    no optimizer's of the folder.
-    """
-    state = checkpoint.read(path / _CHECKPOINT, _KIND)
-    with _possible(path):
-        name = state["optimizer"]
-        if not _OPTIMIZER_FILE.fullmatch(name):
-            raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
-        return RunCheckpoint(state["record"], name)
-
-
-@contextmanager
-def _possible(path: Path) -> Iterator[None]:
-    """Turn errors of this block, which `run.ckpt` in the folder `path` causes, into one."""
-    try:
-        yield
-    except IMPOSSIBLE as error:
-        raise CheckpointError(f"{path / _CHECKPOINT}: impossible contents ({error})") from error
-
-
-def read_run(path: Path) -> dict[str, Any] | None:
-    """Contents of `run.json` in the folder `path`; None if there is none.
-
-    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
-    """
-    return read_json(path / "run.json", "run", _check_contents)
-
-
-def _check_contents(run: dict[str, Any]) -> None:
-    if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
-        raise ValueError("its settings are no dict, or its times of resuming no list")
-
-
-def read_json(
-    path: Path, kind: str, check: Callable[[dict[str, Any]], None]
-) -> dict[str, Any] | None:
-    """Record of a run or of a comparison (`kind`) in the file `path`; None if there is none.
-
-    check: raises ValueError, KeyError or TypeError for contents that cannot be.
-
-    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
-    """
-    if not path.exists():
-        return None
-    try:
-        record: dict[str, Any] = json.loads(path.read_text("utf-8"))
-        if record["format"] != FORMAT:
-            raise ValueError(f"format {record['format']!r}, and this version reads {FORMAT}")
-        check(record)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise RunDirectoryError(
-            f"{path} is not the record of a {kind} of this version ({error}); "
-            "name another directory, or remove that file"
-        ) from error
-    return record
-
-
-def check_settings(there: dict[str, Any], here: dict[str, Any], what: str) -> None:
-    """Raise RunDirectoryError (a FileExistsError), naming the first setting that differs."""
-    for key in [*here, *(k for k in there if k not in here)]:
-        if there.get(key) != here.get(key):
-            values = f"{key} is {there.get(key)!r} there and {here.get(key)!r} here"
-            raise RunDirectoryError(
-                f"{what} with other settings: {_OF_PICTURES.get(key, values)}; "
-                "use the same settings, or name another directory"
-            )
-
-
-def checksum(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def now() -> str:
-    """Time of day in UTC, in the format of ISO 8601."""
-    return datetime.now(UTC).isoformat(timespec="seconds")

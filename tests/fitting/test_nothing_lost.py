@@ -25,7 +25,8 @@ from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.here import Here
-from fide_plugins.recording.directory import RunDirectoryError, read_checkpoint, read_run
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.recording.run_checkpoint import read_checkpoint
 from fide_plugins.runtime import checkpoint, files
 
 from .scene import SPACE, disk, target

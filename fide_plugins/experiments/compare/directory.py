@@ -21,14 +21,14 @@ from fide_plugins.experiments.compare.one_run import State, examine, is_busy
 from fide_plugins.experiments.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
 from fide_plugins.experiments.compare.versions import check_versions
 from fide_plugins.recording import kept_target
-from fide_plugins.recording.directory import (
+from fide_plugins.recording.figures import as_png
+from fide_plugins.recording.json_record import (
     FORMAT,
     RunDirectoryError,
     check_settings,
     now,
     read_json,
 )
-from fide_plugins.recording.figures import as_png
 from fide_plugins.runtime import files, machine
 
 __all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of"]

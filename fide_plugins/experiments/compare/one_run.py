@@ -18,13 +18,8 @@ from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.compare.plan import Plan, RunKey, target_file
 from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
 from fide_plugins.recording import kept_target
-from fide_plugins.recording.directory import (
-    TABLES,
-    RunDirectoryError,
-    check_settings,
-    checksum,
-    read_run,
-)
+from fide_plugins.recording.directory import TABLES
+from fide_plugins.recording.json_record import RunDirectoryError, check_settings, checksum, read_run
 from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.runtime import files

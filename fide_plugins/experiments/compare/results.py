@@ -18,7 +18,7 @@ from fide_plugins.experiments.compare.directory import digest, read_record, runs
 from fide_plugins.experiments.compare.one_run import ERROR, examine
 from fide_plugins.experiments.compare.plan import RunKey
 from fide_plugins.experiments.compare.versions import warn_of_mixed
-from fide_plugins.recording.directory import RunDirectoryError, read_run
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.parallel import WORKERS
 from fide_plugins.types import Float64
 

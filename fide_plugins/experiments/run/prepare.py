@@ -6,7 +6,6 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,10 @@ from fide_plugins.experiments.suite import read as read_suite
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.recording import kept_target
-from fide_plugins.recording.directory import RunDirectory, is_saved
+from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
@@ -145,8 +145,8 @@ def prepare(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
             sources=_sources(settings["task"], task, optimizer, options) | of_weights(searcher),
         )  # fmt: skip
-        begin = partial(_begin, directory, None if file is None else (file, kept_of(task, target)))
-        record, searcher = _started(directory, record, searcher, fidelity, budget, begin)
+        kept = None if file is None else kept_of(task, target)
+        record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
     return Run(
         task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
         fidelity, rounds,
@@ -214,14 +214,14 @@ def _started(
     searcher: Optimizer,
     fidelity: Fidelity | None,
     budget: int,
-    begin: Callable[[], None],
+    kept: KeptTarget | None,
 ) -> tuple[Record, Optimizer]:
-    """As `_restored`, and the run is written down by `begin`; where it is refused the lock ends."""
+    """As `_restored`, and the run is written down with what is kept; if refused, the lock ends."""
     with ExitStack() as refused:
         refused.callback(directory.close)
         record, searcher = _restored(directory, record, searcher, fidelity)
         _check_budget(budget, record, directory)
-        begin()
+        directory.begin(kept)
         refused.pop_all()
     return record, searcher
 
@@ -239,13 +239,6 @@ def _restored(
     if fidelity is not None and record.fidelity is not None:
         fidelity.load_state_dict(record.fidelity)
     return record, searcher
-
-
-def _begin(directory: RunDirectory, kept: tuple[Path, KeptTarget] | None) -> None:
-    """Write the run down; first its target, which the record names.  None: it is kept elsewhere."""
-    if kept is not None:
-        kept_target.write(*kept)
-    directory.write_run()
 
 
 def _check_budget(budget: int, record: Record, directory: RunDirectory) -> None:

@@ -18,7 +18,7 @@ from fide_plugins.experiments.compare import Configuration, Plan
 from fide_plugins.experiments.compare.directory import read_record
 from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.options import PRESETS
-from fide_plugins.recording.directory import check_settings
+from fide_plugins.recording.json_record import check_settings
 
 __all__ = ["DEFAULTS", "OPTIONS", "Grid"]
 

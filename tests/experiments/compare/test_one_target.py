@@ -13,7 +13,7 @@ from fide_plugins.experiments import compare
 from fide_plugins.experiments.compare import Outcome, Plan
 from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.experiments.report.sentences import METHOD
-from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.recording.json_record import RunDirectoryError
 
 from .conftest import small
 

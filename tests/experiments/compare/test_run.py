@@ -18,7 +18,7 @@ from fide_plugins.baselines.random import Random
 from fide_plugins.experiments import compare, run as harness
 from fide_plugins.experiments.compare import Outcome, RunKey, processes
 from fide_plugins.experiments.compare.driver import prepare
-from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.runtime import files, machine
 
 from .conftest import Raises, contents, small

@@ -19,7 +19,7 @@ from fide_plugins.experiments.compare import Configuration, Plan
 from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.learning import learn
-from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.fingerprints import of_file
 

@@ -15,7 +15,7 @@ from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments import compare, run as harness
 from fide_plugins.experiments.compare import Plan
 from fide_plugins.experiments.compare.driver import prepare
-from fide_plugins.recording.directory import RunDirectoryError
+from fide_plugins.recording.json_record import RunDirectoryError
 
 from .conftest import contents, small
 

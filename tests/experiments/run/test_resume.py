@@ -21,7 +21,8 @@ from fide_plugins.errors import (
 from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.recording.checkpointing import CheckpointTimer
-from fide_plugins.recording.directory import RunDirectory, RunDirectoryError
+from fide_plugins.recording.directory import RunDirectory
+from fide_plugins.recording.json_record import RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 
