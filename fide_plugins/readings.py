@@ -137,8 +137,9 @@ class Readings(Saved):
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:
-        """Up to k distinct good candidates, best first: where searches have ended.
+        """Up to k distinct candidates, best first: where searches have ended.
 
+        The later ones may be far worse than the best; a loss near its loss is as good an answer.
         Exchangeable blocks are matched first, so that no order of the same things counts twice.
         Each has its own `std`, as `best` has.
         `probability` is that among those found, by a learned model and by their losses (see

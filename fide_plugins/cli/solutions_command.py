@@ -1,4 +1,4 @@
-"""Show distinct good candidates of a run, side by side: as a picture and as a table.
+"""Show distinct candidates of a run, best first, side by side: as a picture and as a table.
 
     fide solutions runs/scene
     fide solutions runs/scene -k 3 -o answers.png

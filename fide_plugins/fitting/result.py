@@ -23,7 +23,7 @@ class Result:
 
     best: best candidate; None before the first image.
     params: what `render` got for it: a dictionary, or x (dim,) without a space; None without best.
-    solutions: distinct good candidates, best first, at most five; see `FIDE.solutions`.
+    solutions: distinct candidates, best first, at most five; see `FIDE.solutions`.
     status: what is known of the run: a code and a sentence; see `FIDE.status`.
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
     evaluations: images evaluated, those before resuming included.

@@ -1,4 +1,4 @@
-"""Distinct good candidates of a run, side by side: as a table and as a picture.
+"""Distinct candidates of a run, best first, side by side: as a table and as a picture.
 
 =============  =========================================================================
 `found`        reads them from a run directory; nothing in it is executed
