@@ -22,7 +22,7 @@ from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
-from fide_plugins.recording.sources import of_files, of_models, of_weights
+from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
@@ -235,9 +235,10 @@ def _saved_run(
     settings = settings_of(name, optimizer, options, stopping.budget)
     own = callable(options.get("encoder"))  # others are known by name and version
     facts = {"features": features_of(optimizer)} if own else None
-    files = of_files({name: fingerprint_of(render)}) | of_models(options) | of_weights(optimizer)
+    sources = of_files({name: fingerprint_of(render)}) | of_models(options)
+    sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
     return SavedRun(
-        out, settings, stopping.record(), facts, resume=resume, command=command, sources=files
+        out, settings, stopping.record(), facts, resume=resume, command=command, sources=sources
     )
 
 

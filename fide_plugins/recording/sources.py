@@ -1,25 +1,31 @@
-"""Files on which a run depends: their versions are recorded, so that another one is noticed.
+"""What a run depends on by name: versions are recorded, so that another one is noticed.
 
 A reference such as ``mine.py:Search`` or ``learned=model.fide`` is all that the settings of a run
-have of them.  `run.json` has the digest of each file beside it, and of the weights of a pretrained
-encoder, one for each version that calls of the run have had.  What a file imports is not known.
+have of them.  `run.json` has the digest of each file beside it, of the weights of a pretrained
+encoder, and the version of each loss, one for each version that calls of the run have had.  What a
+file imports is not known.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins.runtime.fingerprints import changed, kind_of, of_file
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.saving import Saved
 
+if TYPE_CHECKING:
+    from fide_plugins.losses.base import ImageLoss
+
 __all__ = [
     "edited",
     "file_of",
+    "loss_reference",
     "of_files",
+    "of_losses",
     "of_models",
     "of_weights",
     "versions_there",
@@ -31,6 +37,7 @@ __all__ = [
 _HYPOTHESES = "learned="  # FIDE reads this model once, when a search begins
 _MODELS = (_HYPOTHESES, "encoder=learned:")  # options, as they name the file of a learned model
 _ENCODER, _WEIGHTS = "encoder=", "weights"  # reference, and kind of the fingerprint
+_LOSS, _VERSION = "loss=", "version"
 _OBJECT = "Model"  # in the settings, for a model that was given as an object
 
 
@@ -58,8 +65,22 @@ def of_weights(optimizer: object) -> dict[str, str]:
     return {} if known is None else {f"{_ENCODER}{known[0]}": f"{_WEIGHTS}:{known[1]}"}
 
 
+def of_losses(losses: Iterable[ImageLoss]) -> dict[str, str]:
+    """Version of each loss that has one, by reference."""
+    return {
+        loss_reference(one.name): f"{_VERSION}:{one.version}"
+        for one in losses
+        if one.version is not None
+    }
+
+
+def loss_reference(name: str) -> str:
+    """Reference of the loss of that name."""
+    return f"{_LOSS}{name}"
+
+
 def file_of(reference: str) -> str:
-    """File or module of a reference, or the network of an encoder.
+    """File or module of a reference, the network of an encoder, or a loss.
 
     >>> file_of("mine.py:Search"), file_of("encoder=learned:model.fide")
     ('mine.py', 'model.fide')
@@ -71,6 +92,8 @@ def file_of(reference: str) -> str:
             return reference.removeprefix(option)
     if reference.startswith(_ENCODER):
         return f"the network of {reference.removeprefix(_ENCODER)}"
+    if reference.startswith(_LOSS):
+        return f"the loss {reference.removeprefix(_LOSS)}"
     return reference.rpartition(":")[0] or reference
 
 
@@ -106,15 +129,16 @@ def versions_with(
     before: contents of its `run.json`, if there is one; begun: whether it goes on from a saved
         state, which is of the versions before.
 
-    Warns, once for each edit, of a file that has changed since, but of no model of FIDE: that of
-    its hypotheses is not read again (`warn_of_model`), and its encoder refuses another one, as
-    every encoder refuses other weights.
+    Warns, once for each edit, of a file or a loss that has changed since, but of no model and no
+    loss of FIDE: the model of its hypotheses is not read again (`warn_of_model`), and it refuses
+    another encoder or loss, as every encoder refuses other weights.
     """
     there = versions_there(before) if begun else {}
     if begun:
         here = {name: now for name, now in here.items() if kind_of(now) != _WEIGHTS}
     if begun and before is not None and before["settings"].get("optimizer") == "fide":
         here = {name: now for name, now in here.items() if not name.startswith(_MODELS)}
+        here.pop(loss_reference(before["settings"].get("loss", "")), None)
     newest = {reference: versions[-1:] for reference, versions in there.items()}
     for reference in edited(newest, here):
         file = file_of(reference)

@@ -65,7 +65,7 @@ class ComparisonDirectory:
             _check_empty(self.path)
         else:
             self._check(before["settings"], resume)
-        sources = plan.sources() | checked.weights
+        sources = plan.sources() | checked.versions
         self.states: dict[RunKey, State] = {
             key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
         }

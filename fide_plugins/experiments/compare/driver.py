@@ -122,7 +122,8 @@ class Comparison:
 
     def _outcomes(self, on_progress: OnProgress | None) -> Generator[Outcome, None, None]:
         items = list(self._checked.settings.items())
-        work = partial(_work, self._plan, self.out, self._command, self._checked.said)
+        checked = self._checked
+        work = partial(_work, self._plan, self.out, self._command, checked.versions, checked.said)
         lost = partial(_lost, self.out)
         if self._dask is not None:
             yield from on_dask(work, items, self._dask, self.out, lost)
@@ -138,12 +139,13 @@ def _work(
     plan: Plan,
     out: Path,
     command: list[str],
+    versions: dict[str, str],
     said: frozenset[str],
     item: Item,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> Outcome:
     key, settings = item
-    return run_one(plan, key, settings, out, command, on_progress, said)
+    return run_one(plan, key, settings, out, command, on_progress, versions, said)
 
 
 def _lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:

@@ -113,11 +113,13 @@ def run_one(
     out: Path,
     command: list[str] | None = None,
     on_progress: Callable[[Progress], None] | None = None,
+    versions: Mapping[str, str] | None = None,
     said: frozenset[str] = frozenset(),
 ) -> Outcome:
     """Execute or continue one run of the comparison in `out`.
 
-    settings, said: settings that define the run, and warnings not to repeat, see `Plan.check`.
+    settings, versions, said: settings that define the run, versions on which it depends beside the
+        user's files, and warnings not to repeat, see `Plan.check`.
 
     A run that fails does not raise.  Raises OSError if the folder cannot be written, and
     RunDirectoryError (a FileExistsError) if it holds a run with other settings.
@@ -127,7 +129,7 @@ def run_one(
     with files.locked(folder / _LOCK) as mine:
         if not mine:
             return Outcome(key, "busy", "another process executes it")
-        state = examine(folder, settings, plan.sources())
+        state = examine(folder, settings, {**plan.sources(), **(versions or {})})
         if state.kind == "finished":
             return Outcome(key, "kept", totals=_totals(folder))
         if state.why:

@@ -15,7 +15,7 @@ from fide_plugins.experiments.run import Keep, renderer_task
 from fide_plugins.experiments.run.prepare import kept_of, make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.kept_target import KeptTarget
-from fide_plugins.recording.sources import of_files, of_models, of_weights
+from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.warn import said_once, warn_user
 from fide_plugins.validation.option_rules import check_names
@@ -55,13 +55,13 @@ class Checked(NamedTuple):
 
     settings: settings that define each run, in the order of the plan.
     targets: that of each task, as it is to be kept.
-    weights: fingerprints of the pretrained weights of their encoders, by reference.
+    versions: of the losses, and fingerprints of the pretrained weights of encoders, by reference.
     said: warnings that making the optimizers gave, which their runs need not repeat.
     """
 
     settings: dict[RunKey, dict[str, Any]]
     targets: dict[str, KeptTarget]
-    weights: dict[str, str]
+    versions: dict[str, str]
     said: frozenset[str]
 
 
@@ -158,7 +158,7 @@ class Plan:
         self.check_optimizers()
         settings: dict[RunKey, dict[str, Any]] = {}
         targets: dict[str, KeptTarget] = {}
-        weights: dict[str, str] = {}
+        versions: dict[str, str] = {}
         said: set[str] = set()
         for name in self.tasks:
             task = make_task(name, self.size, self.task_seed, self.task_options)
@@ -167,8 +167,8 @@ class Plan:
             target = target_of(task, target_file(out, name))
             targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]
-            for loss in {*(key.loss for key in mine), *self.metrics}:
-                losses_module.make(loss, target)
+            named = {*(key.loss for key in mine), *self.metrics}
+            versions |= of_losses(losses_module.make(loss, target) for loss in named)
             seen = set()
             for key in mine:
                 configuration = self.configuration(key.configuration)
@@ -177,7 +177,7 @@ class Plan:
                 if (key.loss, key.configuration) not in seen:
                     seen.add((key.loss, key.configuration))
                     with said_once(said):
-                        weights |= _try_optimizer(
+                        versions |= _try_optimizer(
                             configuration, budget, task.dim, target, key.loss, options
                         )
                 known = settings_of(
@@ -186,7 +186,7 @@ class Plan:
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back
         ordered = {key: settings[key] for key in self.runs()}
-        return Checked(ordered, targets, weights, frozenset(said))
+        return Checked(ordered, targets, versions, frozenset(said))
 
 
 def target_file(out: Path, task: str, kind: str = "ckpt") -> Path:

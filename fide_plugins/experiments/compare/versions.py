@@ -1,9 +1,9 @@
-"""Results of a user's file that has changed since: kept as they are, never mixed with new ones.
+"""Results of a file or a loss that has changed since: kept as they are, never mixed with new ones.
 
 The file is that of an optimizer, of a task, of a learned model, or of the weights of a pretrained
-encoder.  The runs of an optimizer, or of a task, belong together: the report takes medians over
-them, and pairs them with those of others.  So where some are finished and their file has changed
-since, no more are added.  Where all are finished they can still be reported.
+encoder.  The runs of an optimizer, of a task, or with a loss, belong together: the report takes
+medians over them, and pairs them with those of others.  So where some are finished and their file
+or loss has changed since, no more are added.  Where all are finished they can still be reported.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fide_plugins.experiments.compare.configuration import as_file_name
 from fide_plugins.experiments.compare.one_run import State
 from fide_plugins.experiments.compare.plan import RunKey
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.sources import edited, file_of, versions_there
+from fide_plugins.recording.sources import edited, file_of, loss_reference, versions_there
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["check_versions", "warn_of_mixed"]
@@ -31,7 +31,7 @@ def check_versions(
 ) -> None:
     """Compare the versions of finished runs with the present ones.
 
-    path: folder of the comparison; sources: those of its plan, and its pretrained weights.
+    path: folder of the comparison; sources: those of its plan, pretrained weights, losses.
     states: of the runs of the plan; there: all runs of the comparison so far.
 
     Warns once for each file that has changed since all its runs of an optimizer or a task were
@@ -44,7 +44,7 @@ def check_versions(
     growing = set()  # folders in which runs are to be done
     for key in dict.fromkeys([*states, *there]):
         if key in states and states[key].kind != "finished":
-            growing |= {_of_task(key), _of_optimizer(key)}
+            growing |= {"cells", _of_task(key), _of_loss(key), _of_optimizer(key)}
             continue
         for reference in _edited(path / key.folder, sources):
             folder = _belonging(reference, key)
@@ -99,11 +99,19 @@ def _edited(folder: Path, sources: Mapping[str, str]) -> list[str]:
 
 def _belonging(reference: str, key: RunKey) -> str:
     """Folder, as a pattern, of all runs that belong together with a run that has the reference."""
-    return _of_task(key) if reference == key.task else _of_optimizer(key)
+    if reference == key.task:
+        return _of_task(key)
+    if reference.startswith(loss_reference("")):
+        return _of_loss(key) if reference == loss_reference(key.loss) else "cells"  # a metric
+    return _of_optimizer(key)
 
 
 def _of_task(key: RunKey) -> str:
     return f"cells/{as_file_name(key.task)}"
+
+
+def _of_loss(key: RunKey) -> str:
+    return f"cells/*/{as_file_name(key.loss)}"
 
 
 def _of_optimizer(key: RunKey) -> str:

@@ -24,7 +24,7 @@ from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
 from fide_plugins.recording.run_checkpoint import is_saved
-from fide_plugins.recording.sources import of_files, of_models, of_weights
+from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.types import Float32, Optimizer
@@ -143,7 +143,8 @@ def prepare(
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
-            sources=_sources(settings["task"], task, optimizer, options) | of_weights(searcher),
+            sources=_sources(settings["task"], task, optimizer, options)
+            | of_weights(searcher) | of_losses([judge, *metrics.values()]),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
         record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
