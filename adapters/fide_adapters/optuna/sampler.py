@@ -37,7 +37,7 @@ class NumberedSampler(RandomSampler):
     """
 
     def __init__(self, seed: int | None = None) -> None:
-        super().__init__(seed)
+        super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits
         self._entropy = np.random.SeedSequence(seed).entropy
 
     def reseed_rng(self) -> None:

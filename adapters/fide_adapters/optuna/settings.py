@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,20 @@ from fide_plugins.errors import OptionError
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
+from fide_plugins.types import Float64
+from fide_plugins.validation.option_rules import check_names
 from fide_plugins.validation.points import standard_deviation
 from fide_plugins.views import Views
 
 __all__ = ["OptimizerSettings", "Settings", "check_sampler", "check_space"]
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
+_ELSEWHERE = {  # arguments of FIDE and of other samplers that have another place here
+    "x0": "is not taken here: the search begins in the middle of the space; give it a guess by "
+    "study.enqueue_trial({'x': 0.3, ...}), or narrower ranges",
+    "constraints_func": "is not taken here: the objective says by how much a trial violates a "
+    "constraint, trial.set_constraint(name, value)",
+}
 
 
 def check_space(space: object) -> dict[str, BaseDistribution] | None:
@@ -68,6 +76,8 @@ class OptimizerSettings:
     options: Mapping[str, Any]
 
     def __post_init__(self) -> None:
+        for name, instead in _ELSEWHERE.items():
+            check_names(self.options, (name,), instead)
         make_options(self.preset, self.options)
         standard_deviation(self.sigma0)
 
@@ -136,3 +146,13 @@ class Settings:
     def make_optimizer(self, dim: int, seed: int) -> FIDE:
         """Optimizer of so many parameters; all share one encoder and one loss."""
         return self.optimizer.make(dim, seed, self.images)
+
+    def first_candidate(self, dim: int, seed: int) -> Float64:
+        """Coordinates (dim,) of the first candidate; the first ones are equal for any `dim`."""
+        # without groups, which are of the parameters of the study, and do not change this one
+        options = {
+            name: value for name, value in self.optimizer.options.items() if name != "groups"
+        }
+        made = replace(self.optimizer, options=options).make(dim, seed, self.images)
+        first: Float64 = made.ask(1)[0]
+        return first

@@ -168,8 +168,8 @@ class StudyState:
     def _first_candidate(self, dim: int) -> Float64:
         """Coordinates (dim,) of the first candidate, which start alike for any number of them."""
         if len(self._first) < dim:
-            make = self._settings.make_optimizer
-            self._first = make(max(_FIRST_DIM, 2 * dim), self._seed or 0).ask(1)[0]
+            most = max(_FIRST_DIM, 2 * dim)
+            self._first = self._settings.first_candidate(most, self._seed or 0)
         return self._first[:dim]
 
     def ask(

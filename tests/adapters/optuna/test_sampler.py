@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
+from optuna.distributions import FloatDistribution
 from optuna.samplers import RandomSampler
 from optuna.trial import Trial
 
@@ -89,6 +90,28 @@ def test_an_encoder_is_made_once_and_few_optimizers(
     assert made == {"encoders": 1 if target else 2, "optimizers": 2}
 
 
+def test_groups_may_be_of_more_parameters_than_the_first_trial_expects(bench: Bench) -> None:
+    """How many the first trial will have is not known when its first parameter is suggested."""
+    names = [f"x{i}" for i in range(80)]
+    groups = [list(range(5 * i, 5 * i + 5)) for i in range(16)]
+
+    def run(**settings: Any) -> optuna.Study:
+        sampler = bench.sampler(groups=groups, **settings)
+        study = optuna.create_study(sampler=sampler)
+
+        def objective(trial: Trial) -> float:
+            x = [trial.suggest_float(name, 0, 1) for name in names]
+            return sampler.tell_image(trial, bench.render(x))
+
+        study.optimize(objective, n_trials=8)
+        return study
+
+    known = run(search_space={name: FloatDistribution(0, 1) for name in names})
+    study = run()
+    assert [t.params for t in study.trials] == [t.params for t in known.trials]
+    assert counts_of(study) == {"member": 8, "image": 8}
+
+
 @pytest.mark.filterwarnings("ignore:.*gets no images")
 @pytest.mark.parametrize("target", [True, False])
 def test_point_4_without_images_it_is_cma_es(bench: Bench, target: bool) -> None:
@@ -140,6 +163,13 @@ def test_point_2_reproducible(constant: bool) -> None:
     first = params_of(FIDESampler(seed=1), constant)
     assert params_of(FIDESampler(seed=1), constant) == first
     assert params_of(FIDESampler(seed=2), constant) != first
+
+
+def test_point_2_a_seed_of_more_than_32_bits_is_a_seed_as_in_fide() -> None:
+    first = params_of(FIDESampler(seed=2**40, n_startup_trials=5))
+    assert params_of(FIDESampler(seed=2**40, n_startup_trials=5)) == first
+    others = params_of(FIDESampler(seed=0, n_startup_trials=5))
+    assert all(one != other for one, other in zip(first, others, strict=True))
 
 
 def test_point_2_reseeding_changes_what_is_sampled() -> None:

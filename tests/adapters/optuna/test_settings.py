@@ -18,6 +18,8 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "no image": ({"target": np.zeros((8, 8, 2))}, ImageError, "channels"),
     "preset": ({"preset": "best"}, OptionError, "preset"),
     "option": ({"colour": 3}, OptionError, "colour"),
+    "x0": ({"x0": {"x": 0.5}}, OptionError, "x0 is not taken.*enqueue_trial"),
+    "constraints_func": ({"constraints_func": len}, OptionError, "not taken.*set_constraint"),
     "popsize": ({"popsize": 1}, OptionError, "popsize"),
     "sigma0": ({"sigma0": 0}, OptionError, "sigma0"),
     "seed": ({"seed": -1}, OptionError, "seed"),
