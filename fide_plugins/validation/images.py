@@ -57,6 +57,7 @@ from fide_plugins.validation.points import whole_number
 from fide_plugins.validation.rules import (
     Size,
     channels_last,
+    check_axes,
     check_batch_axes,
     check_count,
     is_bright,
@@ -122,8 +123,7 @@ def as_pixels(image: object, what: str) -> Pixels:
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
     array, is_tensor = _to_array(image, what)
-    if array.ndim not in (2, 3):
-        raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
+    check_axes(array, what)
     if array.ndim == 2:
         return array
     pixels: Pixels = channels_last(array, 0, is_tensor, None, what)
@@ -232,8 +232,7 @@ def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float3
 def _pixels(image: object, size: Size | None, what: str, *remedy: str) -> Pixels:
     """Pixels (H, W, C) of one image, with the values that it has; remedy: for another size."""
     array, is_tensor = _to_array(image, what)
-    if array.ndim not in (2, 3):
-        raise ImageError(f"{what} must have axes (H, W) or (H, W, C), got {describe(array)}")
+    check_axes(array, what)
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what, *remedy)
     return pixels
 

@@ -15,6 +15,7 @@ __all__ = [
     "CHANNELS",
     "Size",
     "channels_last",
+    "check_axes",
     "check_batch_axes",
     "check_count",
     "is_bright",
@@ -27,6 +28,16 @@ Size: TypeAlias = tuple[int, int]  # (H, W)
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
 ROUNDING = 1e-6
 _BRIGHT = 8.0  # mean of floats in [0, 255]; of a render it would be eight times white
+
+
+def check_axes(pixels: Any, what: str) -> None:
+    """Raise ImageError unless the axes are those of one image."""
+    if pixels.ndim not in (2, 3):
+        batch_of_one = pixels.ndim == 4 and len(pixels) == 1
+        raise ImageError(
+            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}"
+            + ("; take it out of its batch of one, image[0]" if batch_of_one else "")
+        )
 
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:

@@ -12,6 +12,11 @@ from fide_plugins.views.views import views_of
 
 __all__ = ["TargetImage", "check_options", "target_setting"]
 
+_ARGUMENTS = (
+    *("target", "mask", "weights"),
+    *("loss", "preset", "encoder", "popsize", "device", "seed"),
+)
+
 
 class TargetImage:
     """A target as a setting: comparable, and with a short name.
@@ -36,11 +41,13 @@ class TargetImage:
 
 
 def check_options(options: object) -> None:
-    """Raise OptionError for what is no mapping, or names an argument of its own."""
+    """Raise OptionError for what is no mapping, or names what has another place."""
     if options is not None and not isinstance(options, Mapping):
         raise OptionError(f"options must be a dictionary of options by name, not {options!r}")
     instead = "is an argument of its own: give it as one, not in options"
-    check_names(options or {}, ("encoder", "popsize"), instead)
+    check_names(options or {}, _ARGUMENTS, instead)
+    instead = "is a property of the parametrization: set its init and its sigma"
+    check_names(options or {}, ("x0", "sigma0"), instead)
 
 
 def target_setting(target: object, mask: object, weights: object) -> TargetImage | None:

@@ -94,9 +94,12 @@ def test_point_19_bad_settings() -> None:
         ParametrizedFIDE(popsize=2)
     with pytest.raises(OptionError, match="population"):
         ParametrizedFIDE(options={"population": 3})
-    for name in ("encoder", "popsize"):
+    for name in set(ParametrizedFIDE().config()) - {"options"}:
         with pytest.raises(OptionError, match=f"{name} is an argument of its own"):
             ParametrizedFIDE(options={name: None})
+    for name in ("x0", "sigma0"):
+        with pytest.raises(OptionError, match=f"{name} is .* of the parametrization: set its init"):
+            ParametrizedFIDE(options={name: 0.1})
     with pytest.raises(OptionError, match="must be a dictionary of options"):
         ParametrizedFIDE(options="proposer=none")  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="fast"):
