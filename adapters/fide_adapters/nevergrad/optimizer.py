@@ -4,7 +4,7 @@ Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
 `_internal_tell_candidate` are `ask(1)` and `tell` of `fide_plugins.FIDE` in the coordinates of
 `parametrization.Cube`.  The rules:
 
-- A candidate that was asked is reported as the point that FIDE gave, whatever rounding, integers
+- A candidate that this optimizer asked is reported as the point that FIDE gave, whatever rounding, integers
   and choices have made of its value.  A candidate that was not asked (a suggestion, one of another
   member of a portfolio) is injected.  One whose generation is complete is late, see
   `fide_plugins.population`.
@@ -32,6 +32,7 @@ from collections.abc import Callable, Mapping
 from copy import deepcopy
 from inspect import signature
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 from nevergrad.common import errors
@@ -56,7 +57,6 @@ __all__ = ["IMAGE", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
 IMAGE = "fide:image"
 """Key of ``candidate._meta`` for an image that goes through a portfolio."""
 
-_ASKED = "fide:asked"  # key of the point that FIDE gave
 _FAILED = 5.0e20  # what Nevergrad makes of NaN and infinity
 
 
@@ -85,6 +85,8 @@ def _without_image(candidate: Any) -> Any:
 class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     """FIDE for one parametrization; made by `ParametrizedFIDE`."""
 
+    _asked_key = "fide:asked"  # of an optimizer that an earlier version dumped
+
     def __init__(
         self,
         parametrization: Any,
@@ -99,6 +101,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         views = None if target is None else target.views
         self._search = Search(settings, views, self.num_workers)
         self._cube: Cube | None = None  # made when the search begins
+        self._asked_key = f"fide:asked:{uuid4().hex}"  # in candidates, of the point that FIDE gave
         self._drawn: list[Any] = []  # candidates that Nevergrad has drawn in this call of ask
         self._repeated: deque[Any] = deque()  # candidates of a dump, to ask again
         self._evaluation: Evaluation | None = None  # of the candidate that is being told
@@ -159,7 +162,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         x = self.fide.ask(1)[0]
         candidate = self.parametrization.spawn_child()
         candidate.set_standardized_data(cube.from_cube(x), reference=self.parametrization)
-        candidate._meta[_ASKED] = x
+        candidate._meta[self._asked_key] = x
         self._drawn.append(candidate)
         return candidate
 
@@ -243,7 +246,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         cube = self._start()
         self._take_image(candidate)
         evaluation, self._evaluation = self._evaluation or Evaluation(loss), None
-        x = candidate._meta.pop(_ASKED, None)
+        x = candidate._meta.pop(self._asked_key, None)
         if x is None:
             x = cube.to_cube(candidate.get_standardized_data(reference=self.parametrization))
         self._search.tell(x, loss if loss < _FAILED else np.inf, evaluation)
@@ -288,7 +291,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
 
     def _withdraw(self, candidate: Any) -> None:
         """Say that a candidate will not be told; if it is not ours, nothing happens."""
-        x = candidate._meta.pop(_ASKED, None)
+        x = candidate._meta.pop(self._asked_key, None)
         if x is not None:
             self.fide.withdraw([x])
 
