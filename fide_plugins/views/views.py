@@ -254,13 +254,22 @@ class Views:
         return parts
 
     def batch_of_one(self, image: object, on_clip: Callable[[str], None]) -> Float32:
-        """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images."""
+        """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images.
+
+        Raises ImageError.
+        """
         if not self.listed:
             is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
             batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
+        elif not isinstance(image, list | tuple) or len(image) != len(self.views):
+            got = f"a {type(image).__name__}"
+            got = f"{len(image)} images" if isinstance(image, list | tuple) else got
+            raise ImageError(
+                f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
+                f"one for each view, {self.sizes}; got {got}"
+            )
         else:
-            listed = isinstance(image, list | tuple)
-            batch = [[one] for one in image] if listed else image  # type: ignore[attr-defined]
+            batch = [[one] for one in image]
         return self.as_batch(batch, 1, on_clip)
 
     def unpacked(self, image: Float32 | None) -> Any:

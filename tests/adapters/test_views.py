@@ -96,6 +96,20 @@ def test_optuna_asks_and_tells_the_same() -> None:
     assert sampler.counts(study) == {"member": alone.evaluations, "image": alone.evaluations}
 
 
+@pytest.mark.parametrize(
+    ("given", "got"), [(np.zeros((20, 24, 3)), "a ndarray"), ([np.zeros((20, 24))] * 3, "3 images")]
+)
+def test_other_images_than_one_for_each_view_are_refused(given: Any, got: str) -> None:
+    optimizer: Any = ParametrizedFIDE(target=TARGETS, **SETTINGS)(ng.p.Array(shape=(DIM,)))
+    sampler = FIDESampler(TARGETS, **SETTINGS)
+    trial = optuna.create_study(sampler=sampler).ask()
+    rule = rf"2 targets a render is a list of 2 images, one for each view, .*; got {got}$"
+    with pytest.raises(ImageError, match=rule):
+        sampler.tell_image(trial, given)
+    with pytest.raises(ImageError, match=rule):
+        optimizer.tell(optimizer.ask(), 0.1, image=given)
+
+
 def test_images_of_views_come_back_from_an_artifact_store(tmp_path: Path) -> None:
     store = FileSystemArtifactStore(str(tmp_path))
     first = FIDESampler(TARGETS, artifact_store=store, **SETTINGS)

@@ -4,10 +4,9 @@ Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
 `_internal_tell_candidate` are `ask(1)` and `tell` of `fide_plugins.FIDE` in the coordinates of
 `parametrization.Cube`.  The rules:
 
-- A candidate that this optimizer asked is reported as the point that FIDE gave, whatever rounding, integers
-  and choices have made of its value.  A candidate that was not asked (a suggestion, one of another
-  member of a portfolio) is injected.  One whose generation is complete is late, see
-  `fide_plugins.population`.
+- A candidate that this optimizer asked is reported as the point that FIDE gave, whatever rounding,
+  integers and choices have made of its value.  Any other (a suggestion, one of another member of a
+  portfolio) is injected.  One whose generation is complete is late, see `fide_plugins.population`.
 - The search uses the loss with Nevergrad's penalties; the proposer uses the image.  A loss that is
   NaN or infinite, also minus infinity, ranks last in the search and in Nevergrad, which has 5e20 in
   its place; nothing is learned from its image.

@@ -18,6 +18,7 @@ from optuna.trial import FrozenTrial, Trial
 from PIL import Image
 
 from fide_adapters.optuna.storage import WarnOnce
+from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import warn_clipped
 from fide_plugins.views import Views
@@ -33,9 +34,16 @@ class ImageArtifacts:
 
     store: an `optuna.artifacts` store.
     warnings: where an image is reported that is recorded and cannot be read.
+
+    Raises OptionError, a ValueError, for what is no store.
     """
 
     def __init__(self, store: Any, warnings: WarnOnce) -> None:
+        if not (hasattr(store, "write") and hasattr(store, "open_reader")):
+            raise OptionError(
+                "artifact_store must be one of optuna.artifacts, such as "
+                f"FileSystemArtifactStore(folder), not {store!r}"
+            )
         self._store, self._warnings = store, warnings
 
     def save(self, trial: Trial, images: list[Float32]) -> None:

@@ -124,8 +124,9 @@ class StudyOptimizer:
         first = self.replica.generation == 0 == ask.generation and ask.slot < self.replica.size
         if not first or not self._numbers:
             return
-        own = self.space.decode(self.replica.candidate(ask.slot).x)
-        if not any(isclose(own[n], trial.params[n], rel_tol=_ROUNDING) for n in self._numbers):
+        own, kinds = self.space.decode(self.replica.candidate(ask.slot).x), self.space.distributions
+        names = [n for n in self._numbers if trial.distributions[n] == kinds[n]]  # others are drawn
+        if names and not any(isclose(own[n], trial.params[n], rel_tol=_ROUNDING) for n in names):
             self._history.warnings.log(
                 "seed",
                 f"trial {trial.number} was asked with another seed than this worker has, so what "

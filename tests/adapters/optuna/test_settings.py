@@ -30,6 +30,11 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "search space of numbers": ({"search_space": {"x": (0, 1)}}, OptionError, "FloatDistribution"),
     "empty search space": ({"search_space": {}}, OptionError, "empty.*leave it out"),
     "independent sampler": ({"independent_sampler": 3}, OptionError, "independent_sampler"),
+    "artifact store": (
+        {"artifact_store": "folder"},
+        OptionError,
+        "FileSystem.*'folder'",
+    ),
     "loss without target": ({"target": None, "loss": "mse"}, OptionError, "target"),
 }
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
+from optuna.distributions import FloatDistribution
 from optuna.storages import InMemoryStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
@@ -240,6 +241,18 @@ def test_fixed_numbers_and_a_second_worker_are_no_other_seed(
         for study in studies:
             bench.run(study, 1)
     assert optimizer_of(studies[0]).counts["altered"] == 1
+    assert not caplog.records
+
+
+def test_numbers_of_other_distributions_are_no_other_seed(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Optuna draws a parameter anew whose candidate is between the steps of the objective's."""
+    sampler = bench.sampler(search_space={"x": FloatDistribution(0, 1)})
+    study = optuna.create_study(sampler=sampler)
+    with pytest.warns(RuntimeWarning, match="make them equal"):
+        study.optimize(lambda trial: trial.suggest_float("x", 0, 1, step=0.25), n_trials=4)
+    assert counts_of(study)["altered"] == 4
     assert not caplog.records
 
 
