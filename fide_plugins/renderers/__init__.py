@@ -11,6 +11,7 @@ processes.
 file           idea
 =============  ===================================================================================
 `function`     ``FILE.py:NAME`` or ``module:NAME``: finds the function, and the space beside it
+`folder`       the current folder of a user's code, which may change it
 `command`      runs a program once for each image
 `template`     the command line of a program, with placeholders for parameters
 `naming`       parameters by flat names, and as a line of text

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from types import ModuleType
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers.fingerprint import version_of
+from fide_plugins.renderers.folder import OwnFolder
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.reference import (
     Referent,
@@ -28,6 +30,7 @@ _REFERENT = Referent(
     "functions",
     "write FILE.py:NAME or module:NAME, such as scene.py:render",
 )
+_FOLDERS: dict[ModuleType, OwnFolder] = {}  # a module is executed once a process
 
 
 class FunctionRenderer:
@@ -37,7 +40,8 @@ class FunctionRenderer:
         folder first in the search path for modules, as by ``python FILE.py``.  Modules are also
         searched in the current folder.
 
-    A copy in another process loads the file again there, once a process.
+    A copy in another process loads the file again there, once a process.  If the file or the
+    function calls `os.chdir`, only its own code gets the other folder.
 
     Raises OptionError (a ValueError) if there is no such file, module or function, or if the file
     raises an exception, whose traceback the error shows.  Calls raise RenderError, with parameters
@@ -47,13 +51,17 @@ class FunctionRenderer:
     def __init__(self, reference: str) -> None:
         place, self._name = split(reference, _REFERENT)
         self.place = os.path.abspath(place) if place.endswith(".py") else place
-        self._module = load(self.place, _REFERENT)
+        folder = OwnFolder()
+        with folder.entered():
+            self._module = load(self.place, _REFERENT)
+        self._folder = _FOLDERS.setdefault(self._module, folder)
         self._function = attribute(self._module, self.place, self._name, _REFERENT)
 
     def __call__(self, params: Any) -> Any:
         """Image of the parameters."""
         try:
-            return self._function(params)
+            with self._folder.entered():
+                return self._function(params)
         except (Exception, SystemExit) as error:  # scripts end by sys.exit
             raise RenderError(
                 f"{self._name} in {self.place} raised an exception\n"

@@ -174,3 +174,58 @@ def test_an_exception_of_the_function_names_line_and_parameters(tmp_path: Path) 
         f"  File \"{path}\", line 2, in render\n    return params['x'] / 0\n"
         "           ~~~~~~~~~~~~^~~\nZeroDivisionError: float division by zero"
     )
+
+
+MOVES = """
+import os
+from pathlib import Path
+import numpy as np
+
+os.chdir(os.path.dirname(__file__))
+seen = []
+
+def render(params):
+    seen.append(os.getcwd())
+    image = np.full((8, 8, 3), float(Path("gray.txt").read_text()))
+    os.chdir("..")
+    os.chdir(seen[0])
+    return image
+
+def removes(params):
+    os.mkdir("gone")
+    os.chdir("gone")
+    os.rmdir(os.getcwd())
+
+def leaves(params):
+    os.chdir("..")
+"""
+
+
+def test_a_file_that_changes_the_folder_changes_its_own_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, here = tmp_path / "scene", tmp_path / "here"
+    scene.mkdir()
+    here.mkdir()
+    (scene / "moves.py").write_text(MOVES)
+    (scene / "gray.txt").write_text("0.5")
+    monkeypatch.chdir(here)
+    for name in ("render", "render"):  # the second one finds a module that is loaded
+        renderer = FunctionRenderer(f"../scene/moves.py:{name}")
+        assert Path.cwd() == here
+        assert (renderer({}) == 0.5).all() and Path.cwd() == here
+
+    FunctionRenderer("../scene/moves.py:leaves")({})
+    with pytest.raises(RenderError, match="No such file.*gray.txt"):
+        renderer({})  # where the code has gone by itself
+    assert Path.cwd() == here
+
+
+def test_a_folder_that_the_function_removes_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "moves.py").write_text(MOVES)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    FunctionRenderer("../moves.py:removes")({})
+    assert Path.cwd() == tmp_path / "here"
