@@ -58,6 +58,7 @@ if TYPE_CHECKING:
 __all__ = ["TABLES", "RunDirectory", "is_under_way"]
 
 TABLES = ("curve.csv", "improvements.csv")
+_RESULTS = (*TABLES, "best.png", "reference.png", "summary.png")  # are replaced by new ones
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 
 
@@ -76,7 +77,8 @@ class RunDirectory:
     facts: what else is known at the first call, recorded once: `facts` has what is recorded.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
-    Raises RunDirectoryError (a FileExistsError), or OSError if the folder cannot be written.
+    Raises RunDirectoryError (a FileExistsError), also if files that are of no run would be
+    overwritten, or OSError if the folder cannot be written.
     """
 
     def __init__(
@@ -105,7 +107,9 @@ class RunDirectory:
                 **({} if facts is None else {"facts": facts}),
             }
             before, begun = read_run(self.path), is_saved(self.path)
-            if before is not None:
+            if before is None:
+                self._check_no_other_files()
+            else:
                 there, given = before["settings"], self.settings
                 if resume and begun:
                     self.settings = sources_module.with_model_there(there, given)
@@ -173,6 +177,15 @@ class RunDirectory:
                 f"{self.path} holds results of {n} renders, but no {CHECKPOINT}, from which the "
                 "run could go on: it was removed (copy it back), or the run was stopped before it "
                 "was written; start again in another directory"
+            )
+
+    def _check_no_other_files(self) -> None:
+        """Raise RunDirectoryError if there are files, of no run, that this one would overwrite."""
+        there = [name for name in _RESULTS if (self.path / name).exists()]
+        if there:
+            raise RunDirectoryError(
+                f"{self.path} holds no run, but {', '.join(there)}, which a run would overwrite; "
+                "name another directory, or move that away"
             )
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:

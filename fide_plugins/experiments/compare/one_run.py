@@ -87,7 +87,8 @@ def examine(
     except OSError as error:
         return State("damaged", f"{folder}: {error}")
     if run is None:
-        return State("missing")
+        left = [name for name in TABLES if (folder / name).exists()]
+        return State("damaged", f"{folder / left[0]} has no run.json") if left else State("missing")
     check_settings(run["settings"], settings, f"{folder} holds a run")
     if run.get("status") != "finished":
         changed = edited(versions_there(run), sources or {})
