@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
@@ -234,7 +235,7 @@ def _report(result: Any, out: Path) -> None:
     if result.best is None:
         print(_without_best(result))
         return
-    print(f"look at {plain(out)}/best.png, or: fide solutions {plain(out)}")
+    print(f"look at {plain(out)}/best.png, or: fide solutions {plain(shlex.quote(str(out)))}")
     print(plain(result.status))
 
 

@@ -14,6 +14,7 @@ and --renders may be larger.
 from __future__ import annotations
 
 import argparse
+import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -112,7 +113,7 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
             _continue_with(command, "when that is mended, ")
         return 1
     print(model.report)
-    print(f"use it with: --learned {plain(args.out)}")
+    print(f"use it with: --learned {plain(shlex.quote(str(args.out)))}")
     return 0
 
 

@@ -87,6 +87,8 @@ def space_of(file: str | None) -> Space | None:
             f"--space: there is no file {file!r}; name a TOML file with a table for each parameter "
             "(docs/reference/space.md)"
         ) from error
+    except IsADirectoryError as error:
+        raise OptionError(f"--space: {file!r} is a folder; name the TOML file in it") from error
 
 
 def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, Space | int]:

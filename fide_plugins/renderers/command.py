@@ -143,7 +143,7 @@ def _read(out: Path, log: Path) -> Float32:
 
     Some programs put a number or an ending after the name they are given.
     """
-    files = [out] if out.exists() else [path for path in out.parent.iterdir() if path.is_file()]
+    files = [out] if out.exists() else [path for path in out.parent.glob("*") if path.is_file()]
     if len(files) != 1:
         names = ", ".join(sorted(path.name for path in files))
         what = f"wrote several files, but not {out.name}: {names}" if files else "wrote no image"

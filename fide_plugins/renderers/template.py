@@ -160,11 +160,23 @@ def _check_words(words: list[str]) -> None:
             )
     program = words[0]
     if "{" not in program and shutil.which(program) is None:
-        where = "in the folder" if os.sep in program else "on the PATH"
-        raise OptionError(
-            f"no program {program!r} {where}; install it, or write its whole path "
-            f"(looked from {os.getcwd()})"
+        raise OptionError(_no_program(program))
+
+
+def _no_program(program: str) -> str:
+    """Why a program cannot be run, and what to do."""
+    if program.startswith("~"):
+        return f"no shell reads the command, so ~ is no folder in {program!r}; write the whole path"
+    if os.sep in program and os.path.isfile(program):
+        return (
+            f"{program!r} is a file that may not be executed; allow it (chmod +x), or write the "
+            "program that runs it first, such as sh or python"
         )
+    where = "in the folder" if os.sep in program else "on the PATH"
+    return (
+        f"no program {program!r} {where}; install it, or write its whole path "
+        f"(looked from {os.getcwd()})"
+    )
 
 
 def _formatted(name: str, value: Any, spec: str, conversion: str | None, text: str) -> str:

@@ -263,6 +263,15 @@ def _list_as_batch(
     return out
 
 
+def _check_one(image: object, what: str) -> None:
+    """Raise ImageError for a list of images; one image may be a list of its rows (W, C)."""
+    if isinstance(image, list | tuple) and any(np.ndim(one) > 2 for one in image if is_image(one)):
+        raise ImageError(
+            f"{what} must be one image, not a list of {len(image)}; give one of them, or for "
+            "several views a target for each"
+        )
+
+
 def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
     """Return the image as a numpy array, and whether it was a torch tensor."""
     if is_path(image):
@@ -273,6 +282,7 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
         return from_tensor(image, what), True
     if isinstance(image, np.ma.MaskedArray):
         image = unmasked(image, what)
+    _check_one(image, what)
     try:
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:

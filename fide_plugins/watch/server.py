@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 import threading
 from functools import partial
@@ -103,7 +104,7 @@ def _check_no_comparison(path: Path) -> None:
     run = runs[0] if runs else path / "cells/TASK/LOSS/OPTIMIZER/seed-0"
     raise RunDirectoryError(
         f"{path} holds a comparison, and the page is of one run: name that, such as {run}; "
-        f"of all of them there is a report: fide report {path}"
+        f"of all of them there is a report: fide report {shlex.quote(str(path))}"
     )
 
 

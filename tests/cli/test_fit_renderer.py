@@ -276,6 +276,7 @@ RENDERER = ["target.png", "--renderer"]
         ([*COMMAND, "ls {out} {gry}", "--space", "space.toml"], "{gry} .*did you mean {gray}"),
         ([*COMMAND, "ls {gray} {rows}", "--space", "space.toml"], "has no {out}"),
         ([*COMMAND, "nope {out}", "--space", "space.toml"], "no program 'nope' on the PATH"),
+        ([*COMMAND, "ls {out} {gray}", "--space", "."], "--space: '.' is a folder; name the TOML"),
         ([*COMMAND, "ls {out} {gray}", "--space", "no.toml"], "there is no file 'no.toml'; name a"),
         ([*COMMAND, "ls {out}", "--space", "typo.toml"], "typo.toml: .gray. hihg: unknown key"),
         ([*COMMAND, "ls {out}", "--space", "empty.toml"], "empty.toml: .gray.*low must be less"),
@@ -350,3 +351,16 @@ def test_the_picture_of_a_fit_is_that_of_its_parameters(
     image = FunctionRenderer("scene.py:render")(summary(capsys)["params"])
     with Image.open("out/best.png") as stored:
         np.testing.assert_array_equal(np.asarray(stored)[..., 0], np.rint(image * 255))
+
+
+def test_a_renderer_that_changes_the_folder_leaves_paths_as_they_are(
+    target: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = "import os\nfrom scene import render as draw, space\n"
+    moves = "def render(p):\n    os.chdir('/')\n    return draw(p)\n"
+    Path("moves.py").write_text(f"{lines}os.chdir('/')\n{moves}")
+    words = ["--renderer", "moves.py:render", "--mask", "target.png", "--workers", 0]
+    Image.open("target.png").convert("L").save("target.png")
+    assert fide("fit", "target.png", *words, "--budget", 12, "--out", "its run") == 0
+    assert (target.parent / "its run" / "best.png").exists()
+    assert "or: fide solutions 'its run'" in capsys.readouterr().out

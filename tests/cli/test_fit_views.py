@@ -42,6 +42,15 @@ def test_views_need_one_image_each() -> None:
         check_first(lambda x: [target, target[:4]], optimizer, both, ["a", "b"], 0, None)
 
 
+def test_one_target_needs_one_image() -> None:
+    target = np.zeros((8, 8, 3), np.float32)
+    optimizer, names = FIDE(2, target), ["a"]
+    for images in ([target, target[:4]], (target, target)):
+        with pytest.raises(ImageError, match="one image, not a list of 2; .* a target for each"):
+            check_first(lambda x, given=images: given, optimizer, [target], names, 0, None)
+    check_first(lambda x: list(target), optimizer, [target], names, 0, None)  # of its rows
+
+
 @pytest.mark.parametrize("views", [1, 2])
 def test_the_first_render_obeys_the_rule_of_tell(views: int) -> None:
     """A render may overshoot [0, 1], which is clipped; it may not be NaN, or in [0, 255]."""

@@ -37,6 +37,8 @@ if mode == "dies":
     os.kill(os.getpid(), 9)
 if mode == "writes nothing":
     sys.exit()
+if mode == "removes the folder":
+    sys.exit(os.rmdir(os.path.dirname(out)))
 if mode == "numbers its images":
     out = out.replace(".png", "0001.png")
 if mode == "writes two":
@@ -231,6 +233,7 @@ def test_a_parameter_may_be_in_one_view_only() -> None:
         ("fails", ["ended with exit code 3", "rendering a b\nno light in the scene"]),
         ("dies", ["was ended by signal 9"]),
         ("writes nothing", ["wrote no image", "is {out} where it expects the name?"]),
+        ("removes the folder", ["wrote no image"]),
         ("writes no image", ["wrote an image that cannot be read: cannot read 'out.png'"]),
         ("writes two", ["wrote several files, but not out.png: out0001.png, out0002.png"]),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -154,9 +155,10 @@ def read(path: str | os.PathLike[str]) -> Results:
     folder = Path(path)
     record = read_record(folder)
     if record is None and read_run(folder) is not None:
+        quoted = shlex.quote(str(folder))
         raise NoResultsError(
             f"{folder} holds a single run, and a report is of a comparison; look at the run by: "
-            f"fide watch {folder} or: fide solutions {folder}"
+            f"fide watch {quoted} or: fide solutions {quoted}"
         )
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
