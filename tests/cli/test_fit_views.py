@@ -44,11 +44,15 @@ def test_views_need_one_image_each() -> None:
 
 def test_one_target_needs_one_image() -> None:
     target = np.zeros((8, 8, 3), np.float32)
-    optimizer, names = FIDE(2, target), ["a"]
+    optimizer = FIDE(2, target)
+
+    def check(image: object) -> None:
+        check_first(lambda x: image, optimizer, [target], ["a"], 0, None)
+
     for images in ([target, target[:4]], (target, target)):
         with pytest.raises(ImageError, match="one image, not a list of 2; .* a target for each"):
-            check_first(lambda x, given=images: given, optimizer, [target], names, 0, None)
-    check_first(lambda x: list(target), optimizer, [target], names, 0, None)  # of its rows
+            check(images)
+    check(list(target))  # of its rows
 
 
 @pytest.mark.parametrize("views", [1, 2])
