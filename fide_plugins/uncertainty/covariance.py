@@ -35,6 +35,7 @@ NO_EFFECT = 1e-3  # of the largest change of the image in the run, squared: 3 % 
 _RIDGE = 1e-4  # of the mean eigenvalue
 _STILL = 1e-6  # of the cube: samples as good may be nowhere else
 _SAME = 1e-8  # sine of an angle of directions that are one
+_DIGITS = 1e-15  # of the largest eigenvalue, which is the least of the others
 _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precision
 
 
@@ -48,13 +49,25 @@ def covariance(model: FitToTarget) -> Float64:
     precision = along @ known @ along + _BOX * np.eye(d)
     if model.as_far is not None:
         precision += _limits(model.as_far, np.hstack([steps, rest]))
-    return np.asarray(np.linalg.inv(precision), np.float64)
+    return _inverse(precision)
 
 
 def deviations(model: FitToTarget) -> Float64:
     """Standard deviations (d,), in units of the unit cube."""
     std: Float64 = np.sqrt(np.diag(covariance(model)))
     return std
+
+
+def _inverse(precision: Float64) -> Float64:
+    """Inverse (d, d), positive also where the last digits of its largest directions hide others.
+
+    No eigenvalue of `precision` (d, d), symmetric, is below that of the prior, but for rounding.
+    """
+    scale = np.sqrt(np.maximum(np.diag(precision), _BOX))
+    values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
+    values = np.maximum(values, _DIGITS * values[-1])
+    inverse: Float64 = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return inverse
 
 
 def _reach(cloud: Float64, steps: Float64) -> Float64:

@@ -32,6 +32,7 @@ __all__ = ["information", "unresolved", "unseen"]
 _RESOLVED = 1.1  # times its error, from which on J J^T is more than that
 _CHANCE = 0.99  # quantile of the ratio up to which it may be chance
 _SMALL = 1e-9  # of the mean energy of J, which is the least error
+_ROUNDING = 1e-13  # of the energy of an error: its last digits
 _FEWER = 1e-6  # one over the most independent features that are counted
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -106,7 +107,8 @@ def _directions(J: Float64, changes: Float64, normal: Float64, least: float = 0.
     J, changes = root @ J, np.matmul(root, changes)  # all directions alike
     energy = J @ J.T
     error = energy_of(changes) + least * root @ root.T
-    floor = _SMALL * float(np.trace(energy)) / len(energy) + _TINY
+    small = _SMALL * float(np.trace(energy)) / len(energy)  # far less where J is only its error
+    floor = max(small, _ROUNDING * float(np.trace(error))) + _TINY
     L = np.linalg.cholesky(error + floor * np.eye(len(error)))
     inner = np.linalg.solve(L, np.linalg.solve(L, energy).T)
     ratios, rotation = np.linalg.eigh((inner + inner.T) / 2)

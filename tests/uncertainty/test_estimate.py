@@ -17,6 +17,8 @@ from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate, fit_locally, matching
+from fide_plugins.uncertainty.covariance import deviations
+from fide_plugins.uncertainty.local_fit import FitToTarget
 from fide_plugins.uncertainty.matching import aligned
 
 D, SIDE = 5, 16
@@ -359,3 +361,27 @@ def test_what_has_converged_to_the_last_digits_has_moved(seed: int) -> None:
     best = fit(row, row({"b": 0.3}), space, budget=300, workers=0, seed=seed).best
     assert best is not None and best.std is not None and best.std[1] < 1e-3
     assert best.undetermined == ("a",)
+
+
+def test_of_images_that_are_all_equal_every_parameter_is_open() -> None:
+    """The model is nothing but its error, which is rounding, of many parameters."""
+    opt = FIDE(40, np.full((16, 16), 0.5), seed=0)
+    with pytest.warns(RuntimeWarning, match="all images of"):
+        while opt.evaluations < 240:
+            X = opt.ask()
+            opt.tell(X, np.full((len(X), 16, 16), 0.5))
+    assert opt.best is not None and opt.best.std is not None
+    assert opt.best.std.min() > 0.2 and opt.best.std.max() <= 12**-0.5 + 1e-9
+
+
+@pytest.mark.parametrize("width", [1e-16, 1e-15])
+def test_samples_in_the_last_digits_that_differ_in_one_direction(width: float) -> None:
+    """The precision along it hides the others, the prior's too, behind its last digits."""
+    rng = np.random.default_rng(0)
+    u = width * rng.normal(size=(200, D))
+    u -= u[0]
+    e = np.outer(np.tanh(u @ rng.normal(size=D) / width), rng.normal(size=50))
+    distances = np.square(e).sum(axis=1)
+    distances[0] = distances[1:].min()
+    model = FitToTarget(fit_locally(u, e, distances), np.ones(50), 50, distances.max())
+    assert ((deviations(model) > 0) & (deviations(model) < 1e-5)).all()
