@@ -6,6 +6,7 @@ import math
 import re
 
 from fide_plugins.errors import OptionError
+from fide_plugins.validation.points import as_real
 
 __all__ = ["seconds_of"]
 
@@ -22,12 +23,8 @@ def seconds_of(name: str, value: object) -> float:
     >>> seconds_of("time", "1h30m"), seconds_of("time", 12)
     (5400.0, 12.0)
     """
-    seconds = math.nan
-    if isinstance(value, str):
-        seconds = _of_text(value.strip().lower())
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        seconds = float(value)
-    if not 0 < seconds < math.inf:
+    seconds = _of_text(value.strip().lower()) if isinstance(value, str) else as_real(value)
+    if seconds is None or not 0 < seconds < math.inf:
         raise OptionError(
             f"{name} must be a positive number of seconds, or a text such as '90s', '10m' or "
             f"'1h30m', not {value!r}"

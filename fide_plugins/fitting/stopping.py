@@ -101,7 +101,7 @@ def _loss(stop_at: Any) -> float | None:
         return None
     try:
         loss = np.nan if isinstance(stop_at, bool | str) else float(stop_at)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         loss = np.nan
     if not np.isfinite(loss):
         raise OptionError(f"stop_at must be a finite number, a loss, not {stop_at!r}")

@@ -23,16 +23,16 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
-from fide_plugins.validation.points import as_whole, whole_instead
+from fide_plugins.validation.points import as_real, as_whole, whole_instead
 
 __all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
 
 _MOST_CELLS = 2**40  # of an axis; beyond, doubles do not tell the cells of a logarithmic axis apart
 _LARGEST_INT = 2**53  # doubles hold every whole number up to it
+_LARGEST_LOG = 2**44  # beyond, doubles do not tell the logarithms of neighbors well apart
 _MOST_CHOICES = 1000
 _OFF_GRID = 1e-6  # of a step, by which a value may miss the grid
 _LEAST_STEP = 16  # units in the last place of the largest value
@@ -110,7 +110,7 @@ class Float(_Number):
 
     def number(self, name: str, value: Any) -> float:
         """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
-        number = _plain_real(value)
+        number = as_real(value)
         if number is None or not self.low <= number <= self.high:
             raise SpaceError(_outside(name, self, f"a number in [{self.low}, {self.high}]", value))
         if self.step is not None:
@@ -127,7 +127,7 @@ class Int(_Number):
 
     low, high: whole, at most 2^53 from zero, low < high, at most 2^40 values.
     unit: for people.
-    log: whether its logarithm is searched; low must be above 0.
+    log: whether its logarithm is searched; low must be above 0, high at most 2^44.
     step: only low, low + step, ... are meant; high becomes the last of them.
 
     Raises SpaceError (a ValueError).
@@ -149,6 +149,9 @@ class Int(_Number):
         if self.log and step != 1:
             _refuse(self, f"log needs step 1, not {step}", "drop one of them")
         high = int(_last_on_grid(self, low, high, step))
+        if self.log and high > _LARGEST_LOG:
+            rule = f"the logarithm needs high <= 2^44, not {high}"
+            _refuse(self, f"{rule}: doubles do not tell neighbors apart", "lower high, or drop log")
         for name, value in (("low", low), ("high", high), ("step", step)):
             object.__setattr__(self, name, value)
 
@@ -158,7 +161,7 @@ class Int(_Number):
 
     def number(self, name: str, value: Any) -> float:
         """Number of a value; SpaceError, with the parameter's `name`, if it is none of its own."""
-        number = _plain_real(value)
+        number = as_real(value)
         if number is None or not self.low <= number <= self.high or number != round(number):
             rule = f"a whole number in [{self.low}, {self.high}]"
             raise SpaceError(_outside(name, self, rule, value))
@@ -255,18 +258,8 @@ def _outside(name: str, kind: Kind, rule: str, value: Any) -> str:
     return f"parameter {name!r} must be {rule}, not {value!r}{hint}"
 
 
-def _plain_real(value: Any) -> float | None:
-    """`value` as a float; None if it is no real number."""
-    if isinstance(value, Real) and not isinstance(value, bool):
-        try:
-            return float(value)
-        except OverflowError:
-            return None
-    return None
-
-
 def _real(kind: Any, name: str, value: Any) -> float:
-    number = _plain_real(value)
+    number = as_real(value)
     if number is None or not math.isfinite(number):
         _refuse(kind, f"{name} must be a finite number, not {value!r}", f"give {name} as a number")
     assert number is not None
@@ -316,6 +309,9 @@ def _last_on_grid(kind: Any, low: float, high: float, step: float) -> float:
         _refuse(kind, f"step must lie in (0, high - low], not {step}", remedy)
     if kind.log and not whole:
         _refuse(kind, "a logarithm has no steps here", "drop log or step")
+    if not math.isfinite((high + step / 2) - (low - step / 2)):
+        rule = "high - low, with half a step beyond either end, must be finite"
+        _refuse(kind, rule, "take a narrower range")
     if (high - low) / step >= _MOST_CELLS:
         remedy = "take a narrower range" if kind.log else "take a wider step"
         _refuse(kind, f"at most 2^40 values, not {(high - low) / step:.3g}", remedy)

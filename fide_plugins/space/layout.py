@@ -65,7 +65,7 @@ class Layout:
         Everywhere else the origin is 0, so that results keep their last digits.
         """
         largest = np.maximum(abs(self._low), abs(self._high))
-        self._far = ~self._log & (self._step > 0) & (largest >= _FAR * self._step)
+        self._far = ~self._log & (self._step > 0) & (largest / _FAR >= self._step)
         self._origin = np.where(self._far, self._low, 0.0)
         self._low, self._high = self._low - self._origin, self._high - self._origin
 

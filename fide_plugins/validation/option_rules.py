@@ -145,7 +145,7 @@ def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
     """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
     try:
         times = tuple(float(t) for t in schedule)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         times = ()
     positive = bool(times) and all(0 < t < float("inf") for t in times)
     if not positive or any(later >= t for t, later in pairwise(times)):
@@ -159,7 +159,7 @@ def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
 def _number(name: str, value: Any) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if isinstance(value, bool | str) or not abs(number) < float("inf"):
         raise OptionError(f"{name} must be a finite number, not {value!r}")

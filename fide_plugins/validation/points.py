@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from fide_plugins.types import Float64
 __all__ = [
     "as_point",
     "as_points",
+    "as_real",
     "as_whole",
     "new_seed",
     "number_of_parameters",
@@ -74,6 +76,16 @@ def as_point(x: object, dim: int, name: str = "x") -> Float64:
         got = f"{shape[0]}" if len(shape) == 1 else got
         raise PointsError(f"{name} must have {dim} numbers, not {got}") from None
     return point
+
+
+def as_real(value: object) -> float | None:
+    """`value` as a float; None unless it is a real number, NumPy's too; a bool is none."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return None
+    return None
 
 
 def as_whole(value: Any) -> int | None:
@@ -136,7 +148,7 @@ def standard_deviation(value: Any) -> float:
     """`value` as a float; OptionError (a ValueError) unless it lies in [1e-16, 1]."""
     try:
         number = 0.0 if isinstance(value, bool | np.bool_ | str) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = 0.0
     if not _SMALLEST_STD <= number <= 1:
         raise OptionError(
@@ -147,10 +159,14 @@ def standard_deviation(value: Any) -> float:
 
 def standard_deviations(value: Any, dim: int) -> float | Float64:
     """`value` as a float or as floats (dim,); OptionError unless all lie in [1e-16, 1]."""
-    if np.ndim(value) == 0:
+    try:
+        shape = np.shape(value)
+    except ValueError:  # rows of several lengths
+        raise OptionError(f"sigma0 must be one number or {dim}, not {value!r}") from None
+    if shape == ():
         return standard_deviation(value)
-    if np.shape(value) != (dim,):
-        raise OptionError(f"sigma0 must be one number or {dim}, not of shape {np.shape(value)}")
+    if shape != (dim,):
+        raise OptionError(f"sigma0 must be one number or {dim}, not of shape {shape}")
     return np.array([standard_deviation(number) for number in value])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
@@ -23,6 +24,8 @@ def test_durations() -> None:
     assert doctest.testmod(durations) == (0, 1)
     expected = {"90s": 90, "1d": 86400, "1.5h": 5400, " 2M30S ": 150, "45": 45, 0.5: 0.5}
     assert {text: seconds_of("time", text) for text in expected} == expected
-    for wrong in ("", "h", "10 minutes", "5m1h", "-3", 0, -1, True, None, float("nan"), "inf"):
+    assert seconds_of("time", np.int64(3)) == 3 and seconds_of("time", np.float32(0.5)) == 0.5
+    wrongs = ("", "h", "10 minutes", "5m1h", "-3", 0, -1, True, None, float("nan"), "inf", 10**400)
+    for wrong in wrongs:
         with pytest.raises(OptionError, match="time must be a positive number of seconds"):
             seconds_of("time", wrong)

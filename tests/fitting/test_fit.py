@@ -293,6 +293,7 @@ def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"time": "soon"}, "time must be a positive number of seconds, or a text"),
         ({"time": -1}, "time must be a positive number"),
         ({"stop_at": "low"}, "stop_at must be a finite number"),
+        ({"stop_at": 10**400}, "stop_at must be a finite number"),
         ({"workers": -1}, "workers must be a whole number >= 0"),
         ({"workers": 0, "timeout": 3}, "timeout needs a worker that can be killed"),
         ({"workers": 0, "executor": "threads"}, "leave out executor"),

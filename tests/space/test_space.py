@@ -175,6 +175,22 @@ def test_integers_far_from_zero(low: int) -> None:
     np.testing.assert_allclose([lower for lower, _ in edges], [-np.inf, 0.2, 0.4, 0.6, 0.8])
 
 
+def test_the_largest_logarithms_of_integers_are_told_apart() -> None:
+    high = 2**44
+    space = Space(n=Int(high - 9, high, log=True))
+    values = [{"n": value} for value in range(high - 9, high + 1)]
+    points = space.encode_many(values)
+    assert space.decode_many(points) == values
+    lower, upper = np.array([space.layout.cells(x) for x in points])[..., 0].T
+    np.testing.assert_array_equal(lower[1:], upper[:-1])
+    assert ((lower < points[:, 0]) & (points[:, 0] < upper)).all()
+
+
+def test_steps_as_wide_as_doubles_reach() -> None:
+    space = Space(t=Float(0, 1e308, step=2.5e307))
+    assert space.decode([0.5]) == {"t": 5e307}
+
+
 def test_cells_of_a_logarithm_are_where_the_value_changes() -> None:
     space = Space(v=Int(1, 50, log=True))
     for value in (1, 2, 7, 50):
@@ -247,6 +263,7 @@ BAD_KINDS = [
     (lambda: Float(float("nan"), 1), "low must be a finite number, not nan"),
     (lambda: Float(0, float("inf")), "high must be a finite number, not inf"),
     (lambda: Float(-1.7e308, 1.7e308), "high - low must be finite"),
+    (lambda: Float(0, 1.7e308, step=3e307), "with half a step beyond either end, must be finite"),
     (lambda: Float(False, True), "low must be a finite number, not False"),
     (lambda: Float("0", 1), "low must be a finite number, not '0'"),  # type: ignore[arg-type]
     (lambda: Float(0, 1, unit=3), "unit must be a text, not 3"),  # type: ignore[arg-type]
@@ -264,6 +281,7 @@ BAD_KINDS = [
     (lambda: Int(0, 2**60), r"at most 2\^53"),
     (lambda: Int(0, 2**50), r"at most 2\^40 values"),
     (lambda: Int(1, 9, step=2, log=True), "log needs step 1, not 2"),
+    (lambda: Int(2**52, 2**52 + 9, log=True), r"needs high <= 2\^44, .*neighbors.* or drop log"),
     (lambda: Choice(), "Choice needs 1 to 1000 values, not 0"),
     (lambda: Choice(["a", "b"]), r"one by one: Choice\(\*\['a', 'b'\]\)"),  # type: ignore[arg-type]
     (lambda: Choice("a", ["b"]), "must be hashable, not .'b'.; a list is not"),  # type: ignore[arg-type]
