@@ -78,7 +78,7 @@ def unlike_all(model: Model, far: float) -> str:
     """Beginning of a warning of a picture; far: its `Model.unfamiliarity`."""
     return (
         f"the model of {model.renderer!r} has learned nothing like this picture (its features are "
-        f"{far:.2f} times as far from those of renders as the furthest that count as familiar)"
+        f"{far:.3g} times as far from those of renders as the furthest that count as familiar)"
     )
 
 

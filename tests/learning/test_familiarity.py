@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from fide_plugins.learning.familiarity import Familiarity
+from fide_plugins.learning.hypotheses import unlike_all
 from fide_plugins.types import Float64
 
 
@@ -38,3 +42,10 @@ def test_the_bound_is_finite_for_the_least_held_out_renders(held_out: int) -> No
         assert np.isfinite(Familiarity.of(features(rng, 40), renders).threshold)
     familiarity = Familiarity.of(same, same[:held_out])
     assert familiarity.knows(same[0]) and not familiarity.knows(same[0] + 0.1)
+
+
+@pytest.mark.parametrize(("far", "shown"), [(2.047, "2.05 times"), (7.57e299, "7.57e+299 times")])
+def test_how_unlike_a_picture_is_has_three_digits(far: float, shown: str) -> None:
+    """Of renders that are all equal every other picture is any number of times too far."""
+    model: Any = SimpleNamespace(renderer="scene")
+    assert f"its features are {shown} as far" in unlike_all(model, far)
