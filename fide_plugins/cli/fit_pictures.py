@@ -28,7 +28,7 @@ def weights_of(
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
     from fide_plugins.validation.image_sources import read_pixels
-    from fide_plugins.views.views import one_a_view
+    from fide_plugins.views.given import one_a_view
     from fide_plugins.views.weights import ALPHA
 
     if given is None:

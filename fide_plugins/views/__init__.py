@@ -36,7 +36,9 @@ A callable loss gets x' and is not divided; one that is registered is, by its na
 One view without weights is not changed in any way.
 
 ==============  ==================================================================
-`views`         targets and weights; several pictures packed as one
+`views`         all views of a scene; several pictures packed as one
+`view`          target and weights of one view
+`given`         targets, masks and weights as a user gives them
 `weights`       reads masks and weights
 `loss`          the loss of views
 `encoder`       the tokens of views
@@ -47,6 +49,8 @@ One view without weights is not changed in any way.
 
 from __future__ import annotations
 
-from fide_plugins.views.views import View, Views, is_list_of_images
+from fide_plugins.views.given import is_list_of_images
+from fide_plugins.views.view import View
+from fide_plugins.views.views import Views
 
 __all__ = ["View", "Views", "is_list_of_images"]

@@ -9,113 +9,19 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from numbers import Number
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check
-from fide_plugins.types import Float32, Float64, Mask
-from fide_plugins.validation.image_sources import Pixels
-from fide_plugins.validation.images import as_batch, as_pixels, as_target, is_image
-from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.images import as_batch
+from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_view, sizes_of
+from fide_plugins.views.view import View
 
-__all__ = ["View", "Views", "is_list_of_images", "one_a_view", "views_of"]
-
-_SHADES = 8  # steps of a channel of the color that hidden pixels get
-
-
-def is_list_of_images(value: object) -> bool:
-    """Whether it is a list or tuple of pictures, rather than one picture of nested lists."""
-    listed = isinstance(value, list | tuple) and len(value) > 0
-    return listed and all(is_image(each) for each in value)  # type: ignore[attr-defined]
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One view.
-
-    target: (H, W, 3).
-    weights: (H, W) in [0, 1], the largest 1; None: all are.
-    """
-
-    target: Float32
-    weights: Float32 | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(H, W)."""
-        return self.target.shape[0], self.target.shape[1]
-
-    @cached_property
-    def mean_weight(self) -> float:
-        """Mean of the weights."""
-        return 1.0 if self.weights is None else float(self.weights.mean(dtype=np.float64))
-
-    @cached_property
-    def hidden(self) -> Mask | None:
-        """(H, W), pixels of weight 0, where a render may have any values; None: all count."""
-        return hidden_by(self.weights)
-
-    @cached_property
-    def _roots(self) -> Float32:
-        assert self.weights is not None
-        roots: Float32 = np.sqrt(self.weights)[..., None]
-        return roots
-
-    @cached_property
-    def filled(self) -> Float32:
-        """Target whose hidden pixels have the mean color of all others, (H, W, 3).
-
-        So its own pixels there influence no tokens, and no losses that have a name.  The color is
-        rounded, since remembered tokens are compared with those of the next target (`retarget`),
-        which mostly has the same rounded one.
-        """
-        if self.hidden is None:
-            return self.target
-        filled = self.target.copy()
-        mean = self.target[~self.hidden].mean(axis=0, dtype=np.float64)
-        filled[self.hidden] = np.round(mean * _SHADES) / _SHADES
-        filled.flags.writeable = False
-        return filled
-
-    def shown(self, batch: Float32) -> Float32:
-        """What encoder and named loss see of renders (n, H, W, 3): `blended` with `filled`."""
-        return self._blended(batch, self.filled)
-
-    def blended(self, batch: Float32) -> Float32:
-        """What a user's own loss, which may know the target, sees: x' = t + sqrt(w) (x - t)."""
-        return self._blended(batch, self.target)
-
-    def _blended(self, batch: Float32, t: Float32) -> Float32:
-        if self.weights is None:
-            return batch
-        roots = self._roots
-        with np.errstate(under="ignore"):  # a tiny difference times a weight
-            blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
-        return blended
-
-    def difference(self, image: Float32, other: Float32) -> Float64:
-        """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
-        apart = np.subtract(image, other, dtype=np.float64)
-        return apart if self.weights is None else apart * (self._roots / self.mean_weight**0.5)
-
-    def squared_error(self, image: Float32) -> float:
-        """Weighted mean of the squared difference of an image (H, W, 3) from the target."""
-        squared = np.square(image - self.target, dtype=np.float64)
-        if self.weights is None:
-            return float(squared.mean())
-        return float(np.average(squared.mean(axis=-1), weights=self.weights))
-
-    def largest_error(self, image: Float32) -> float:
-        """Largest difference of an image (H, W, 3) from the target, where pixels count at all."""
-        missed = np.abs(image - self.target)
-        if self.weights is not None:
-            missed = missed[self.weights > 0]
-        return float(missed.max())
+__all__ = ["Views", "views_of"]
 
 
 class Views:
@@ -144,11 +50,11 @@ class Views:
         if isinstance(target, Views) and mask is None and weights is None:
             return target
         if not is_list_of_images(target):
-            return cls([_view(target, mask, weights, "")], listed=False)
+            return cls([read_view(target, mask, weights, "")], listed=False)
         assert isinstance(target, list | tuple)
         masks, others = one_a_view("mask", mask, target), one_a_view("weights", weights, target)
         each = zip(target, masks, others, strict=True)
-        return cls([_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
+        return cls([read_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
 
     def retargeted(self, target: object) -> Views:
         """The same views and weights, for the next picture, or list of pictures.
@@ -156,8 +62,8 @@ class Views:
         Raises ImageError unless it has the sizes of the first.
         """
         listed = is_list_of_images(target)
-        pictures = _opened(target)
-        sizes = _sizes([picture.shape for picture in pictures])
+        pictures = opened(target)
+        sizes = sizes_of([picture.shape for picture in pictures])
         if (listed, sizes) != (self.listed, self.sizes):
             raise ImageError(
                 f"the next target must have the size of the first, {self.sizes}, not "
@@ -200,7 +106,7 @@ class Views:
     @property
     def sizes(self) -> str:
         """Height x width of each view."""
-        return _sizes([view.size for view in self.views])
+        return sizes_of([view.size for view in self.views])
 
     def as_batch(self, images: object, n: int | None, on_clip: Callable[[str], None]) -> Float32:
         """Renders of n candidates, (n, H, W, 3), packed if there are several views.
@@ -326,73 +232,6 @@ def views_of(target: object, mask: object, weights: object) -> Views | None:
             raise ImageError("mask and weights belong to a target: set target=, too")
         return None
     return Views.read(target, mask, weights)
-
-
-def _view(target: object, mask: object, weights: object, of: str) -> View:
-    """One view; `of` names it in errors."""
-    if is_list_of_images(mask) or is_list_of_images(weights):
-        raise ImageError("a list of masks or weights needs a list of targets, one for each")
-    what = f"the target{of}"
-    pixels = as_pixels(target, what)
-    size = pixels.shape[0], pixels.shape[1]
-    first = read_weights(mask, pixels, size, f"mask{of}")
-    second = read_weights(weights, pixels, size, f"weights{of}")
-    product = joined(first, second, f"mask times weights{of}")
-    return View(as_target(pixels, what=what, hidden=hidden_by(product)), product)
-
-
-def _opened(target: object) -> list[Pixels]:
-    """Arrays (H, W) or (H, W, C) of a picture or a list of them, with the values they have."""
-    if not is_list_of_images(target):
-        return [as_pixels(target, "the target")]
-    assert isinstance(target, list | tuple)
-    return [as_pixels(one, f"the target of view {i}") for i, one in enumerate(target)]
-
-
-def _sizes(shapes: Sequence[Sequence[int]]) -> str:
-    """Height x width of each view."""
-    return " + ".join(f"{height} x {width}" for height, width, *_ in shapes)
-
-
-def one_a_view(name: str, given: object, targets: Sequence[object]) -> list[object]:
-    """A list of masks or weights, one for each target; a single one is that of all of one size.
-
-    name, given: the argument and its value, see `Views.read`; masks themselves are not read.
-
-    Raises ImageError for another number of them, or a single one where the sizes differ.
-    """
-    k = len(targets)
-    if given is None or (isinstance(given, str) and given == ALPHA):
-        return [given] * k
-    if not isinstance(given, list | tuple) or _is_nested(given):
-        shapes = [picture.shape for picture in _opened(targets)]
-        if len({shape[:2] for shape in shapes}) == 1:
-            return [given] * k
-        got = f"a single one, which needs views of one size, not {_sizes(shapes)}"
-    elif len(given) == k:
-        return list(given)
-    else:
-        got = f"{len(given)} of them"
-    raise ImageError(
-        f"{name} must be a list with one entry for each of the {k} views, None for a view "
-        f"without; got {got}"
-    )
-
-
-def _is_nested(given: Sequence[object]) -> bool:
-    """Whether it is one mask as nested lists, H rows of W numbers; an entry of a list is none."""
-    return len(given) > 0 and all(map(_is_row, given))
-
-
-def _is_row(value: object) -> bool:
-    if isinstance(value, list | tuple):
-        return len(value) > 0 and all(map(_is_number, value))
-    ndim = getattr(value, "ndim", None)
-    return isinstance(ndim, int) and ndim == 1
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Number | np.bool_) or getattr(value, "ndim", None) == 0
 
 
 def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:

@@ -19,6 +19,7 @@ from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, 
 from fide_plugins.experiments.suite import read as read_suite
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.kept_target import KeptTarget
@@ -143,8 +144,7 @@ def prepare(
         may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
         directory = RunDirectory(
             out, settings, resume=resume, command=_words(command), may_change=may_change,
-            sources=_sources(settings["task"], task, optimizer, options)
-            | of_weights(searcher) | of_losses([judge, *metrics.values()]),
+            sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
         )  # fmt: skip
         kept = None if file is None else kept_of(task, target)
         record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
@@ -173,13 +173,20 @@ def _options_of(
 
 
 def _sources(
-    name: str, task: Task, optimizer: str | Callable[..., AskTell], options: Mapping[str, Any]
+    task: Task,
+    optimizer: str | Callable[..., AskTell],
+    options: Mapping[str, Any],
+    searcher: Optimizer,
+    losses: Sequence[ImageLoss],
 ) -> dict[str, str]:
-    """Fingerprints of the user's files: of the task of this name, the optimizer and models."""
-    files = {name: fingerprint_of(task)}
+    """Fingerprints of what a run depends on: the user's files, weights of networks, and losses.
+
+    searcher: what was made of `optimizer` and the options.
+    """
+    files = {TaskInfo.of(task).name: fingerprint_of(task)}
     if isinstance(optimizer, str):
         files[optimizer] = optimizers.source_of(optimizer)
-    return of_files(files) | of_models(options)
+    return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
 
 
 def _rounds(
