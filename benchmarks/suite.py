@@ -116,7 +116,7 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
     losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
-    shutil.rmtree(part)
+    shutil.rmtree(part.rename(part.with_name(f"{part.name}.done")))  # never half of a run
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 

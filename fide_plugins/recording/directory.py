@@ -55,10 +55,10 @@ from fide_plugins.saving import Saved
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
-__all__ = ["TABLES", "RunDirectory", "is_under_way"]
+__all__ = ["TABLES", "RunDirectory", "is_under_way", "results_in"]
 
 TABLES = ("curve.csv", "improvements.csv")
-_RESULTS = (*TABLES, "best.png", "reference.png", "summary.png")  # are replaced by new ones
+_RESULTS = (*TABLES, "best.png", "reference.png", "summary.png", CHECKPOINT)
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 
 
@@ -77,8 +77,8 @@ class RunDirectory:
     facts: what else is known at the first call, recorded once: `facts` has what is recorded.
     sources: fingerprints of the user's files, see `sources.of_files`; warns of one that is edited.
 
-    Raises RunDirectoryError (a FileExistsError), also if files that are of no run would be
-    overwritten, or OSError if the folder cannot be written.
+    Raises RunDirectoryError (a FileExistsError), also if there are results without a `run.json`,
+    see `results_in`, or OSError if the folder cannot be written.
     """
 
     def __init__(
@@ -180,12 +180,13 @@ class RunDirectory:
             )
 
     def _check_no_other_files(self) -> None:
-        """Raise RunDirectoryError if there are files, of no run, that this one would overwrite."""
-        there = [name for name in _RESULTS if (self.path / name).exists()]
+        """Raise RunDirectoryError if there are results, of no run that is known."""
+        there = results_in(self.path)
         if there:
             raise RunDirectoryError(
-                f"{self.path} holds no run, but {', '.join(there)}, which a run would overwrite; "
-                "name another directory, or move that away"
+                f"{self.path} has no run.json, but {', '.join(there)}, which a run may overwrite; "
+                "name another directory, or move that away; if it was a run, copy its run.json "
+                "back to go on with it"
             )
 
     def _check(self, there: dict[str, Any], resume: bool, may_change: Collection[str]) -> None:
@@ -283,6 +284,11 @@ def _lock(path: Path) -> ExitStack:
                 "ends or stop it, and resume then, or name another directory"
             )
         return lock.pop_all()
+
+
+def results_in(path: Path) -> list[str]:
+    """Names of files in the folder `path` that a run writes anew: tables, pictures, state."""
+    return [name for name in _RESULTS if (path / name).exists()]
 
 
 def is_under_way(path: Path) -> bool | None:

@@ -64,7 +64,7 @@ def read_json(
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
             f"{path} is not the record of a {kind} of this version ({error}); "
-            "name another directory, or remove that file"
+            "copy that file back, or name another directory"
         ) from error
     return record
 

@@ -41,7 +41,8 @@ class FunctionRenderer:
         searched in the current folder.
 
     A copy in another process loads the file again there, once a process.  If the file or the
-    function calls `os.chdir`, only its own code gets the other folder.
+    function calls `os.chdir`, only its own code gets the other folder; it cannot render in threads
+    then.
 
     Raises OptionError (a ValueError) if there is no such file, module or function, or if the file
     raises an exception, whose traceback the error shows.  Calls raise RenderError, with parameters

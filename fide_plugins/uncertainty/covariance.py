@@ -35,7 +35,7 @@ NO_EFFECT = 1e-3  # of the largest change of the image in the run, squared: 3 % 
 _RIDGE = 1e-4  # of the mean eigenvalue
 _STILL = 1e-6  # of the cube: samples as good may be nowhere else
 _SAME = 1e-8  # sine of an angle of directions that are one
-_DIGITS = 1e-15  # of the largest eigenvalue, which is the least of the others
+_DIGITS = float(np.finfo(np.float64).eps)  # of the largest eigenvalue, for each parameter
 _ROUNDING = 1e-14  # of the target's energy: its last digits, in single precision
 
 
@@ -61,12 +61,16 @@ def deviations(model: FitToTarget) -> Float64:
 def _inverse(precision: Float64) -> Float64:
     """Inverse (d, d), positive also where the last digits of its largest directions hide others.
 
-    No eigenvalue of `precision` (d, d), symmetric, is below that of the prior, but for rounding.
+    Of directions that they hide only the prior is known, which is in `precision` (d, d), symmetric.
     """
     scale = np.sqrt(np.maximum(np.diag(precision), _BOX))
     values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
-    values = np.maximum(values, _DIGITS * values[-1])
-    inverse: Float64 = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    vectors = vectors / scale[:, None]
+    hidden = values < len(values) * _DIGITS * values[-1]
+    shown, open_ = vectors[:, ~hidden], vectors[:, hidden]
+    inverse: Float64 = (shown / values[~hidden]) @ shown.T
+    if hidden.any():
+        inverse += open_ @ np.linalg.pinv(_BOX * open_.T @ open_, hermitian=True) @ open_.T
     return inverse
 
 

@@ -55,6 +55,7 @@ from fide_plugins.validation.image_sources import (
 )
 from fide_plugins.validation.points import whole_number
 from fide_plugins.validation.rules import (
+    CHANNELS,
     Size,
     channels_last,
     check_axes,
@@ -264,12 +265,21 @@ def _list_as_batch(
 
 
 def _check_one(image: object, what: str) -> None:
-    """Raise ImageError for a list of images; one image may be a list of its rows (W, C)."""
-    if isinstance(image, list | tuple) and any(np.ndim(one) > 2 for one in image if is_image(one)):
-        raise ImageError(
-            f"{what} must be one image, not a list of {len(image)}; give one of them, or for "
-            "several views a target for each"
-        )
+    """Raise ImageError for a list of images; one image may be a list of its rows, (W, C) each."""
+    listed = isinstance(image, list | tuple)
+    if not listed or not any(is_image(one) and not _is_row(one) for one in image):  # type: ignore[attr-defined]
+        return
+    number = len(image)  # type: ignore[arg-type]
+    remedy = "give one of them, or for several views a target for each"
+    if number == 1:
+        remedy = "take it out of its list, image[0]"
+    raise ImageError(f"{what} must be one image, not a list of {number}; {remedy}")
+
+
+def _is_row(image: object) -> bool:
+    """Whether what is an image by itself may be a row (W, C) of another one."""
+    shape: tuple[int, ...] = getattr(image, "shape", ())
+    return len(shape) == 2 and shape[1] in CHANNELS
 
 
 def _to_array(image: object, what: str) -> tuple[Pixels, bool]:

@@ -17,7 +17,8 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.image_sources import describe
+from fide_plugins.validation.images import as_batch, is_image
 from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_view, sizes_of
 from fide_plugins.views.view import View
 
@@ -168,8 +169,8 @@ class Views:
             is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
             batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
         elif not isinstance(image, list | tuple) or len(image) != len(self.views):
-            got = f"a {type(image).__name__}"
-            got = f"{len(image)} images" if isinstance(image, list | tuple) else got
+            listed = isinstance(image, list | tuple)
+            got = f"{len(image)} images" if listed else _described(image)  # type: ignore[arg-type]
             raise ImageError(
                 f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
                 f"one for each view, {self.sizes}; got {got}"
@@ -232,6 +233,11 @@ def views_of(target: object, mask: object, weights: object) -> Views | None:
             raise ImageError("mask and weights belong to a target: set target=, too")
         return None
     return Views.read(target, mask, weights)
+
+
+def _described(image: object) -> str:
+    known = is_image(image) and hasattr(image, "dtype")
+    return f"one image, {describe(image)}" if known else f"a {type(image).__name__}"
 
 
 def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:

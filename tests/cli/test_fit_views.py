@@ -49,9 +49,12 @@ def test_one_target_needs_one_image() -> None:
     def check(image: object) -> None:
         check_first(lambda x: image, optimizer, [target], ["a"], 0, None)
 
-    for images in ([target, target[:4]], (target, target)):
+    gray = target[..., 0]
+    for images in ([target, target[:4]], (target, target), [gray, gray]):
         with pytest.raises(ImageError, match="one image, not a list of 2; .* a target for each"):
             check(images)
+    with pytest.raises(ImageError, match=r"not a list of 1; take it out of its list, image\[0\]"):
+        check([target])
     check(list(target))  # of its rows
 
 

@@ -12,12 +12,14 @@ from fide_plugins.recording.json_record import RunDirectoryError
 
 
 @pytest.mark.parametrize("resume", [False, True])
-@pytest.mark.parametrize("name", ["best.png", "curve.csv", "improvements.csv", "summary.png"])
+@pytest.mark.parametrize(
+    "name", ["best.png", "curve.csv", "reference.png", "run.ckpt", "summary.png"]
+)
 def test_a_folder_with_such_files_of_someone_else_is_refused(
     name: str, resume: bool, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text("mine")
-    with pytest.raises(RunDirectoryError, match=f"holds no run, but {name}, which.*another"):
+    with pytest.raises(RunDirectoryError, match=f"has no run.json, but {name}, which.*another"):
         RunDirectory(tmp_path, {"budget": 5}, resume=resume)
     assert (tmp_path / name).read_text() == "mine"
     assert os.listdir(tmp_path) == [name]

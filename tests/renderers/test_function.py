@@ -6,7 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -178,6 +178,7 @@ def test_an_exception_of_the_function_names_line_and_parameters(tmp_path: Path) 
 
 MOVES = """
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import numpy as np
 
@@ -218,6 +219,25 @@ def test_a_file_that_changes_the_folder_changes_its_own_only(
     FunctionRenderer("../scene/moves.py:leaves")({})
     with pytest.raises(RenderError, match="No such file.*gray.txt"):
         renderer({})  # where the code has gone by itself
+    assert Path.cwd() == here
+
+
+def test_a_file_that_changes_the_folder_is_refused_in_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have one current folder, in which FIDE writes meanwhile."""
+    scene, here = tmp_path / "scene", tmp_path / "here"
+    scene.mkdir()
+    here.mkdir()
+    (scene / "moves.py").write_text(MOVES)
+    (scene / "stays.py").write_text("render = dict")
+    monkeypatch.chdir(here)
+    with ThreadPoolExecutor(1) as executor:
+        moves = executor.submit(FunctionRenderer("../scene/moves.py:render"), {})
+        with pytest.raises(RenderError, match=r"os\.chdir.*render in processes"):
+            moves.result()
+        stays = FunctionRenderer("../scene/stays.py:render")
+        assert executor.submit(stays, {"x": 1}).result() == {"x": 1}
     assert Path.cwd() == here
 
 

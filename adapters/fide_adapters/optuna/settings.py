@@ -31,7 +31,8 @@ _ELSEWHERE = {  # arguments of FIDE and of other samplers that have another plac
     "x0": "is not taken here: the search begins in the middle of the space; give it a guess by "
     "study.enqueue_trial({'x': 0.3, ...}), or narrower ranges",
     "constraints_func": "is not taken here: the objective says by how much a trial violates a "
-    "constraint, trial.set_constraint(name, value)",
+    "constraint, trial.set_constraint(name, value), or with earlier versions of Optuna by the "
+    "attribute constraints",
 }
 
 

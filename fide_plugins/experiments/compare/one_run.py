@@ -18,7 +18,7 @@ from fide_plugins.errors import CheckpointError
 from fide_plugins.experiments.compare.plan import Plan, RunKey, target_file
 from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
 from fide_plugins.recording import kept_target
-from fide_plugins.recording.directory import TABLES
+from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.json_record import RunDirectoryError, check_settings, checksum, read_run
 from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
@@ -87,7 +87,7 @@ def examine(
     except OSError as error:
         return State("damaged", f"{folder}: {error}")
     if run is None:
-        left = [name for name in TABLES if (folder / name).exists()]
+        left = results_in(folder)
         return State("damaged", f"{folder / left[0]} has no run.json") if left else State("missing")
     check_settings(run["settings"], settings, f"{folder} holds a run")
     if run.get("status") != "finished":

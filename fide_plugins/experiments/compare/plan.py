@@ -168,7 +168,8 @@ class Plan:
             targets[name] = kept_of(task, target)
             mine = [key for key in self.runs() if key.task == name]
             named = {*(key.loss for key in mine), *self.metrics}
-            versions |= of_losses(losses_module.make(loss, target) for loss in named)
+            made = {loss: losses_module.make(loss, target) for loss in named}
+            versions |= of_losses(made.values())
             seen = set()
             for key in mine:
                 configuration = self.configuration(key.configuration)
@@ -181,7 +182,7 @@ class Plan:
                             configuration, budget, task.dim, target, key.loss, options
                         )
                 known = settings_of(
-                    task, target, configuration.name, key.loss, budget, key.seed,
+                    task, target, configuration.name, made[key.loss].name, budget, key.seed,
                     self.task_options, options, self.keep,
                 )  # fmt: skip
                 settings[key] = json.loads(json.dumps(known))  # as it is read back

@@ -34,9 +34,9 @@ def check_versions(
     path: folder of the comparison; sources: those of its plan, pretrained weights, losses.
     states: of the runs of the plan; there: all runs of the comparison so far.
 
-    Warns once for each file that has changed since all its runs of an optimizer or a task were
-    finished.  Raises RunDirectoryError (a FileExistsError), with the remedy, if only some of them
-    are.
+    Warns once for each file or loss that has changed since all its runs, of an optimizer, a task or
+    a loss, were finished.  Raises RunDirectoryError (a FileExistsError), with the remedy, if only
+    some of them are.
     """
     if not sources:
         return

@@ -23,8 +23,11 @@ from .conftest import small
 class Mine(MeanSquaredError):
     """A loss that becomes another one."""
 
-    name = "mine"
     version = "mine-1"
+
+    def __init__(self, target: object, variant: str = "usual") -> None:
+        super().__init__(target)
+        self.name = "mine" if variant == "usual" else f"mine:{variant}"
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +78,14 @@ def test_seeds_of_two_versions_are_not_mixed(plan: Any, folder_named: str, other
     for path in Path("out").glob(folder_named):
         shutil.rmtree(path)
     assert set(kinds(more, resume=True)) <= {"done", "kept"}
+
+
+def test_the_usual_variant_may_be_named() -> None:
+    """Its runs have the name without it, as `lpips:alex` is `lpips`."""
+    plan = small("cma", seeds=1, losses=("mine:usual",))
+    assert kinds(plan) == ["done"]
+    assert kinds(replace(plan, seeds=2), resume=True) == ["kept", "done"]
+    assert [run.status for run in compare.read("out").runs] == ["finished"] * 2
 
 
 def test_the_report_says_that_a_loss_changed_between_its_runs(other: Any) -> None:

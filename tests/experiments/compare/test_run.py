@@ -123,6 +123,9 @@ def _edit_totals(folder: Path, **totals: Any) -> None:
 
 DAMAGE: dict[str, Any] = {
     "no record": lambda folder: (folder / "run.json").unlink(),
+    "all but a picture removed": lambda folder: [
+        file.unlink() for file in folder.iterdir() if file.suffix != ".png"
+    ],
     "totals that lack a number": lambda folder: _edit_totals(folder, dim=None),
     "totals without a judgment": lambda folder: _edit_totals(folder, judged=3),
     "a loss that is a word": lambda folder: _edit_totals(folder, reference_loss="low"),
