@@ -73,9 +73,9 @@ def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(fitting.optimizer, "ask", lambda n: X)
             patch.setattr(fitting.optimizer, "tell", lambda X, images: losses)
-            start = time.process_time()
+            start = time.thread_time()
             fitting.execute()
-            least = min(least, time.process_time() - start)
+            least = min(least, time.thread_time() - start)
         if least / 500 < 1e-4:
             return
     pytest.fail(f"the loop takes {1e3 * least / 500:.3f} ms a render, limit 0.1 ms")
