@@ -116,8 +116,15 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
     losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
-    shutil.rmtree(part.rename(part.with_name(f"{part.name}.done")))  # never half of a run
+    _remove(part)
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
+
+
+def _remove(part: Path) -> None:
+    """Remove the folder of a run; a kill meanwhile leaves none that looks like half of a run."""
+    done = part.with_name(f"{part.name}.done")
+    shutil.rmtree(done, ignore_errors=True)
+    shutil.rmtree(part.rename(done))
 
 
 def take_over(suite: Suite, found: results.Results, out: Path) -> str:
