@@ -169,11 +169,9 @@ class Views:
             is_array = isinstance(image, np.ndarray) and image.shape == self.target.shape
             batch: object = image[None] if is_array else [image]  # type: ignore[index]  # saves a copy
         elif not isinstance(image, list | tuple) or len(image) != len(self.views):
-            listed = isinstance(image, list | tuple)
-            got = f"{len(image)} images" if listed else _described(image)  # type: ignore[arg-type]
             raise ImageError(
                 f"with {len(self.views)} targets a render is a list of {len(self.views)} images, "
-                f"one for each view, {self.sizes}; got {got}"
+                f"one for each view, {self.sizes}; got {_described(image)}"
             )
         else:
             batch = [[one] for one in image]
@@ -236,6 +234,8 @@ def views_of(target: object, mask: object, weights: object) -> Views | None:
 
 
 def _described(image: object) -> str:
+    if isinstance(image, list | tuple):
+        return f"{len(image)} images"
     known = is_image(image) and hasattr(image, "dtype")
     return f"one image, {describe(image)}" if known else f"a {type(image).__name__}"
 

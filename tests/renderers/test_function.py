@@ -202,15 +202,19 @@ def leaves(params):
 """
 
 
-def test_a_file_that_changes_the_folder_changes_its_own_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, beside that of the file that leaves it."""
     scene, here = tmp_path / "scene", tmp_path / "here"
     scene.mkdir()
     here.mkdir()
     (scene / "moves.py").write_text(MOVES)
     (scene / "gray.txt").write_text("0.5")
     monkeypatch.chdir(here)
+    return here
+
+
+def test_a_file_that_changes_the_folder_changes_its_own_only(here: Path) -> None:
     for name in ("render", "render"):  # the second one finds a module that is loaded
         renderer = FunctionRenderer(f"../scene/moves.py:{name}")
         assert Path.cwd() == here
@@ -222,16 +226,9 @@ def test_a_file_that_changes_the_folder_changes_its_own_only(
     assert Path.cwd() == here
 
 
-def test_a_file_that_changes_the_folder_is_refused_in_threads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_changes_the_folder_is_refused_in_threads(here: Path) -> None:
     """They have one current folder, in which FIDE writes meanwhile."""
-    scene, here = tmp_path / "scene", tmp_path / "here"
-    scene.mkdir()
-    here.mkdir()
-    (scene / "moves.py").write_text(MOVES)
-    (scene / "stays.py").write_text("render = dict")
-    monkeypatch.chdir(here)
+    Path("../scene/stays.py").write_text("render = dict")
     with ThreadPoolExecutor(1) as executor:
         moves = executor.submit(FunctionRenderer("../scene/moves.py:render"), {})
         with pytest.raises(RenderError, match=r"os\.chdir.*render in processes"):
@@ -241,11 +238,6 @@ def test_a_file_that_changes_the_folder_is_refused_in_threads(
     assert Path.cwd() == here
 
 
-def test_a_folder_that_the_function_removes_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "moves.py").write_text(MOVES)
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    FunctionRenderer("../moves.py:removes")({})
-    assert Path.cwd() == tmp_path / "here"
+def test_a_folder_that_the_function_removes_is_left(here: Path) -> None:
+    FunctionRenderer("../scene/moves.py:removes")({})
+    assert Path.cwd() == here
