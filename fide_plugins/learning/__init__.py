@@ -13,6 +13,7 @@ file               idea
 `renderer`         a user's function, or a task
 `store`            renders on disk, in shards
 `identity`         whether what renders now is what rendered before
+`made`             whether what was rendered can be learned from
 `rendering`        fills the store, in one process or several, or on a cluster
 `trainable`        what a network needs to be trained
 `network`          encoder and head

@@ -17,13 +17,14 @@ from fide_plugins.errors import DeviceMemoryError, OptionError
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.finishing import familiarity_of, report_of
 from fide_plugins.learning.identity import check_images
+from fide_plugins.learning.made import all_equal, too_few
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.network import Network
 from fide_plugins.learning.renderer import BatchRenderer, Pixels, pixels_of
-from fide_plugins.learning.rendering import check_workers, fill, too_few
+from fide_plugins.learning.rendering import check_workers, fill
 from fide_plugins.learning.report import Distance
 from fide_plugins.learning.resumable import Resumable
-from fide_plugins.learning.store import RenderStore, check_room
+from fide_plugins.learning.store import SHARD, RenderStore, check_room
 from fide_plugins.learning.training import Progress, Training
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
@@ -144,6 +145,9 @@ class Plan:
         if self.region is not None:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
+        if (images == images[0]).all():
+            store.remove(range(-(-self.renders // SHARD)))
+            raise all_equal(self.renderer.name, len(images))
         with _enough_memory(self.device):
             network, density = self._density(x, images, store.folder)
             emulator, emulated = self._emulator(x, images, store.folder)

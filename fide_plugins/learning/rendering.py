@@ -9,18 +9,18 @@ from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field
 from multiprocessing import current_process
 
-from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
 from fide_plugins.fitting.workers.choice import DAEMON, workers_for
 from fide_plugins.fitting.workers.processes import Processes
+from fide_plugins.learning.made import Made
 from fide_plugins.learning.renderer import BatchRenderer, Small
 from fide_plugins.learning.store import SHARD, RenderStore
 from fide_plugins.types import Float64
 
-__all__ = ["check_workers", "fill", "too_few"]
+__all__ = ["check_workers", "fill"]
 
-_FEW = 500  # renders before a renderer can be given up
 _LOOK = 5.0  # seconds of waiting, after which it is asked whether there still is a cluster
 _GO_ON = "and go on with what was rendered"
 _LOST = f"the scheduler of the Dask cluster is lost: start it again, {_GO_ON}"
@@ -47,14 +47,12 @@ def fill(
     on_progress: called with the number of renders done so far.
 
     Raises RenderError if most renders fail, or workers die again and again; OptionError if the
-    renderer cannot be sent to workers, or this process may start none.  What was rendered before
-    an error stays, but for shards of this call in which renders have failed: they are rendered
-    again by the next call.
+    renderer cannot be sent to workers, or this process may start none.  RenderError, too, if all
+    renders are equal.  What was rendered before an error stays, but for shards of this call in
+    which renders have failed or are all equal: they are rendered again by the next call.
     """
     missing = store.missing(renders)
-    done, tried = renders - SHARD * len(missing), 0
-    failed: dict[int, int] = {}  # of each shard of this call
-    first = ""
+    done, made = renders - SHARD * len(missing), Made(renderer.name)
     stop = None if seconds is None else time.monotonic() + seconds
     if workers > 1 or executor is not None:
         jobs = _Jobs(_pool(renderer, store.size, workers, executor), executor)
@@ -63,39 +61,14 @@ def fill(
         shards = _here(store, renderer, missing, stop)
     try:
         for shard, images in shards:
-            failed[shard] = store.write(shard, images)
-            reasons = (image.reason for image in images if isinstance(image, Failed))
-            first = first or next(reasons, "")
-            tried, done = tried + SHARD, done + SHARD
-            if tried >= _FEW and 2 * sum(failed.values()) > tried:
-                raise RenderError(given_up(renderer.name, sum(failed.values()), tried, first))
+            made.add(shard, images, store.write(shard, images))
+            done += SHARD
+            made.check()
             if on_progress is not None:
                 on_progress(min(max(done, 0), renders))
     except RenderError:
-        store.remove([shard for shard, number in failed.items() if number])
+        store.remove(made.useless)
         raise
-
-
-def given_up(name: str, failed: int, tried: int, why: str) -> str:
-    """Message of a renderer of that name that fails mostly; why: the first one failed."""
-    return (
-        f"{name} failed for {failed} of {tried} random parameters, or gave no image: mend it, or "
-        f"make the ranges of its parameters smaller; the first one: {why}"
-    )
-
-
-def too_few(there: int, least: int, failed: int, renders: int) -> FideError:
-    """Error that names what is missing: renders that succeed, renders at all, or time for them.
-
-    there: renders, of which `least` are needed.  failed: other ones.  renders: asked for.
-    """
-    few = f"{there} renders are too few to learn from (at least {least})"
-    if failed == 0:
-        return OptionError(f"{few}; allow more time")
-    return RenderError(
-        f"{few}: {failed} of {there + failed} failed; mend the renderer, make the ranges of its "
-        f"parameters smaller, or ask for more than {renders} renders"
-    )
 
 
 def _here(

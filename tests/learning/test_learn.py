@@ -146,6 +146,22 @@ def test_what_was_given_up_is_rendered_when_the_renderer_is_mended(tmp_path: Pat
     assert (report.renders + report.held_out, report.failed) == (600, 0)
 
 
+@pytest.mark.parametrize(("asked", "told"), [(100, 100), (2000, 500)])
+def test_images_that_are_all_equal_are_not_learned(asked: int, told: int, tmp_path: Path) -> None:
+    seen = [0.0]
+
+    def forgetful(x: Float64) -> Float64:
+        return plain(seen[0] * x)
+
+    arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
+    with pytest.raises(RenderError, match=f"forgetful for {told} random parameters are all equal"):
+        learn(forgetful, 2, renders=asked, **arguments)
+    assert not list((tmp_path / "m.renders").glob("*.npz"))
+    seen[0] = 1.0  # mended: all are rendered again
+    report = learn(forgetful, 2, renders=asked, **arguments).report
+    assert report.renders + report.held_out == asked
+
+
 def test_failed_renders_of_earlier_calls_are_counted(tmp_path: Path) -> None:
     def fragile(x: Float64) -> Float64:
         if x[0] < 0.1:
