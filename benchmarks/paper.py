@@ -98,9 +98,14 @@ STAGES = {
 def main() -> None:
     """Run what is missing."""
     arguments = parse_arguments()
-    run = partial(measure, parts=arguments.out.with_suffix(".parts"), threads=arguments.threads)
+    parts = arguments.out.with_suffix(".parts")
     run_configurations(
-        grid(arguments.stages), {**RACERS, **BACKBONES}, arguments.out, arguments.part, run
+        grid(arguments.stages),
+        {**RACERS, **BACKBONES},
+        arguments.out,
+        arguments.part,
+        partial(measure, parts=parts, threads=arguments.threads),
+        partial(clear, parts),
     )
 
 
@@ -152,10 +157,7 @@ def in_main_comparison(row: Row) -> bool:
 
 def measure(cell: Row, optimizer: str, options: dict[str, Any], parts: Path, threads: int) -> Row:
     """One run: both losses of its best candidate at every mark, and of its result."""
-    options = options_of(cell, options)
-    place = None
-    if cell["configuration"] in SLOW or cell["task"] in RENDERED:
-        place = parts / "-".join(str(part) for part in key(cell)).replace(" ", "")
+    options, place = options_of(cell, options), part_of(parts, cell)
     result = harness.run(
         cell["task"],
         optimizer,
@@ -180,9 +182,21 @@ def measure(cell: Row, optimizer: str, options: dict[str, Any], parts: Path, thr
         "x": None if result.x_best is None else result.x_best.tolist(),
         "render_ms": round(result.render_s / cell["budget"] * 1e3, 3),
     }
+    return row
+
+
+def part_of(parts: Path, cell: Row) -> Path | None:
+    """Folder of a run from which it goes on; None for runs of a few minutes."""
+    if cell["configuration"] in SLOW or cell["task"] in RENDERED:
+        return parts / "-".join(str(part) for part in key(cell)).replace(" ", "")
+    return None
+
+
+def clear(parts: Path, cell: Row) -> None:
+    """Remove the folder of a run whose row is in the file."""
+    place = part_of(parts, cell)
     if place is not None:
         shutil.rmtree(place)
-    return row
 
 
 def options_of(cell: Row, options: dict[str, Any]) -> dict[str, Any]:

@@ -85,10 +85,12 @@ def run_configurations(
     out: Path,
     share: str,
     run: Callable[[Row, str, dict[str, Any]], Row] | None = None,
+    clear: Callable[[Row], None] = lambda cell: None,
 ) -> None:
     """Run those of a share "i/n" of the cells that are not in the file yet.
 
     run: makes the row of a cell with its optimizer and options; None: `measure`.
+    clear: see `rows.run_missing`.
     """
     row_of = run or measure
     run_missing(
@@ -97,6 +99,7 @@ def run_configurations(
         out,
         key,
         share,
+        clear=clear,
     )
 
 

@@ -130,12 +130,17 @@ def run_missing(
     key: Callable[[Row], Any],
     share: str = "0/1",
     counts: Callable[[Row], bool] = lambda row: True,
+    clear: Callable[[Row], None] = lambda run: None,
 ) -> None:
-    """Measure what is `missing`; each row is added to the file, and shown, when its run ends."""
+    """Measure what is `missing`; each row is added to the file, and shown, when its run ends.
+
+    clear: removes what a run has kept to go on from; called when its row is in the file.
+    """
     for run in missing(planned, path, key, share, counts):
         row = measure(run)
         append(path, row)
         report(row)
+        clear(run)
 
 
 def report(row: Row) -> None:

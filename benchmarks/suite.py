@@ -90,15 +90,11 @@ def long_enough(budget: int) -> Callable[[Row], bool]:
 
 
 def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
-    """One run, as `fide compare --suite` has it with `--budget`.
-
-    parts: has a folder of each run that has begun and not ended, from which it goes on.
-    """
+    """One run, as `fide compare --suite` has it with `--budget`; parts: see `part_of`."""
     problem, optimizer = key(run)
     name, number = suite.parts(problem)
     scene = suite.scenes[name]
     configuration = Configuration.parse(optimizer)
-    part = parts / re.sub(r"[^\w.=-]+", "-", f"{problem}-{optimizer}-{budget}")
     result = harness.run(
         problem,
         configuration.name,
@@ -107,7 +103,7 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
         seed=number,
         task_options={"suite": suite.name},
         options=configuration.options,
-        out=part,
+        out=part_of(budget, parts, run),
         resume=True,
         checkpoint_every=60,
         keep=harness.Keep(film=False, summary=False),
@@ -116,15 +112,12 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
     hits = np.flatnonzero(best <= scene.solved)
     solved_at = int(hits[0]) + 1 if len(hits) else None
     losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
-    _remove(part)
     return row_of(problem, optimizer, solved_at, losses, result.wall_s)
 
 
-def _remove(part: Path) -> None:
-    """Remove the folder of a run; a kill meanwhile leaves none that looks like half of a run."""
-    done = part.with_name(f"{part.name}.done")
-    shutil.rmtree(done, ignore_errors=True)
-    shutil.rmtree(part.rename(done))
+def part_of(budget: int, parts: Path, run: Row) -> Path:
+    """Folder of a run from which it goes on; parts: has one of each that has begun."""
+    return parts / re.sub(r"[^\w.=-]+", "-", "-".join([*key(run), str(budget)]))
 
 
 def take_over(suite: Suite, found: results.Results, out: Path) -> str:
@@ -269,14 +262,15 @@ def main() -> None:
         print(take_over(suite, results.read(arguments.folder), out))
     else:
         targets = len(suite.targets) if arguments.targets is None else arguments.targets
-        runs = planned(suite, scenes, optimizers, targets)
+        parts = out.with_suffix(".parts")
         run_missing(
-            runs,
-            partial(measure, suite, budget, out.with_suffix(".parts")),
+            planned(suite, scenes, optimizers, targets),
+            partial(measure, suite, budget, parts),
             out,
             key,
             arguments.part,
             long_enough(budget),
+            lambda run: shutil.rmtree(part_of(budget, parts, run)),
         )
 
 

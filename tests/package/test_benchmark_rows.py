@@ -74,6 +74,21 @@ def test_missing_runs_are_measured_added_and_shown(
     assert len(capsys.readouterr().err.splitlines()) == 2
 
 
+def test_what_a_run_has_kept_is_removed_when_its_row_is_there(
+    rows: ModuleType, tmp_path: Path
+) -> None:
+    out, there = tmp_path / "results.jsonl", []
+    rows.run_missing(
+        planned(),
+        dict,
+        out,
+        key,
+        "1/3",
+        clear=lambda run: there.append((run["run"], len(rows.read(out)))),
+    )
+    assert there == [(1, 1), (4, 2)]
+
+
 def test_a_row_that_does_not_count_is_missing(rows: ModuleType, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
     rows.append(out, {"run": 2, "renders": 500})
