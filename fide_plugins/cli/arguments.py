@@ -19,6 +19,7 @@ __all__ = [
     "lists",
     "names",
     "optimizer_options",
+    "path",
     "setting",
     "thresholds",
     "whole",
@@ -38,6 +39,13 @@ def whole(minimum: int) -> Any:
         return value
 
     return parse
+
+
+def path(text: str) -> Path:
+    """Parser of an argument: a file or directory; an unset variable of the shell is none."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("a path, not an empty text; . is this directory")
+    return Path(text)
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -95,7 +103,7 @@ def add_grid_arguments(
         help="any option of the tasks, such as cells=12; may be repeated")  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", type=whole(1), default=1, metavar="J", help="processes (1)")
-    add("--out", type=Path, required=True, metavar="DIR", help=f"directory of the {what}")
+    add("--out", type=path, required=True, metavar="DIR", help=f"directory of the {what}")
     add("--resume", action="store_true", help=f"continue or extend the {what} in that directory")
     return where
 
@@ -125,7 +133,7 @@ def add_run_arguments(
     add("--preset", metavar="NAME", help="preset of fide: fast, balanced, accurate, paper, global")
     add("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", dest="options",
         help="any option of the optimizer, such as popsize=50; may be repeated")  # fmt: skip
-    add("--out", type=Path, metavar="DIR", help="run directory (a new one in runs/)")
+    add("--out", type=path, metavar="DIR", help="run directory (a new one in runs/)")
     add("--resume", action="store_true", help="continue the run in that directory, if there is one")
     add("--json", action="store_true", help="end with one line of JSON on standard output")
 
@@ -156,8 +164,8 @@ def free_directory(args: argparse.Namespace, what: str) -> Path:
         return Path(args.out)
     name = f"{what}-{args.optimizer}-{args.loss}-seed{args.seed}"
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")
-    number, last, path = 1, None, Path("runs", name)
-    while path.exists():
-        number, last = number + 1, path
-        path = Path("runs", f"{name}-{number}")
-    return last if args.resume and last is not None else path
+    number, last, free = 1, None, Path("runs", name)
+    while free.exists():
+        number, last = number + 1, free
+        free = Path("runs", f"{name}-{number}")
+    return last if args.resume and last is not None else free

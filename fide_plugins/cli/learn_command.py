@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import add_space_argument, lists, setting, whole
+from fide_plugins.cli.arguments import add_space_argument, lists, path, setting, whole
 from fide_plugins.cli.messages import complain, note, paragraph, plain, warnings_as_notes
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--version", metavar="TEXT", help="of your renderer (its attribute version)")
     add("--store-limit", type=float, default=20.0, metavar="GIB", help="of the renders (20)")
     add("--device", default="auto", help="where the network trains: auto, cpu or cuda (auto)")
-    add("--out", type=Path, required=True, metavar="MODEL", help="file of the model")
+    add("--out", type=path, required=True, metavar="MODEL", help="file of the model")
     add("--resume", action="store_true", help="go on with the renders that are there")
 
 

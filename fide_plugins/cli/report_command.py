@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fide_plugins.cli.arguments import names, thresholds
+from fide_plugins.cli.arguments import names, path, thresholds
 from fide_plugins.cli.messages import complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
 
@@ -25,8 +25,8 @@ __all__ = ["add_arguments", "execute", "make"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide report``."""
     add = parser.add_argument
-    add("directory", type=Path, metavar="DIR", help="directory of a comparison")
-    add("-o", "--output", type=Path, metavar="FILE", help="the page (DIR/report.html)")
+    add("directory", type=path, metavar="DIR", help="directory of a comparison")
+    add("-o", "--output", type=path, metavar="FILE", help="the page (DIR/report.html)")
     add("--optimizers", type=names, metavar="A,B", help="those that are shown (all)")
     add("--threshold", type=thresholds, action="append", default=[], metavar="[TASK/]LOSS=VALUE",
         help="loss that counts as success; may be repeated "

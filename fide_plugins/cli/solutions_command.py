@@ -15,10 +15,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import whole
+from fide_plugins.cli.arguments import path, whole
 from fide_plugins.cli.messages import complain, number, plain
 
 __all__ = ["add_arguments", "execute"]
@@ -29,8 +28,8 @@ _FEW = 0.01  # of a model's hypotheses: tails of its density
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide solutions``."""
     add = parser.add_argument
-    add("directory", type=Path, metavar="DIR", help="run directory")
-    add("-o", "--output", type=Path, metavar="FILE", help="the picture (DIR/solutions.png)")
+    add("directory", type=path, metavar="DIR", help="run directory")
+    add("-o", "--output", type=path, metavar="FILE", help="the picture (DIR/solutions.png)")
     add("-k", type=whole(1), default=5, metavar="K", help="at most so many (5)")
     add("--encoder", metavar="FILE.py:NAME", help="your own, if the run was made with one")
     add("--json", action="store_true", help="one line of JSON instead of the table")

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import argparse
 import threading
-from pathlib import Path
 
+from fide_plugins.cli.arguments import path
 from fide_plugins.cli.live import open_page
 from fide_plugins.cli.messages import complain, plain
 
@@ -22,7 +22,7 @@ __all__ = ["add_arguments", "execute"]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of ``fide watch``."""
     add = parser.add_argument
-    add("directory", type=Path, metavar="DIR", help="directory of a run")
+    add("directory", type=path, metavar="DIR", help="directory of a run")
     add("--port", type=int, default=0, metavar="P", help="port of 127.0.0.1 (any that is free)")
     add("--no-browser", action="store_true", help="only print the address")
 

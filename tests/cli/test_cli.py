@@ -123,6 +123,9 @@ def test_settings_are_typed(text: str, value: object) -> None:
         (["run", "voronoi", *SMALL, "--budget", "0"], "--budget: a whole number >= 1, not '0'"),
         (["run", "voronoi", *SMALL, "--budget", "many"], "a whole number >= 1, not 'many'"),
         (["run", "voronoi", *SMALL, "--seed", "-1"], "a whole number >= 0, not '-1'"),
+        (["run", "voronoi", *SMALL, "--out", ""], "--out: a path, not an empty text"),
+        (["learn", "voronoi", "--out", " "], "--out: a path, not an empty text"),
+        (["solutions", ""], "DIR: a path, not an empty text"),
         (["run", "voronoi", *SMALL, "--out", "/proc/nowhere"], "cannot write to the folder"),
         (["run", "voronoi", *SMALL, "--bugdet", "5"], "unrecognized arguments: --bugdet"),
         (
