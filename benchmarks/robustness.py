@@ -4,7 +4,7 @@
     python benchmarks/robustness.py table
 
 One set of renders of 64 pixels, one network, three ways to change the images while it learns: none;
-exposure, noise and sharpness, as it was at first; all of `fide_plugins.learning.augmentation`.
+exposure, noise and sharpness, as it was at first; all of `learning.training.augmentation`.
 The passes are the same.  The models are judged on renders that none has seen, as they are and
 changed: by other code, and mostly by more than in training.
 
@@ -33,10 +33,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 import fide_tasks
-from fide_plugins.learning import training
-from fide_plugins.learning.augmentation import augmented
-from fide_plugins.learning.network import Network, as_input
-from fide_plugins.learning.training import Training
+from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.training import one_training
+from fide_plugins.learning.training.augmentation import augmented
+from fide_plugins.learning.training.one_training import Training
 
 RESULTS = Path(__file__).parent / "results" / "robustness.jsonl"
 SIZE = 64
@@ -141,7 +141,7 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
         if (name, renders, passes, seed, learned) in done:
             continue
         network = Network((SIZE, SIZE), [False] * task.dim, seed=seed)
-        setattr(training, "augmented", partial(_changed, change))  # noqa: B010
+        setattr(one_training, "augmented", partial(_changed, change))  # noqa: B010
         start = time.process_time()
         Training(network, x, images, passes, seed=seed).run()
         seconds = time.process_time() - start
@@ -164,7 +164,7 @@ def measure(name: str, renders: int, passes: int, seed: int, out: Path) -> None:
 
 
 def _changed(change: Callable[..., Any], images: Any, generator: Any, augment: str) -> Any:
-    """As `training.augmented`, with one change of ours."""
+    """As `augmentation.augmented`, with one change of ours."""
     return change(images, generator)
 
 

@@ -212,7 +212,7 @@ class _Lines:
 
 def _line(progress: Any) -> str:
     """Line about a `LearnProgress`."""
-    from fide_plugins.learning.report import against_prior
+    from fide_plugins.learning.judging.report import against_prior
 
     done = f"{progress.done}/{progress.total}"
     match progress.stage:

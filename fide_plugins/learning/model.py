@@ -15,13 +15,13 @@ from torch import Tensor
 
 from fide_plugins.denoiser.precision import autocast
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
-from fide_plugins.learning.calibration import LARGEST_SCALE
-from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.familiarity import Familiarity
-from fide_plugins.learning.inversion import inverted
-from fide_plugins.learning.network import HEADS, Network, as_input
-from fide_plugins.learning.renderer import Pixels, pixels_of, same_aspect
-from fide_plugins.learning.report import Distance, Report
+from fide_plugins.learning.judging.calibration import LARGEST_SCALE
+from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning.judging.report import Distance, Report
+from fide_plugins.learning.networks.emulator import Emulator
+from fide_plugins.learning.networks.inversion import inverted
+from fide_plugins.learning.networks.network import HEADS, Network, as_input
+from fide_plugins.learning.renders.renderer import Pixels, pixels_of, same_aspect
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
     IMPOSSIBLE,
@@ -90,7 +90,7 @@ class Model:
     shape: height and width of the renders that were given.
     renderer, version: name of the renderer, and the version that the user stated.
     fingerprint: of the renderer's source or command line; None where that is not known.
-    head: kind of density, see `heads`.  blocks: exchangeable blocks of axes.
+    head: kind of density, see `networks.heads`.  blocks: exchangeable blocks of axes.
     familiarity: of features.
     report: how good it is.
     emulator: learned renderer; None: there is none.

@@ -12,14 +12,14 @@ import torch
 
 from fide_plugins.errors import OptionError, UnknownNameError
 from fide_plugins.fitting.durations import seconds_of
-from fide_plugins.learning.augmentation import AUGMENT
-from fide_plugins.learning.head_choice import has_emulator, kind_of
-from fide_plugins.learning.identity import version_for
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.network import HEADS
+from fide_plugins.learning.networks.head_choice import has_emulator, kind_of
+from fide_plugins.learning.networks.network import HEADS
 from fide_plugins.learning.plan import FEWEST, LearnProgress, Plan
-from fide_plugins.learning.renderer import as_renderer, small_size
-from fide_plugins.learning.store import RenderStore, folder_of
+from fide_plugins.learning.renders.identity import version_for
+from fide_plugins.learning.renders.renderer import as_renderer, small_size
+from fide_plugins.learning.renders.store import RenderStore, folder_of
+from fide_plugins.learning.training.augmentation import AUGMENT
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.devices import resolve_device
@@ -93,15 +93,15 @@ def learn(
         exchangeable blocks of axes, such as [[0, 1], [2, 3]]; []: none are exchangeable; None:
         those of the space.
     head
-        "autoregressive", "mixture" or "set", see `learning.heads`; None: "set" where there are
-        exchangeable blocks, "autoregressive" elsewhere.
+        "autoregressive", "mixture" or "set", see `learning.networks.heads`; None: "set" where there
+        are exchangeable blocks, "autoregressive" elsewhere.
     augment
         how much renders are changed while they are learned: "photograph", for pictures of any
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
-        "none", see `learning.augmentation`.
+        "none", see `learning.training.augmentation`.
     emulator
         whether a learned renderer is trained, too, by which hypotheses are refined without renders,
-        see `learning.emulator`; it needs exchangeable blocks.  None: where there are some.
+        see `learning.networks.emulator`; it needs exchangeable blocks.  None: where there are some.
     version
         of the renderer, a text; other versions have other renders.  None: that which the renderer
         states as its attribute `version`, if it does.
@@ -127,7 +127,7 @@ def learn(
     OptionError, ImageError, DeviceError
         all ValueErrors: an argument is not what it must be, this machine has no such device, or the
         folder of renders holds others: their settings differ, or the renderer's images do, see
-        `learning.identity`; or another call is learning the same file.
+        `learning.renders.identity`; or another call is learning the same file.
     CheckpointError
         a ValueError: a file is damaged, or of something else: a shard of renders, a training that
         was interrupted, or the model `after`.

@@ -14,18 +14,18 @@ import numpy as np
 import torch
 
 from fide_plugins.errors import DeviceMemoryError, OptionError
-from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.finishing import familiarity_of, report_of
-from fide_plugins.learning.identity import check_images
-from fide_plugins.learning.made import all_equal, too_few
+from fide_plugins.learning.judging.finishing import familiarity_of, report_of
+from fide_plugins.learning.judging.report import Distance
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.network import Network
-from fide_plugins.learning.renderer import BatchRenderer, Pixels, pixels_of
-from fide_plugins.learning.rendering import check_workers, fill
-from fide_plugins.learning.report import Distance
-from fide_plugins.learning.resumable import Resumable
-from fide_plugins.learning.store import SHARD, RenderStore, check_room
-from fide_plugins.learning.training import Progress, Training
+from fide_plugins.learning.networks.emulator import Emulator
+from fide_plugins.learning.networks.network import Network
+from fide_plugins.learning.renders.identity import check_images
+from fide_plugins.learning.renders.made import all_equal, too_few
+from fide_plugins.learning.renders.renderer import BatchRenderer, Pixels, pixels_of
+from fide_plugins.learning.renders.rendering import check_workers, fill
+from fide_plugins.learning.renders.store import SHARD, RenderStore, check_room
+from fide_plugins.learning.training.one_training import Progress, Training
+from fide_plugins.learning.training.resumable import Resumable
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.batch_size import is_out_of_gpu_memory

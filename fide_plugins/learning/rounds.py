@@ -183,7 +183,7 @@ class Rounds:
     @property
     def renders(self) -> tuple[int, int]:
         """Of both rounds, whole shards."""
-        from fide_plugins.learning.store import SHARD
+        from fide_plugins.learning.renders.store import SHARD
 
         first, second = (round(share * self.budget) // SHARD * SHARD for share in (_FIRST, _SECOND))
         return first, second

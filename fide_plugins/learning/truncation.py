@@ -23,8 +23,8 @@ import numpy as np
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.hypotheses import unlike_all
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.renderer import Pixels
-from fide_plugins.learning.store import SHARD, RenderStore
+from fide_plugins.learning.renders.renderer import Pixels
+from fide_plugins.learning.renders.store import SHARD, RenderStore
 from fide_plugins.runtime.digest import digest
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64, Indices

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.learning import augmentation
-from fide_plugins.learning.augmentation import AUGMENT, augmented
+from fide_plugins.learning.training import augmentation
+from fide_plugins.learning.training.augmentation import AUGMENT, augmented
 
 Change = Callable[[Tensor, torch.Generator], Tensor]
 CHANGES: list[Change] = [change for change, _ in augmentation._CHANGES["photograph"]]

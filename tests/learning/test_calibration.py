@@ -13,9 +13,9 @@ from torch import Tensor
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import Model, learn
-from fide_plugins.learning.axes import Components
-from fide_plugins.learning.calibration import LARGEST_SCALE, fitted_scale, split_held_out
-from fide_plugins.learning.network import Network, as_input
+from fide_plugins.learning.judging.calibration import LARGEST_SCALE, fitted_scale, split_held_out
+from fide_plugins.learning.networks.axes import Components
+from fide_plugins.learning.networks.network import Network, as_input
 from fide_plugins.runtime import checkpoint
 
 from .conftest import SIDE

@@ -15,7 +15,8 @@ import pytest
 from PIL import Image
 
 from fide_plugins.cli import learn_command, main
-from fide_plugins.learning import Model, calibration, rounds
+from fide_plugins.learning import Model, rounds
+from fide_plugins.learning.judging import calibration
 
 SCENE = """
 import numpy as np
@@ -83,7 +84,7 @@ def test_head_and_groups_are_those_of_the_command() -> None:
 
 
 def test_all_heads_can_be_chosen() -> None:
-    from fide_plugins.learning.network import HEADS
+    from fide_plugins.learning.networks.network import HEADS
 
     parser = argparse.ArgumentParser()
     learn_command.add_arguments(parser)

@@ -18,13 +18,14 @@ from torch import Tensor
 
 from fide_plugins.cli import main
 from fide_plugins.errors import DeviceError, DeviceMemoryError
-from fide_plugins.learning import learn, sets
-from fide_plugins.learning.augmentation import AUGMENT, augmented
-from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.encoder import Encoder
-from fide_plugins.learning.network import Network, as_input
-from fide_plugins.learning.trainable import Trainable
-from fide_plugins.learning.training import Training
+from fide_plugins.learning import learn
+from fide_plugins.learning.networks import sets
+from fide_plugins.learning.networks.emulator import Emulator
+from fide_plugins.learning.networks.encoder import Encoder
+from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.networks.trainable import Trainable
+from fide_plugins.learning.training.augmentation import AUGMENT, augmented
+from fide_plugins.learning.training.one_training import Training
 
 from .conftest import SIDE, SPACE, disk
 

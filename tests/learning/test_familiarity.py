@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins.learning.familiarity import Familiarity
 from fide_plugins.learning.hypotheses import unlike_all
+from fide_plugins.learning.judging.familiarity import Familiarity
 from fide_plugins.types import Float64
 
 

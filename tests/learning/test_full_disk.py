@@ -15,7 +15,8 @@ import pytest
 import torch
 
 from fide_plugins.cli import main
-from fide_plugins.learning import Model, learn, store
+from fide_plugins.learning import Model, learn
+from fide_plugins.learning.renders import store
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.types import Float64
 

@@ -17,7 +17,8 @@ from fide_plugins.errors import CheckpointError, OptionError, RenderError
 from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import choice
-from fide_plugins.learning import Model, rendering, rounds
+from fide_plugins.learning import Model, rounds
+from fide_plugins.learning.renders import rendering
 from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.types import Float64
 

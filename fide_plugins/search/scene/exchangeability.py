@@ -122,8 +122,9 @@ class Exchangeability:
         """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
 
         The order is the one with the least sum of the blocks' largest differences: whoever asks
-        compares the largest with a bound.  `learning.report.Distance`, which measures models, sums
-        the differences of all parameters instead; the two may match blocks differently.
+        compares the largest with a bound.  `learning.judging.report.Distance`, which measures
+        models, sums the differences of all parameters instead; the two may match blocks
+        differently.
         """
         difference = self._axes.difference(x, y)
         if self.blocks is None:

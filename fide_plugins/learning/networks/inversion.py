@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.networks.emulator import Emulator
 
 __all__ = ["inverted"]
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed
-from fide_plugins.learning.renderer import BatchRenderer, Pixels, resized
-from fide_plugins.learning.store import RenderStore
+from fide_plugins.learning.renders.renderer import BatchRenderer, Pixels, resized
+from fide_plugins.learning.renders.store import RenderStore
 from fide_plugins.renderers.fingerprint import check_version, fingerprint_of, version_of
 from fide_plugins.runtime.fingerprints import changed
 from fide_plugins.types import Float64, Mask

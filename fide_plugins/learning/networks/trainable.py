@@ -1,4 +1,4 @@
-"""What `training` trains: networks with weights by name, on one device."""
+"""What `training.one_training` trains: networks with weights by name, on one device."""
 
 from __future__ import annotations
 

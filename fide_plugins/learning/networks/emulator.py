@@ -21,9 +21,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.attention import attend, split
-from fide_plugins.learning.axes import fourier, frequencies
-from fide_plugins.learning.trainable import Trainable, linear, mean_and_variance
+from fide_plugins.learning.networks.attention import attend, split
+from fide_plugins.learning.networks.axes import fourier, frequencies
+from fide_plugins.learning.networks.trainable import Trainable, linear, mean_and_variance
 
 __all__ = ["Emulator"]
 

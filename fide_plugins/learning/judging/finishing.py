@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 import torch
 
-from fide_plugins.learning.calibration import fitted_scale, split_held_out
-from fide_plugins.learning.familiarity import Familiarity
-from fide_plugins.learning.network import Network, as_input
-from fide_plugins.learning.renderer import Pixels
-from fide_plugins.learning.report import Distance, Report, judge
-from fide_plugins.learning.training import Training, is_held_out
+from fide_plugins.learning.judging.calibration import fitted_scale, split_held_out
+from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning.judging.report import Distance, Report, judge
+from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.renders.renderer import Pixels
+from fide_plugins.learning.training.one_training import Training, is_held_out
 from fide_plugins.types import Float64
 
 __all__ = ["familiarity_of", "report_of"]

@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.learning.augmentation import augmented
-from fide_plugins.learning.network import as_input
-from fide_plugins.learning.renderer import Pixels
-from fide_plugins.learning.trainable import Trainable
+from fide_plugins.learning.networks.network import as_input
+from fide_plugins.learning.networks.trainable import Trainable
+from fide_plugins.learning.renders.renderer import Pixels
+from fide_plugins.learning.training.augmentation import augmented
 from fide_plugins.runtime.devices import repeatable
 from fide_plugins.types import Float64, Indices, Mask
 

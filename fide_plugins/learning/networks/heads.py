@@ -17,8 +17,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.axes import NUMBERS, Components, choose, fourier, frequencies
-from fide_plugins.learning.trainable import linear
+from fide_plugins.learning.networks.axes import NUMBERS, Components, choose, fourier, frequencies
+from fide_plugins.learning.networks.trainable import linear
 
 __all__ = ["Autoregressive", "Head", "Mixture"]
 
@@ -26,7 +26,7 @@ __all__ = ["Autoregressive", "Head", "Mixture"]
 class Head(Protocol):
     """Density of u (d,) given features.
 
-    scale: of all standard deviations, see `calibration`.
+    scale: of all standard deviations, see `judging.calibration`.
     """
 
     scale: float

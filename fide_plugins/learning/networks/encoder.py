@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.trainable import linear, mean_and_variance
+from fide_plugins.learning.networks.trainable import linear, mean_and_variance
 
 __all__ = ["Encoder"]
 

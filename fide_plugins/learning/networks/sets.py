@@ -22,10 +22,10 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from fide_plugins.learning.attention import attend, split
-from fide_plugins.learning.axes import NUMBERS, Components, fourier
-from fide_plugins.learning.heads import Autoregressive
-from fide_plugins.learning.trainable import linear
+from fide_plugins.learning.networks.attention import attend, split
+from fide_plugins.learning.networks.axes import NUMBERS, Components, fourier
+from fide_plugins.learning.networks.heads import Autoregressive
+from fide_plugins.learning.networks.trainable import linear
 
 __all__ = ["Blocks"]
 

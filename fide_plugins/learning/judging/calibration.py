@@ -18,8 +18,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.learning.network import Network, as_input
-from fide_plugins.learning.renderer import Pixels
+from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.renders.renderer import Pixels
 from fide_plugins.types import Float64, Mask
 
 __all__ = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.renderer import BatchRenderer
+from fide_plugins.learning.renders.renderer import BatchRenderer
 
 __all__ = ["has_emulator", "kind_of"]
 

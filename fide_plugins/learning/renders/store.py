@@ -23,7 +23,7 @@ import numpy as np
 
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.rendering import Failed
-from fide_plugins.learning.renderer import Pixels, Small
+from fide_plugins.learning.renders.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.files import atomic_writer, check_writable, locked, remove_leftovers
 from fide_plugins.types import Float64

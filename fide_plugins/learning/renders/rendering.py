@@ -14,9 +14,9 @@ from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
 from fide_plugins.fitting.workers.choice import DAEMON, workers_for
 from fide_plugins.fitting.workers.processes import Processes
-from fide_plugins.learning.made import Made
-from fide_plugins.learning.renderer import BatchRenderer, Small
-from fide_plugins.learning.store import SHARD, RenderStore
+from fide_plugins.learning.renders.made import Made
+from fide_plugins.learning.renders.renderer import BatchRenderer, Small
+from fide_plugins.learning.renders.store import SHARD, RenderStore
 from fide_plugins.types import Float64
 
 __all__ = ["check_workers", "fill"]

@@ -59,7 +59,7 @@ class Components:
         return cls(weight, mean, std, wraps)
 
     def widened(self, scale: float) -> Components:
-        """Return the same with standard deviations times `scale`, see `calibration`."""
+        """Return the same with standard deviations times `scale`, see `judging.calibration`."""
         if scale == 1.0:
             return self
         largest = _largest(self.periodic)

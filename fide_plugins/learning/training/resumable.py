@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import CheckpointError
-from fide_plugins.learning.training import Progress, Training
+from fide_plugins.learning.training.one_training import Progress, Training
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.batch_size import is_out_of_memory
 from fide_plugins.runtime.schema import IMPOSSIBLE

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 
-from fide_plugins.learning.calibration import DRAWS, ENOUGH, OnPicture, in_region
-from fide_plugins.learning.network import Network, as_input
-from fide_plugins.learning.renderer import Pixels
-from fide_plugins.learning.seen import are_shown, of_any_block, scores
-from fide_plugins.learning.training import HELD_OUT
+from fide_plugins.learning.judging.calibration import DRAWS, ENOUGH, OnPicture, in_region
+from fide_plugins.learning.judging.seen import are_shown, of_any_block, scores
+from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.renders.renderer import Pixels
+from fide_plugins.learning.training.one_training import HELD_OUT
 from fide_plugins.search.boundary import distance
 from fide_plugins.types import Float64, Mask
 
@@ -46,7 +46,7 @@ class Report:
     unseen: parameters of which the images tell nothing, as far as was learned, see `seen`;
         "lamps.x" is that of every block where blocks are exchangeable.
     curve: of each pass, see `training.Curve`.
-    augment: how much its renders were changed, see `augmentation`.
+    augment: how much its renders were changed, see `training.augmentation`.
     parameters: how many there are, as `unseen` names them; axes are more where a choice has
         several, or blocks are exchangeable.
     emulated: share of the variance of held-out renders that the emulator explains; None without

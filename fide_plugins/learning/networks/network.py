@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fide_plugins.learning.encoder import Encoder
-from fide_plugins.learning.heads import Autoregressive, Head, Mixture
-from fide_plugins.learning.renderer import Pixels
-from fide_plugins.learning.trainable import Trainable
+from fide_plugins.learning.networks.encoder import Encoder
+from fide_plugins.learning.networks.heads import Autoregressive, Head, Mixture
+from fide_plugins.learning.networks.trainable import Trainable
+from fide_plugins.learning.renders.renderer import Pixels
 
 __all__ = ["HEADS", "Network", "as_input"]
 
@@ -47,7 +47,7 @@ class Network(Trainable):
 
     def _make_head(self, head: str, periodic: Tensor, blocks: Sequence[Sequence[int]]) -> Any:
         if head == "set":
-            from fide_plugins.learning.sets import Blocks
+            from fide_plugins.learning.networks.sets import Blocks
 
             return Blocks(self.encoder.channels, self.encoder.grid, _WIDTH, periodic, blocks)
         kind: Any = Mixture if head == "mixture" else Autoregressive
@@ -61,7 +61,7 @@ class Network(Trainable):
 
     @property
     def scale(self) -> float:
-        """Of the standard deviations of the density, see `calibration`; no weight."""
+        """Of the standard deviations of the density, see `judging.calibration`; no weight."""
         return self.density.scale
 
     @scale.setter

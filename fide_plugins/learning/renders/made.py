@@ -9,8 +9,8 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed
-from fide_plugins.learning.renderer import Pixels, Small
-from fide_plugins.learning.store import SHARD
+from fide_plugins.learning.renders.renderer import Pixels, Small
+from fide_plugins.learning.renders.store import SHARD
 
 __all__ = ["Made", "all_equal", "too_few"]
 
