@@ -196,7 +196,7 @@ def clear(parts: Path, cell: Row) -> None:
     """Remove the folder of a run whose row is in the file."""
     place = part_of(parts, cell)
     if place is not None:
-        shutil.rmtree(place)
+        shutil.rmtree(place, ignore_errors=True)
 
 
 def options_of(cell: Row, options: dict[str, Any]) -> dict[str, Any]:

@@ -134,9 +134,15 @@ def run_missing(
 ) -> None:
     """Measure what is `missing`; each row is added to the file, and shown, when its run ends.
 
-    clear: removes what a run has kept to go on from; called when its row is in the file.
+    clear: removes what a run has kept to go on from, if there is something; called when its row is
+        in the file, and first of all for rows that are there, after a kill between the two.
     """
-    for run in missing(planned, path, key, share, counts):
+    runs = list(planned)
+    there = {key(row) for row in rows_of(path) if counts(row)}
+    for run in runs:
+        if key(run) in there:
+            clear(run)
+    for run in missing(runs, path, key, share, counts):
         row = measure(run)
         append(path, row)
         report(row)

@@ -270,7 +270,7 @@ def main() -> None:
             key,
             arguments.part,
             long_enough(budget),
-            lambda run: shutil.rmtree(part_of(budget, parts, run)),
+            lambda run: shutil.rmtree(part_of(budget, parts, run), ignore_errors=True),
         )
 
 

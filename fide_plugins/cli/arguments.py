@@ -44,7 +44,7 @@ def whole(minimum: int) -> Any:
 def path(text: str) -> Path:
     """Parser of an argument: a file or directory; an unset variable of the shell is none."""
     if not text.strip():
-        raise argparse.ArgumentTypeError("a path, not an empty text; . is this directory")
+        raise argparse.ArgumentTypeError("a path, not an empty text (an unset variable?)")
     return Path(text)
 
 

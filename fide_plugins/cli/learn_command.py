@@ -126,9 +126,18 @@ def _continue_with(command: list[str], when: str = "") -> None:
 def _check_free(args: argparse.Namespace) -> None:
     """Raise OptionError if something is there and nobody asked to go on with it."""
     folder = Path(f"{args.out}.renders")
-    for there in (args.out, folder):
-        if there.exists() and not args.resume:
+    if args.resume:
+        return
+    for there, taken in ((args.out, args.out.exists()), (folder, _has_renders(folder))):
+        if taken:
             raise OptionError(f"{there} is there already; add --resume, or name another --out")
+
+
+def _has_renders(folder: Path) -> bool:
+    """Whether more is there than a call leaves whose renders were all of no use."""
+    if not folder.is_dir():
+        return folder.exists()
+    return any(path.name not in {"settings", ".learn.lock"} for path in folder.iterdir())
 
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:

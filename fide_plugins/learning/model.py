@@ -184,7 +184,7 @@ class Model:
         return found.numpy().astype(np.float64)
 
     def knows(self, picture: object) -> bool:
-        """Whether the picture is like those that were learned, see `familiarity`."""
+        """Whether the picture is like those that were learned, see `judging.familiarity`."""
         return self.familiarity.knows(self._vector(picture))
 
     def unfamiliarity(self, picture: object) -> float:

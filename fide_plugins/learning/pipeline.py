@@ -132,7 +132,7 @@ def learn(
         a ValueError: a file is damaged, or of something else: a shard of renders, a training that
         was interrupted, or the model `after`.
     RenderError
-        a RuntimeError: the renderer fails.
+        a RuntimeError: the renderer fails, or its images are all equal.
     DeviceMemoryError
         a RuntimeError: the device is full; the renders beside `out` are kept.
     OSError

@@ -23,7 +23,7 @@ from fide_plugins.learning.renders.identity import check_images
 from fide_plugins.learning.renders.made import all_equal, too_few
 from fide_plugins.learning.renders.renderer import BatchRenderer, Pixels, pixels_of
 from fide_plugins.learning.renders.rendering import check_workers, fill
-from fide_plugins.learning.renders.store import SHARD, RenderStore, check_room
+from fide_plugins.learning.renders.store import RenderStore, check_room
 from fide_plugins.learning.training.one_training import Progress, Training
 from fide_plugins.learning.training.resumable import Resumable
 from fide_plugins.learning.truncation import Truncated
@@ -145,8 +145,8 @@ class Plan:
         if self.region is not None:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
-        if (images == images[0]).all():
-            store.remove(range(-(-self.renders // SHARD)))
+        if all(np.array_equal(image, images[0]) for image in images):
+            store.remove(store.of_one_image(images[0]))
             raise all_equal(self.renderer.name, len(images))
         with _enough_memory(self.device):
             network, density = self._density(x, images, store.folder)

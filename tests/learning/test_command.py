@@ -56,6 +56,20 @@ def test_a_function_is_learned_and_the_model_is_used(capsys: pytest.CaptureFixtu
     assert json.loads(capsys.readouterr().out)["best_loss"] < 0.01
 
 
+def test_a_call_whose_renders_were_all_equal_leaves_its_name_free(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    dark = Path("dark")
+    dark.touch()
+    off = "if __import__('os').path.exists('dark'): params = {'left': 0, 'right': 0}\n    return "
+    Path("gradient.py").write_text(SCENE.replace("return ", off))
+    words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)
+    assert fide(*words, "--renders", 100) == 1
+    assert "are all equal" in capsys.readouterr().err.replace("\n", " ")
+    dark.unlink()
+    assert fide(*words, "--renders", 100) == 0
+
+
 def test_lines_of_what_is_done_after_training(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -164,6 +164,27 @@ def test_images_that_are_all_equal_are_not_learned(asked: int, told: int, tmp_pa
     assert report.renders + report.held_out == asked
 
 
+def test_equal_images_of_earlier_calls_are_rendered_again_too(tmp_path: Path) -> None:
+    seen = [0.0]
+
+    def forgetful(x: Float64) -> Float64:
+        return plain(seen[0] * x)
+
+    arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
+
+    def stop(progress: LearnProgress) -> None:
+        if progress.done == 300:
+            raise Stop
+
+    with pytest.raises(Stop):
+        learn(forgetful, 2, renders=2000, on_progress=stop, **arguments)
+    with pytest.raises(RenderError, match="all equal"):
+        learn(forgetful, 2, renders=2000, **arguments)
+    seen[0] = 1.0
+    report = learn(forgetful, 2, renders=200, **arguments).report
+    assert report.renders + report.held_out == 200
+
+
 def test_failed_renders_of_earlier_calls_are_counted(tmp_path: Path) -> None:
     def fragile(x: Float64) -> Float64:
         if x[0] < 0.1:

@@ -181,6 +181,23 @@ def test_a_run_of_a_suite_is_gone_on_with_where_it_was_stopped(
     assert 500 <= sum(batches) <= 500 + 3 * max(batches)  # the target twice, one batch twice
 
 
+def test_nothing_but_its_row_is_left_of_a_finished_run(
+    program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suite, paper, out = program("suite"), program("paper"), tmp_path / "rows.jsonl"
+    words = ["--scenes", "lamps", "--optimizers", "cma", "--targets", "1", "--budget", "500"]
+    monkeypatch.setattr(sys, "argv", ["suite.py", *words, "--out", str(out)])
+    suite.main()
+    assert len(out.read_text().splitlines()) == 1
+    assert not any(out.with_suffix(".parts").iterdir())
+    for cell in list(paper.grid(["mse", "rendered"]))[::5]:
+        place = paper.part_of(tmp_path, cell)
+        if place is not None:
+            place.mkdir()
+        paper.clear(tmp_path, cell)
+        assert place is None or not place.exists()
+
+
 def test_finished_runs_of_a_comparison_are_taken_over_at_any_budget_of_the_suite(
     program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:

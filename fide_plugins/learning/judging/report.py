@@ -45,7 +45,7 @@ class Report:
         for exchangeable blocks, whose order means nothing: NaN.
     unseen: parameters of which the images tell nothing, as far as was learned, see `seen`;
         "lamps.x" is that of every block where blocks are exchangeable.
-    curve: of each pass, see `training.Curve`.
+    curve: of each pass, see `training.one_training.Curve`.
     augment: how much its renders were changed, see `training.augmentation`.
     parameters: how many there are, as `unseen` names them; axes are more where a choice has
         several, or blocks are exchangeable.

@@ -19,9 +19,9 @@ _FEW = 500  # renders that say that a renderer must be mended
 
 @dataclass
 class Made:
-    """What the renderer of that name has made in this call.
+    """What a renderer has made in this call.
 
-    failed: of each shard, how many renders.
+    name: of the renderer.  failed: of each shard, how many renders.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Made:
     _equal: bool = True
 
     def add(self, shard: int, images: Sequence[Small], failed: int) -> None:
-        """Add a shard."""
+        """Add a shard: its images, of which so many failed."""
         self.failed[shard] = failed
         reasons = (image.reason for image in images if isinstance(image, Failed))
         self._why = self._why or next(reasons, "")
@@ -50,21 +50,26 @@ class Made:
                 f"{self.name} failed for {failed} of {tried} random parameters, or gave no image: "
                 f"mend it, or make the ranges of its parameters smaller; the first one: {self._why}"
             )
-        if self._equal:
+        if self.image is not None:
             raise all_equal(self.name, tried - failed)
 
     @property
-    def useless(self) -> list[int]:
-        """Shards that a renderer that was mended must render again."""
-        return [shard for shard, failed in self.failed.items() if failed or self._equal]
+    def image(self) -> Pixels | None:
+        """The image (H, W, 3) that all renders are; None if they differ."""
+        return self._first if self._equal else None
+
+    @property
+    def with_failures(self) -> list[int]:
+        """Shards in which renders have failed."""
+        return [shard for shard, failed in self.failed.items() if failed]
 
 
 def all_equal(name: str, renders: int) -> RenderError:
     """Error of a renderer of that name whose images say nothing of its parameters."""
     return RenderError(
         f"the images of {name} for {renders} random parameters are all equal, in 8 bits and at the "
-        "size that is learned: mend it, make the ranges of its parameters larger, or give a larger "
-        "size"
+        "size that is learned: mend it, change the ranges of its parameters (what they change may "
+        "be out of view), or give a larger size"
     )
 
 

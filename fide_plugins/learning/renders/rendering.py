@@ -47,9 +47,10 @@ def fill(
     on_progress: called with the number of renders done so far.
 
     Raises RenderError if most renders fail, or workers die again and again; OptionError if the
-    renderer cannot be sent to workers, or this process may start none.  RenderError, too, if all
-    renders are equal.  What was rendered before an error stays, but for shards of this call in
-    which renders have failed or are all equal: they are rendered again by the next call.
+    renderer cannot be sent to workers, or this process may start none.  RenderError, too, if the
+    first 500 renders of this call, or more, are all equal.  What was rendered before an error
+    stays, but for shards of this call in which renders have failed, and all of that one image:
+    they are rendered again by the next call.
     """
     missing = store.missing(renders)
     done, made = renders - SHARD * len(missing), Made(renderer.name)
@@ -67,7 +68,9 @@ def fill(
             if on_progress is not None:
                 on_progress(min(max(done, 0), renders))
     except RenderError:
-        store.remove(made.useless)
+        store.remove(made.with_failures)
+        if made.image is not None:
+            store.remove(store.of_one_image(made.image))
         raise
 
 

@@ -16,6 +16,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -158,6 +159,14 @@ class RenderStore:
         drawn, seeds = self._draw(shard), self.noise_seeds(shard)
         nearest = [int(np.abs(drawn - x[row]).max(axis=1).argmin()) for row in rows]
         return x[rows], [seeds[i] for i in nearest], images[rows]
+
+    def of_one_image(self, image: Pixels) -> list[int]:
+        """Shards of which all renders are this image (H, W, 3).
+
+        Raises CheckpointError for a shard that is damaged.
+        """
+        equal = partial(np.array_equal, image)
+        return [shard for shard in self._all() if all(map(equal, self._read(shard)[1]))]
 
     def remove(self, shards: Sequence[int]) -> None:
         """Remove shards, so that they are missing."""
