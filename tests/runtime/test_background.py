@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from fide_plugins.runtime import background as background_module
 from fide_plugins.runtime.background import Background
 
 
@@ -72,6 +76,28 @@ def test_what_the_last_one_raised_does_not_keep_the_next_from_beginning() -> Non
         background.start(second, "second")
     background.wait()
     assert second.over
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there are threads of the system listed")
+def test_a_process_forks_when_the_thread_of_the_work_is_gone() -> None:
+    """Libraries clean up when a thread ends, after Python takes it for dead: MKL under a lock."""
+    libc = ctypes.CDLL(None)
+    exit_later, thread = ctypes.c_uint(), 0
+    assert libc.pthread_key_create(ctypes.byref(exit_later), libc.usleep) == 0
+
+    def work() -> None:
+        nonlocal thread
+        thread = threading.get_native_id()
+        assert libc.pthread_setspecific(exit_later, ctypes.c_void_p(200_000)) == 0  # microseconds
+
+    background = Background()
+    background.start(work, "work")
+    background.wait()
+    assert os.path.exists(f"/proc/self/task/{thread}")
+    background_module._before_fork()
+    background_module._LOCK.release()
+    assert not os.path.exists(f"/proc/self/task/{thread}")
+    libc.pthread_key_delete(exit_later)
 
 
 def test_work_that_another_thread_begins_begins_before_a_fork_or_after_it(
