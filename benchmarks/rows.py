@@ -119,8 +119,13 @@ def missing(
     if not 0 <= part < parts:
         raise ValueError(f"a share is I/N with I from 0 to N - 1, not {share}")
     for run in islice(planned, part, None, parts):
-        if key(run) not in {key(row) for row in rows_of(path) if counts(row)}:
+        if key(run) not in _there(path, key, counts):
             yield run
+
+
+def _there(path: Path, key: Callable[[Row], Any], counts: Callable[[Row], bool]) -> set[Any]:
+    """Keys of the rows of a file that count."""
+    return {key(row) for row in rows_of(path) if counts(row)}
 
 
 def run_missing(
@@ -137,8 +142,7 @@ def run_missing(
     clear: removes what a run has kept to go on from, if there is something; called when its row is
         in the file, and first of all for rows that are there, after a kill between the two.
     """
-    runs = list(planned)
-    there = {key(row) for row in rows_of(path) if counts(row)}
+    runs, there = list(planned), _there(path, key, counts)
     for run in runs:
         if key(run) in there:
             clear(run)

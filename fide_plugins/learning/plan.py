@@ -20,10 +20,10 @@ from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks.emulator import Emulator
 from fide_plugins.learning.networks.network import Network
 from fide_plugins.learning.renders.identity import check_images
-from fide_plugins.learning.renders.made import all_equal, too_few
 from fide_plugins.learning.renders.renderer import BatchRenderer, Pixels, pixels_of
 from fide_plugins.learning.renders.rendering import check_workers, fill
 from fide_plugins.learning.renders.store import RenderStore, check_room
+from fide_plugins.learning.renders.tally import all_equal, too_few
 from fide_plugins.learning.training.one_training import Progress, Training
 from fide_plugins.learning.training.resumable import Resumable
 from fide_plugins.learning.truncation import Truncated
@@ -146,7 +146,7 @@ class Plan:
             earlier = self.region.renders()
             x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
         if all(np.array_equal(image, images[0]) for image in images):
-            store.remove(store.of_one_image(images[0]))
+            store.remove_image(images[0])
             raise all_equal(self.renderer.name, len(images))
         with _enough_memory(self.device):
             network, density = self._density(x, images, store.folder)

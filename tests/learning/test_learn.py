@@ -148,28 +148,29 @@ def test_what_was_given_up_is_rendered_when_the_renderer_is_mended(tmp_path: Pat
     assert (report.renders + report.held_out, report.failed) == (600, 0)
 
 
+class Forgetful:
+    """A renderer whose images are all equal until it is mended."""
+
+    mended = False
+
+    def __call__(self, x: Float64) -> Float64:
+        return plain(x if self.mended else 0 * x)
+
+
 @pytest.mark.parametrize(("asked", "told"), [(100, 100), (2000, 500)])
 def test_images_that_are_all_equal_are_not_learned(asked: int, told: int, tmp_path: Path) -> None:
-    seen = [0.0]
-
-    def forgetful(x: Float64) -> Float64:
-        return plain(seen[0] * x)
-
+    forgetful = Forgetful()
     arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
-    with pytest.raises(RenderError, match=f"forgetful for {told} random parameters are all equal"):
+    with pytest.raises(RenderError, match=f"Forgetful for {told} random parameters are all equal"):
         learn(forgetful, 2, renders=asked, **arguments)
     assert not list((tmp_path / "m.renders").glob("*.npz"))
-    seen[0] = 1.0  # mended: all are rendered again
+    forgetful.mended = True  # all are rendered again
     report = learn(forgetful, 2, renders=asked, **arguments).report
     assert report.renders + report.held_out == asked
 
 
 def test_equal_images_of_earlier_calls_are_rendered_again_too(tmp_path: Path) -> None:
-    seen = [0.0]
-
-    def forgetful(x: Float64) -> Float64:
-        return plain(seen[0] * x)
-
+    forgetful = Forgetful()
     arguments: dict[str, Any] = {"size": SIDE, "passes": 1, "out": tmp_path / "m"}
 
     def stop(progress: LearnProgress) -> None:
@@ -180,7 +181,7 @@ def test_equal_images_of_earlier_calls_are_rendered_again_too(tmp_path: Path) ->
         learn(forgetful, 2, renders=2000, on_progress=stop, **arguments)
     with pytest.raises(RenderError, match="all equal"):
         learn(forgetful, 2, renders=2000, **arguments)
-    seen[0] = 1.0
+    forgetful.mended = True
     report = learn(forgetful, 2, renders=200, **arguments).report
     assert report.renders + report.held_out == 200
 

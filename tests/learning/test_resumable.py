@@ -44,9 +44,8 @@ class Clock:
 
         patch.setattr(time, "monotonic", lambda: self.now)
         patch.setattr(Training, "_step", timed)
-        patch.setattr(
-            "fide_plugins.learning.training.one_training._PATIENCE", 1000
-        )  # time alone ends it
+        # time alone ends it
+        patch.setattr("fide_plugins.learning.training.one_training._PATIENCE", 1000)
 
     def render(self, x: Float64) -> Float64:
         """As bright as the sum of two lamps."""

@@ -14,9 +14,9 @@ from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
 from fide_plugins.fitting.workers.base import Task, Workers
 from fide_plugins.fitting.workers.choice import DAEMON, workers_for
 from fide_plugins.fitting.workers.processes import Processes
-from fide_plugins.learning.renders.made import Made
 from fide_plugins.learning.renders.renderer import BatchRenderer, Small
 from fide_plugins.learning.renders.store import SHARD, RenderStore
+from fide_plugins.learning.renders.tally import Tally
 from fide_plugins.types import Float64
 
 __all__ = ["check_workers", "fill"]
@@ -53,7 +53,7 @@ def fill(
     they are rendered again by the next call.
     """
     missing = store.missing(renders)
-    done, made = renders - SHARD * len(missing), Made(renderer.name)
+    done, tally = renders - SHARD * len(missing), Tally(renderer.name)
     stop = None if seconds is None else time.monotonic() + seconds
     if workers > 1 or executor is not None:
         jobs = _Jobs(_pool(renderer, store.size, workers, executor), executor)
@@ -62,15 +62,15 @@ def fill(
         shards = _here(store, renderer, missing, stop)
     try:
         for shard, images in shards:
-            made.add(shard, images, store.write(shard, images))
+            tally.add(shard, images, store.write(shard, images))
             done += SHARD
-            made.check()
+            tally.check()
             if on_progress is not None:
                 on_progress(min(max(done, 0), renders))
     except RenderError:
-        store.remove(made.with_failures)
-        if made.image is not None:
-            store.remove(store.of_one_image(made.image))
+        store.remove(tally.with_failures)
+        if tally.image is not None:
+            store.remove_image(tally.image)
         raise
 
 

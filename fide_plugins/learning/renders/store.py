@@ -160,18 +160,18 @@ class RenderStore:
         nearest = [int(np.abs(drawn - x[row]).max(axis=1).argmin()) for row in rows]
         return x[rows], [seeds[i] for i in nearest], images[rows]
 
-    def of_one_image(self, image: Pixels) -> list[int]:
-        """Shards of which all renders are this image (H, W, 3).
-
-        Raises CheckpointError for a shard that is damaged.
-        """
-        equal = partial(np.array_equal, image)
-        return [shard for shard in self._all() if all(map(equal, self._read(shard)[1]))]
-
     def remove(self, shards: Sequence[int]) -> None:
         """Remove shards, so that they are missing."""
         for shard in shards:
             self._path(shard).unlink(missing_ok=True)
+
+    def remove_image(self, image: Pixels) -> None:
+        """Remove the shards of which all renders are this image (H, W, 3).
+
+        Raises CheckpointError for a shard that is damaged.
+        """
+        equal = partial(np.array_equal, image)
+        self.remove([shard for shard in self._all() if all(map(equal, self._read(shard)[1]))])
 
     def failed(self, renders: int) -> dict[int, int]:
         """How many renders have failed, in whatever call, of each shard where some have.

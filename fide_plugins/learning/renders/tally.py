@@ -12,14 +12,14 @@ from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renders.renderer import Pixels, Small
 from fide_plugins.learning.renders.store import SHARD
 
-__all__ = ["Made", "all_equal", "too_few"]
+__all__ = ["Tally", "all_equal", "too_few"]
 
 _FEW = 500  # renders that say that a renderer must be mended
 
 
 @dataclass
-class Made:
-    """What a renderer has made in this call.
+class Tally:
+    """Counts what a renderer has made in this call.
 
     name: of the renderer.  failed: of each shard, how many renders.
     """
