@@ -10,10 +10,11 @@ from typing import TypeAlias
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.encoders.base import REMEDY, PatchEncoder
+from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
 from fide_plugins.losses.base import LossOfTarget, as_losses
+from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
@@ -144,7 +145,7 @@ class Evaluator:
         if loss is not None and same and loss != own["loss"]:
             raise CheckpointError(
                 f"the saved state has values of the loss {loss}; the one here is {own['loss']}: "
-                f"{REMEDY}, or start again"
+                f"{checkpoint.ITS_WRITER}, or start again"
             )
 
     def as_batch(

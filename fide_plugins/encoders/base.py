@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 import torch
 
 from fide_plugins.errors import CheckpointError
+from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import on_device, resolve_device
 from fide_plugins.runtime.fixed_batches import batch_size, in_batches
 from fide_plugins.runtime.threads import user_threads
@@ -15,10 +16,8 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
-__all__ = ["REMEDY", "PatchEncoder"]
+__all__ = ["PatchEncoder"]
 
-REMEDY = "take the version of FIDE, and the weights, that wrote it"
-"""What helps against a saved state of another version."""
 CHUNK = 2**21  # values of the images encoded at a time: 8 MB, which fit a CPU's cache
 
 
@@ -81,7 +80,7 @@ class PatchEncoder(ABC):
         """Raise CheckpointError unless saved features, of the version `saved`, are of this one."""
         if saved == self.version:
             return
-        remedy = REMEDY
+        remedy = checkpoint.ITS_WRITER
         if self.name.startswith("learned:"):
             remedy = f"put that model back, which encoder={self.name!r} reads"
         raise CheckpointError(

@@ -37,6 +37,7 @@ MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _HIGH_RANGE = (".exr", ".hdr")  # formats without a white
+_TIFF = (".tif", ".tiff")  # Pillow reads floats of gray ones only
 _LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 
 
@@ -145,6 +146,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
                 "PNG, JPEG, TIFF and PPM can be read, EXR and HDR cannot: convert it, with the "
                 "tone mapping of your renderer"
             )
+        elif name.lower().endswith(_TIFF):
+            remedy = "is it whole? Colors of TIFF must be integers: write floats as 16 bits"
         raise ImageError(f"cannot read {name!r} as an image: {e}; {remedy}") from e
     if frames > 1:
         name = os.path.basename(os.fspath(path))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -82,6 +83,15 @@ def test_a_file_that_is_damaged_is_not_said_to_be_of_another_format(tmp_path: Pa
     (tmp_path / "b.png").write_bytes(b"\x89PNG")
     with pytest.raises(FideError, match="as an image: .*; is it whole, and is it .* can be read$"):
         images.load(tmp_path / "b.png")
+
+
+def test_a_tiff_of_floats_is_read_in_gray_and_named_in_colors(tmp_path: Path) -> None:
+    path = tmp_path / "b.tiff"
+    assert cv2.imwrite(str(path), np.full((8, 8), 0.3, np.float32))
+    np.testing.assert_array_equal(images.load(path), np.full((8, 8, 3), 0.3, np.float32))
+    assert cv2.imwrite(str(path), np.full((8, 8, 3), 0.3, np.float32))
+    with pytest.raises(ImageError, match=r"Colors of TIFF must be integers: .* as 16 bits$"):
+        images.load(path)
 
 
 @pytest.mark.parametrize("name", ["mask", "weights"])

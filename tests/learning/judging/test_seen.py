@@ -9,8 +9,7 @@ from fide_plugins.learning import learn
 from fide_plugins.learning.judging.seen import are_shown, of_any_block, scores
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Indices
-
-from .conftest import SIDE
+from tests.learning.conftest import SIDE
 
 NONE: Indices = np.empty((0, 0), np.intp)
 TWO: Indices = np.array([[1, 2], [3, 4]])

@@ -17,8 +17,7 @@ from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.renderer_task import RendererTask
 from fide_plugins.learning import Model, learn
 from fide_plugins.types import Float64
-
-from .conftest import SIDE
+from tests.learning.conftest import SIDE
 
 ARGUMENTS: dict[str, Any] = {"renders": 100, "size": SIDE, "passes": 1}
 

@@ -20,8 +20,7 @@ from fide_plugins.learning.renders.store import SHARD, RenderStore
 from fide_plugins.renderers import CommandRenderer
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
-
-from .conftest import SIDE
+from tests.learning.conftest import SIDE
 
 REFUSED = r"the renderer's images are not those in .*they differ by .* of 255 on average"
 

@@ -19,8 +19,7 @@ from fide_plugins.learning import Model, learn
 from fide_plugins.learning.renders import store
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.types import Float64
-
-from .conftest import SIDE
+from tests.learning.conftest import SIDE
 
 resource = pytest.importorskip("resource")  # not on Windows
 ARGUMENTS: dict[str, Any] = {"renders": 300, "size": SIDE, "passes": 2}

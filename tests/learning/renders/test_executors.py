@@ -78,7 +78,7 @@ def refused_in_a_pool(out: Path) -> str:
 def test_a_process_that_may_start_no_other_is_told_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # where the new process finds `tests`
+    monkeypatch.syspath_prepend(Path(__file__).parents[3])  # where the new process finds `tests`
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         said = pool.map(refused_in_a_pool, [tmp_path])[0]
     assert said == f"{DAEMON}; give workers=0"

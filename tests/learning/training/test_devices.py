@@ -26,8 +26,7 @@ from fide_plugins.learning.networks.network import Network, as_input
 from fide_plugins.learning.networks.trainable import Trainable
 from fide_plugins.learning.training.augmentation import AUGMENT, augmented
 from fide_plugins.learning.training.one_training import Training
-
-from .conftest import SIDE, SPACE, disk
+from tests.learning.conftest import SIDE, SPACE, disk
 
 BLOCKS = [[0, 1], [2, 3]]
 

@@ -17,8 +17,7 @@ from fide_plugins.learning.judging.calibration import LARGEST_SCALE, fitted_scal
 from fide_plugins.learning.networks.axes import Components
 from fide_plugins.learning.networks.network import Network, as_input
 from fide_plugins.runtime import checkpoint
-
-from .conftest import SIDE
+from tests.learning.conftest import SIDE
 
 KINDS: list[tuple[str, list[list[int]]]] = [
     ("autoregressive", []),
