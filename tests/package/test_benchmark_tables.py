@@ -322,3 +322,54 @@ def test_simulated_workers_hand_out_what_is_due_first_when_all_are_taken(program
             due.remove((now, first))
             expected.append(first)
     assert done == expected and threading.active_count() == before
+
+
+def test_noisy_renders_count_what_is_found_and_who_is_ahead(program: Any) -> None:
+    noisy = program("noisy_renders")
+
+    def row(problem: str, name: str, error: float) -> dict[str, Any]:
+        best = 0.5 if name == "balanced, mse" else error
+        return {"problem": problem, "optimizer": name, "error": error, "error_of_best": best}
+
+    rows = [
+        row(f"lamps-{i}", name, 0.001 if name == "balanced, mse" or i < 2 else 0.1)
+        for i in range(6)
+        for name in noisy.CONFIGURATIONS
+    ]
+    unfinished = row("arm-0", "balanced, mse", 0.2)
+    lines = noisy.table([*rows, unfinished]).splitlines()
+    assert lines[2] == "| balanced, mse | 6 | 0 | 0 | 0 | 6 | 0 | 0 | 0 | 0 | 0.001 | 0.5 |"
+    assert lines[3] == "| accurate, mse | 2 | 0 | 0 | 0 | 2 | 0 | 0 | 0 | 0 | 0.1 | 0.1 |"
+    # four of four, in six of the eight pairs: p = 0.125, adjusted 0.125 * 8 / 6
+    ahead = "balanced, mse and accurate, mse: found by only 4 and 0, p = 0.17"
+    assert f"- {ahead}" in lines
+    assert "- balanced, mse: recommended and lowest: lower error 6 and 0, p = 0.031" in lines
+    with pytest.raises(SystemExit, match="two rows of one run"):
+        noisy.table([*rows, rows[0]])
+
+
+def test_noise_belongs_to_the_render_and_none_to_the_answer(program: Any) -> None:
+    noisy = program("noisy_renders")
+    first, again = noisy.task_of("lamps-0"), noisy.task_of("lamps-0")
+    X = np.random.default_rng(0).random((2, first.dim))
+    images = first.render(X, seed=[3, 4])
+    np.testing.assert_array_equal(again.render(X[1:], seed=[4])[0], images[1])
+    clean = np.stack([first.reference(x) for x in X])
+    inside = (clean > 0.3) & (clean < 0.7)  # six standard deviations from where noise is cut off
+    assert np.std((images - clean)[inside]) == pytest.approx(noisy.NOISE, rel=0.02)
+    assert not np.array_equal(first.render(X[1:], seed=[3])[0] - clean[1], images[1] - clean[1])
+
+
+def test_image_sizes_judge_all_answers_by_the_whole_image(program: Any) -> None:
+    sizes = program("image_sizes")
+    solved = sizes.SUITE.scenes["lamps"].solved
+
+    def row(number: int, part: int, loss: float) -> dict[str, Any]:
+        return {"problem": f"lamps-{number}", "part": part, "loss": loss, "seconds": float(part)}
+
+    rows = [row(i, part, solved * (2 if part == 4 else 1)) for i in range(6) for part in (4, 2, 1)]
+    lines = sizes.table([*rows, row(7, 1, 0.0)]).splitlines()
+    assert "| lamps | 0 of 6 | 6 of 6 | 6 of 6 |" in lines
+    assert "| mean seconds | 4.0 | 2.0 | 1.0 |" in lines
+    assert "- only 1/4 solves 0, only the whole side 6, p = 0.031" in lines
+    assert "- only 1/2 solves 0, only the whole side 0, p = 1" in lines
