@@ -113,6 +113,7 @@ def main(budget: int) -> None:
         picture.parent.mkdir(exist_ok=True)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             pool.submit(write_target, picture).result()
+    # "accurate": so the result in the gallery was made; the default should do as well.
     how: dict[str, Any] = {"workers": 2, "seed": 0, "preset": "accurate", "resume": True}
     result = fit(render, picture, SPACE, budget=budget, out=out, **how)
     print(result)
