@@ -40,17 +40,18 @@ from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "noisy_renders.jsonl"
 SUITE, NOISE, RENDERS, FOUND = read_suite("image-fitting-v2"), 0.05, 2000, 0.01
-OPTIONS: dict[str, tuple[str, dict[str, str]]] = {
+OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "balanced": ("fide", {}),
     "accurate": ("fide", {"preset": "accurate"}),
     "no steps": ("fide", {"proposer": "linear"}),
+    "popsize 20": ("fide", {"popsize": 20}),
     "cma": ("cma", {}),
     "eki": ("eki", {}),
     "dfols": ("dfols", {}),
 }
 CONFIGURATIONS = (
     *(f"{name}, mse" for name in OPTIONS),
-    *(f"{name}, perceptual" for name in ("balanced", "accurate", "no steps")),
+    *(f"{name}, perceptual" for name in ("balanced", "accurate", "no steps", "popsize 20")),
 )
 _STREAM = 77  # of the noise; the optimizer draws from other ones
 
