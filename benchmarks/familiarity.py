@@ -14,7 +14,6 @@ Every model is one line of the output file; a second call does what is missing.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Callable
@@ -25,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from numpy.typing import NDArray
-from rows import Row, read, run_missing
+from rows import Row, command
 
 from fide_plugins import Choice, Float, Int, Space, learn
 from fide_plugins.learning import Model
@@ -141,24 +140,10 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Do what is missing, or print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--table", action="store_true")
-    arguments = parser.parse_args()
-    if arguments.table:
-        print(table(read(arguments.out)))
-        return
-    run_missing(
-        MODELS,
-        measure,
-        arguments.out,
-        lambda row: (row["renders"], row["passes"], row["augment"]),
-    )
+def key(row: Row) -> tuple[int, int, str]:
+    """What makes a run."""
+    return row["renders"], row["passes"], row["augment"]
 
 
 if __name__ == "__main__":
-    main()
+    command(__doc__ or "", MODELS, measure, RESULTS, key, table)

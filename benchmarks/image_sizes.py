@@ -14,7 +14,6 @@ the optimizer, FIDE's default.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, read, run_missing
+from rows import Row, by_key, command, finished_by_all
 from suite import CHEAP
 
 from fide_plugins import losses
@@ -72,10 +71,8 @@ def measure(run: Row) -> Row:
 
 def table(rows: list[Row]) -> str:
     """Solved problems and mean seconds by part of the side; p of the pairs with the whole side."""
-    found = {key(row): row for row in rows}
-    if len(found) < len(rows):
-        sys.exit("two rows of one run; keep one of them")
-    whole = [p for p in dict.fromkeys(p for p, _ in found) if all((p, n) in found for n in PARTS)]
+    found = by_key(rows, key)
+    whole = finished_by_all(found, PARTS)
     if not whole:
         sys.exit("no problem is finished with all sides")
     lines = [["scene", *(f"1/{part}" for part in PARTS)], ["---"] * (1 + len(PARTS))]
@@ -102,18 +99,5 @@ def _unsolved(found: dict[tuple[str, int], Row], problems: list[str], part: int)
     return np.array([float(loss > most) for loss, most in zip(reached, limits, strict=True)])
 
 
-def main() -> None:
-    """Run what is missing, or show what was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--part", default="0/1", metavar="I/N", help="the runs of this process")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="FILE")
-    arguments = parser.parse_args()
-    if arguments.table:
-        print(table(read(arguments.out)))
-    else:
-        run_missing(planned(), measure, arguments.out, key, arguments.part)
-
-
 if __name__ == "__main__":
-    main()
+    command(__doc__ or "", planned(), measure, RESULTS, key, table)

@@ -17,7 +17,6 @@ of the optimizer; render i of a target number has the same noise in all runs, of
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, read, run_missing
+from rows import Row, by_key, command, finished_by_all
 from suite import CHEAP, key
 
 from fide_plugins.experiments import run as harness
@@ -121,11 +120,8 @@ def measure(run: Row) -> Row:
 
 def table(rows: list[Row]) -> str:
     """Found problems and median errors; then the pairs."""
-    found = {key(row): row for row in rows}
-    if len(found) < len(rows):
-        sys.exit("two rows of one run; keep one of them")
-    problems = dict.fromkeys(problem for problem, _ in found)
-    whole = [p for p in problems if all((p, name) in found for name in CONFIGURATIONS)]
+    found = by_key(rows, key)
+    whole = finished_by_all(found, CONFIGURATIONS)
     if not whole:
         sys.exit("no problem is finished by all configurations")
     head = [f"found of {len(whole)}", *CHEAP, "median error", "of the lowest loss"]
@@ -172,18 +168,5 @@ def _ahead(a: Float64, b: Float64) -> str:
     return f"the first {(a < b).sum()}, the second {(a > b).sum()}"
 
 
-def main() -> None:
-    """Run what is missing, or show what was found."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--table", action="store_true")
-    parser.add_argument("--part", default="0/1", metavar="I/N", help="the runs of this process")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="FILE")
-    arguments = parser.parse_args()
-    if arguments.table:
-        print(table(read(arguments.out)))
-    else:
-        run_missing(planned(), measure, arguments.out, key, arguments.part)
-
-
 if __name__ == "__main__":
-    main()
+    command(__doc__ or "", planned(), measure, RESULTS, key, table)

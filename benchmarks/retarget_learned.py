@@ -19,7 +19,6 @@ missing.  Each model is learned once a call, and is the same each time.
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -30,7 +29,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, read, run_missing
+from rows import Row, command
 
 from fide_plugins import FIDE, Float, Group, Space, learn
 from fide_plugins.learning import Model
@@ -176,17 +175,5 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Do the runs that are missing, or print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--table", action="store_true")
-    arguments = parser.parse_args()
-    if arguments.table:
-        print(table(read(arguments.out)))
-        return
-    run_missing(planned(), measure, arguments.out, key)
-
-
 if __name__ == "__main__":
-    main()
+    command(__doc__ or "", planned(), measure, RESULTS, key, table)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import fide_plugins
 from fide_plugins.runtime.machine import machine, versions
 
 Row: TypeAlias = dict[str, Any]
+Key = TypeVar("Key", bound=Hashable)
 
 
 def read(*paths: Path) -> list[Row]:
@@ -151,6 +153,46 @@ def run_missing(
         append(path, row)
         report(row)
         clear(run)
+
+
+def command(
+    about: str,
+    planned: Iterable[Row],
+    measure: Callable[[Row], Row],
+    path: Path,
+    key: Callable[[Row], Any],
+    table: Callable[[list[Row]], str],
+) -> None:
+    """Command line of a program without options of its own: runs what is missing, or the table."""
+    parser = argparse.ArgumentParser(
+        description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--table", action="store_true")
+    parser.add_argument("--part", default="0/1", metavar="I/N", help="the runs of this process")
+    parser.add_argument("--out", type=Path, default=path, metavar="FILE")
+    arguments = parser.parse_args()
+    if arguments.table:
+        print(table(read(arguments.out)))
+    else:
+        run_missing(planned, measure, arguments.out, key, arguments.part)
+
+
+def by_key(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, Row]:
+    """Rows by what makes their run; exits where two have made the same one."""
+    found: dict[Key, Row] = {}
+    for row in rows:
+        if key(row) in found:
+            sys.exit(f"two rows of one run: {key(row)}; keep one of them")
+        found[key(row)] = row
+    return found
+
+
+def finished_by_all(
+    found: Mapping[tuple[str, Any], Row], configurations: Collection[Any]
+) -> list[str]:
+    """Problems that all configurations have finished; found: rows by these two."""
+    problems = dict.fromkeys(problem for problem, _ in found)
+    return [p for p in problems if all((p, each) in found for each in configurations)]
 
 
 def report(row: Row) -> None:

@@ -35,7 +35,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from rows import Row, append, missing, rows_of, run_missing
+from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
@@ -191,8 +191,7 @@ def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int
     """Of the problems that all of these optimizers have finished, up to the budget."""
     found = longest(rows, optimizers, budget)
     budgets = tuple(b for b in suite.budgets if b <= budget)
-    there = dict.fromkeys(problem for problem, _ in found)
-    problems = [p for p in there if all((p, label) in found for label in optimizers)]
+    problems = finished_by_all(found, optimizers)
     if not problems:
         known = ", ".join(dict.fromkeys(label for _, label in found)) or "none of them"
         sys.exit(f"no problem is finished by all of these optimizers; by some: {known}")

@@ -145,7 +145,7 @@ class Evaluator:
         if loss is not None and same and loss != own["loss"]:
             raise CheckpointError(
                 f"the saved state has values of the loss {loss}; the one here is {own['loss']}: "
-                f"{checkpoint.ITS_WRITER}, or start again"
+                f"{checkpoint.VERSION_REMEDY}, or start again"
             )
 
     def as_batch(

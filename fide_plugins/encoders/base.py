@@ -80,7 +80,7 @@ class PatchEncoder(ABC):
         """Raise CheckpointError unless saved features, of the version `saved`, are of this one."""
         if saved == self.version:
             return
-        remedy = checkpoint.ITS_WRITER
+        remedy = checkpoint.VERSION_REMEDY
         if self.name.startswith("learned:"):
             remedy = f"put that model back, which encoder={self.name!r} reads"
         raise CheckpointError(

@@ -33,10 +33,10 @@ from fide_plugins.errors import CheckpointError
 
 from .files import atomic_writer
 
-__all__ = ["ITS_WRITER", "VERSION", "read", "write"]
+__all__ = ["VERSION", "VERSION_REMEDY", "read", "write"]
 
 VERSION = 3
-ITS_WRITER = "take the version of FIDE, and the weights, that wrote it"
+VERSION_REMEDY = "take the version of FIDE, and the weights, that wrote it"
 """What helps against a state whose features or losses are of another version."""
 _MAGIC = b"\x89FIDE\r\n\x1a"
 _HEADER = struct.Struct("<8sIQ32s")

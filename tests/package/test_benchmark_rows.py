@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -142,3 +143,21 @@ def test_a_table_of_a_missing_file_is_an_error(rows: ModuleType, tmp_path: Path)
     with pytest.raises(FileNotFoundError):
         rows.read(tmp_path / "results.jsonl")
     assert rows.rows_of(tmp_path / "results.jsonl") == []
+
+
+def test_a_command_runs_its_part_and_shows_the_table(
+    rows: ModuleType,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "results.jsonl"
+
+    def call(*words: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["program.py", *words])
+        rows.command("About.", planned(), dict, out, key, lambda found: f"{len(found)} rows")
+        return capsys.readouterr().out
+
+    assert call("--part", "1/2") == ""
+    assert [key(row) for row in rows.read(out)] == [1, 3, 5]
+    assert call("--table") == "3 rows\n"
