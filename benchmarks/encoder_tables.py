@@ -1,4 +1,4 @@
-"""The tables of docs/measurements/encoders.md, of the rows that `encoders.py` has measured."""
+"""The tables of docs/measurements/encoders_quality.md and others, from rows of `encoders.py`."""
 
 from __future__ import annotations
 
