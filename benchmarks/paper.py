@@ -29,9 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 from quality import CONFIGURATIONS, Configurations, key, measured, run_configurations
 from rows import Row
-from scenes import judged
 
 import fide_tasks
+from fide_plugins import losses
 from fide_plugins.experiments import run as harness
 
 METRICS = ("mse", "perceptual")
@@ -183,6 +183,12 @@ def measure(cell: Row, optimizer: str, options: dict[str, Any], parts: Path, thr
         "render_ms": round(result.render_s / cell["budget"] * 1e3, 3),
     }
     return row
+
+
+def judged(task: fide_tasks.Task, x: NDArray[np.float64]) -> dict[str, float]:
+    """The two metrics of the reference image of x, (dim,), which no optimizer has seen."""
+    image = task.reference(x)
+    return {name: float(losses.make(name, task.target)(image[None])[0]) for name in METRICS}
 
 
 def part_of(parts: Path, cell: Row) -> Path | None:

@@ -31,8 +31,7 @@ from paper import (
 from PIL import Image, ImageDraw, ImageFont
 from quality import key
 from rows import Row, read
-from scenes import joined
-from task_pictures import save
+from task_pictures import joined, save
 
 MARKS = ("1000", "5000", "10000", "25000")
 SOLVED = {"voronoi": 1e-3, "robot": 2e-5}  # mean squared errors, as in docs/measurements/moves.md

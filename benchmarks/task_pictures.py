@@ -18,6 +18,7 @@ from PIL import Image
 import fide_tasks
 
 TILE = 210  # pixels; the view on the left is twice as large
+GAP = 4  # pixels between images that are `joined`
 LARGEST = 300_000  # bytes of a file; noise does not compress
 VIEWS = {  # the one on the left, where it is not the target of seed 3
     "san_miguel": (0.017, 0.222, 0.357, 0.470, 0.039, 0.417, 0.611, 0.607),
@@ -33,6 +34,14 @@ def picture(name: str) -> NDArray[np.float32]:
     below = [task.reference(x) for x in candidates]
     rows = [np.concatenate(row, axis=1) for row in (above, below)]
     return np.concatenate([view, np.concatenate(rows)], axis=1)
+
+
+def joined(images: list[NDArray[np.float32]], axis: int) -> NDArray[np.float32]:
+    """Images side by side or one below the other, with a white gap between them."""
+    shape = list(images[0].shape)
+    shape[axis] = GAP
+    gap = np.ones(shape, np.float32)
+    return np.concatenate([part for image in images for part in (gap, image)][1:], axis=axis)
 
 
 def save(picture: NDArray[np.float32], path: Path) -> None:
