@@ -117,7 +117,7 @@ def parse_arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--stages", nargs="+", default=list(STAGES), choices=list(STAGES), help="default: all")
     add("--out", type=Path, default=RESULTS, metavar="FILE")
-    add("--part", default="0/1", metavar="I/N", help="the runs of this process")
+    add("--part", default="0/1", metavar="I/N", help="the runs of this process, 0/2 or 1/2")
     add("--threads", type=int, default=1, help="threads of Mitsuba; they change no image")
     return parser.parse_args()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import time
@@ -115,11 +116,12 @@ def missing(
 
     The share is of all runs, whatever is done: so no two processes begin the same one.  The file is
     read again before each, since other processes add to it.  counts: whether a row of the file is
-    as good as the planned run with its key.
+    as good as the planned run with its key.  Exits for a share that is none.
     """
-    part, parts = (int(number) for number in share.split("/"))
-    if not 0 <= part < parts:
-        raise ValueError(f"a share is I/N with I from 0 to N - 1, not {share}")
+    numbers = re.fullmatch(r"(\d+)/(\d+)", share)
+    if numbers is None or int(numbers[1]) >= int(numbers[2]):
+        sys.exit(f"--part is I/N with I from 0 to N - 1, such as 0/2 and 1/2, not {share}")
+    part, parts = int(numbers[1]), int(numbers[2])
     for run in islice(planned, part, None, parts):
         if key(run) not in _there(path, key, counts):
             yield run
@@ -168,7 +170,9 @@ def command(
         description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--table", action="store_true")
-    parser.add_argument("--part", default="0/1", metavar="I/N", help="the runs of this process")
+    parser.add_argument(
+        "--part", default="0/1", metavar="I/N", help="the runs of this process, 0/2 or 1/2"
+    )
     parser.add_argument("--out", type=Path, default=path, metavar="FILE")
     arguments = parser.parse_args()
     if arguments.table:

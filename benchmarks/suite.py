@@ -283,7 +283,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
     add("--targets", type=int, metavar="N", help="the first N (default: all)")
-    add("--part", default="0/1", metavar="I/N", help="the runs of this process, of all N parts")
+    add("--part", default="0/1", metavar="I/N", help="the runs of this process, 0/2 or 1/2")
     add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")
     add("--budget", type=int, metavar="N", help="renders: a budget of the suite (its last)")

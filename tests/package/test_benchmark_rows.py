@@ -41,9 +41,9 @@ def test_each_run_belongs_to_one_share(rows: ModuleType, tmp_path: Path, parts: 
     assert sorted(run for share in shares for run in share) == list(range(7))
 
 
-@pytest.mark.parametrize("share", ["2/2", "1/0", "-1/2"])
+@pytest.mark.parametrize("share", ["2/2", "1/0", "-1/2", "2", "a/b"])
 def test_a_share_that_is_none_is_refused(rows: ModuleType, tmp_path: Path, share: str) -> None:
-    with pytest.raises(ValueError, match=r"0 to N - 1"):
+    with pytest.raises(SystemExit, match=r"0 to N - 1"):
         next(rows.missing(planned(), tmp_path / "results.jsonl", key, share))
 
 
