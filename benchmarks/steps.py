@@ -1,0 +1,113 @@
+"""Compares the search with steps and without where scenes have several basins, or noise.
+
+    python benchmarks/steps.py                # what is missing; can be stopped at any time
+    python benchmarks/steps.py --table
+
+FIDE with its default and with `proposer="linear"`, which takes no steps, on forty targets of each
+of four scenes that no other page reports (seeds 3000 to 3039): on the targets of the suites these
+scenes looked worse with steps.  Size, loss and *solved* are those of `image-fitting-v1`; 2,000
+renders.
+
+Each run is one line of benchmarks/results/steps.jsonl.  The seed of the optimizer is that of the
+target less 3000.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from rows import Row, by_key, command, finished_by_all
+
+from fide_plugins.experiments import run as harness
+from fide_plugins.experiments.run.prepare import make_task
+from fide_plugins.experiments.suite import read as read_suite
+from fide_plugins.experiments.suite.tables import sign_test
+from fide_plugins.types import Float64
+
+RESULTS = Path(__file__).parent / "results" / "steps.jsonl"
+SUITE = read_suite("image-fitting-v1")
+SCENES = ("sprites", "stick_figure", "robot", "san_miguel")
+FIRST, TARGETS = 3000, 40
+MARKS = (500, 1000, 2000)  # renders
+CONFIGURATIONS: dict[str, dict[str, str]] = {"steps": {}, "no steps": {"proposer": "linear"}}
+
+
+def key(row: Row) -> tuple[str, str]:
+    """What makes a run."""
+    return row["problem"], row["configuration"]
+
+
+def planned() -> Iterator[Row]:
+    """All runs, targets outermost."""
+    for number in range(TARGETS):
+        for scene in SCENES:
+            for configuration in CONFIGURATIONS:
+                yield {"problem": f"{scene}-{number}", "configuration": configuration}
+
+
+def measure(run: Row) -> Row:
+    """When one run has solved its problem, and its lowest losses."""
+    problem, configuration = key(run)
+    name, number = SUITE.parts(problem)
+    scene = SUITE.scenes[name]
+    options = {**scene.options, **({"threads": 1} if name == "san_miguel" else {})}
+    result = harness.run(
+        make_task(name, scene.size, FIRST + number, options),
+        "fide",
+        scene.loss,
+        MARKS[-1],
+        seed=number,
+        options=CONFIGURATIONS[configuration],
+    )
+    best = np.fmin.accumulate(result.losses)
+    hits = np.flatnonzero(best <= scene.solved)
+    return {
+        **run,
+        "solved_at": int(hits[0]) + 1 if len(hits) else None,
+        "losses": {str(n): float(best[n - 1]) for n in MARKS},
+        "seconds": round(result.wall_s, 1),
+    }
+
+
+def table(rows: list[Row]) -> str:
+    """Solved problems with steps and without, and who has the lower loss."""
+    found = by_key(rows, key)
+    whole = finished_by_all(found, CONFIGURATIONS)
+    if not whole:
+        sys.exit("no problem is finished with steps and without")
+    lines = [
+        "| scene | targets | renders | steps | no steps | only steps, only none | p "
+        "| lower with steps | p |",
+        "|---|---:|---:|---:|---:|---|---:|---|---:|",
+    ]
+    for scene in (*SCENES, "all"):
+        some = [p for p in whole if scene in ("all", SUITE.parts(p)[0])]
+        for n in MARKS if some else ():
+            lines.append(_line(scene, n, *(_losses(found, some, c, n) for c in CONFIGURATIONS)))
+    return "\n".join(lines)
+
+
+def _losses(found: dict[tuple[str, str], Row], some: list[str], which: str, n: int) -> Float64:
+    """Lowest losses after n renders; 0 where the problem is solved by then."""
+    rows = [found[problem, which] for problem in some]
+    solved = [row["solved_at"] is not None and row["solved_at"] <= n for row in rows]
+    return np.where(solved, 0.0, [row["losses"][str(n)] for row in rows])
+
+
+def _line(scene: str, n: int, a: Float64, b: Float64) -> str:
+    solved = [np.array(each == 0, np.float64) for each in (a, b)]
+    only = [int(((x == 0) & (y > 0)).sum()) for x, y in ((a, b), (b, a))]
+    cells = [scene, len(a), f"{n:,}", *(int(each.sum()) for each in solved)]
+    cells += [f"{only[0]}, {only[1]}", f"{sign_test(*solved):.2g}"]
+    cells += [f"{(a < b).sum()} of {(a != b).sum()}", f"{sign_test(a, b):.2g}"]
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+if __name__ == "__main__":
+    command(__doc__ or "", planned(), measure, RESULTS, key, table)
