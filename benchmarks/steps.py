@@ -43,6 +43,12 @@ def key(row: Row) -> tuple[str, str]:
     return row["problem"], row["configuration"]
 
 
+def parts(problem: str) -> tuple[str, int]:
+    """Scene and number of a problem; the suite has fewer."""
+    name, _, number = problem.rpartition("-")
+    return name, int(number)
+
+
 def planned() -> Iterator[Row]:
     """All runs, targets outermost."""
     for number in range(TARGETS):
@@ -54,7 +60,7 @@ def planned() -> Iterator[Row]:
 def measure(run: Row) -> Row:
     """When one run has solved its problem, and its lowest losses."""
     problem, configuration = key(run)
-    name, number = SUITE.parts(problem)
+    name, number = parts(problem)
     scene = SUITE.scenes[name]
     options = {**scene.options, **({"threads": 1} if name == "san_miguel" else {})}
     result = harness.run(
@@ -87,7 +93,7 @@ def table(rows: list[Row]) -> str:
         "|---|---:|---:|---:|---:|---|---:|---|---:|",
     ]
     for scene in (*SCENES, "all"):
-        some = [p for p in whole if scene in ("all", SUITE.parts(p)[0])]
+        some = [p for p in whole if scene in ("all", parts(p)[0])]
         for n in MARKS if some else ():
             lines.append(_line(scene, n, *(_losses(found, some, c, n) for c in CONFIGURATIONS)))
     return "\n".join(lines)
