@@ -23,6 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from rows import Row, by_key, command, finished_by_all
+from suite import reached
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.prepare import make_task
@@ -71,14 +72,9 @@ def measure(run: Row) -> Row:
         seed=number,
         options=CONFIGURATIONS[configuration],
     )
-    best = np.fmin.accumulate(result.losses)
-    hits = np.flatnonzero(best <= scene.solved)
-    return {
-        **run,
-        "solved_at": int(hits[0]) + 1 if len(hits) else None,
-        "losses": {str(n): float(best[n - 1]) for n in MARKS},
-        "seconds": round(result.wall_s, 1),
-    }
+    solved_at, losses = reached(result.losses, scene.solved, MARKS)
+    seconds = round(result.wall_s, 1)
+    return {**run, "solved_at": solved_at, "losses": losses, "seconds": seconds}
 
 
 def table(rows: list[Row]) -> str:

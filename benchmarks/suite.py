@@ -46,6 +46,7 @@ from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
 from fide_plugins.experiments.suite.page import Origin, write_scores
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
+from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results"
 OPTIMIZERS = (
@@ -108,11 +109,20 @@ def measure(suite: Suite, budget: int, parts: Path, run: Row) -> Row:
         checkpoint_every=60,
         keep=harness.Keep(film=False, summary=False),
     )
-    best = np.fmin.accumulate(result.losses)
-    hits = np.flatnonzero(best <= scene.solved)
-    solved_at = int(hits[0]) + 1 if len(hits) else None
-    losses = {str(b): float(best[b - 1]) for b in suite.budgets if b <= budget}
-    return row_of(problem, optimizer, solved_at, losses, result.wall_s)
+    budgets = [b for b in suite.budgets if b <= budget]
+    return row_of(problem, optimizer, *reached(result.losses, scene.solved, budgets), result.wall_s)
+
+
+def reached(
+    losses: Float64, solved: float, marks: Iterable[int]
+) -> tuple[int | None, dict[str, float]]:
+    """Render that solved a problem, None if none did, and the lowest losses after some marks.
+
+    losses: (n,), of all renders.  solved: the loss that counts as solved.
+    """
+    best = np.fmin.accumulate(losses)
+    hits = np.flatnonzero(best <= solved)
+    return int(hits[0]) + 1 if len(hits) else None, {str(n): float(best[n - 1]) for n in marks}
 
 
 def part_of(budget: int, parts: Path, run: Row) -> Path:
