@@ -130,7 +130,7 @@ def measure(run: Row) -> Row:
 
 
 def table(rows: list[Row]) -> str:
-    """Medians and ranges of the judged losses; sign test of each mark against 16 samples."""
+    """Medians and ranges of the judged losses, what is solved; sign tests against 16 samples."""
     found = by_key(rows, key)
     whole = finished_by_all(found, CONFIGURATIONS)
     if not whole:
@@ -139,13 +139,21 @@ def table(rows: list[Row]) -> str:
     for scene in SCENES:
         some = [problem for problem in whole if SUITE.parts(problem)[0] == scene]
         titles = [f"{scene}, {len(some)} targets", *(f"{mark} s" for mark in MARKS)]
-        titles += [f"below 16 by {mark} s, p" for mark in MARKS] + ["renders", "ends with"]
+        titles += [f"below 16 by {mark} s, p" for mark in MARKS] + [
+            "solved",
+            "renders",
+            "ends with",
+        ]
         text += [_line(titles), _line(["---"] * len(titles))]
+        solved = SUITE.scenes[scene].solved
         for configuration in CONFIGURATIONS:
             runs = [found[problem, configuration]["marks"] for problem in some]
             usual = [found[problem, CONFIGURATIONS[0]]["marks"] for problem in some]
             cells = [configuration, *(_range(_judged(runs, i)) for i in range(len(MARKS)))]
             cells += [_compared(_judged(runs, i), _judged(usual, i)) for i in range(len(MARKS))]
+            cells.append(
+                ", ".join(str((_judged(runs, i) <= solved).sum()) for i in range(len(MARKS)))
+            )
             cells.append(f"{statistics.median(run[-1]['renders'] for run in runs):,.0f}")
             ends = Counter(run[-1]["number"] for run in runs)
             cells.append(", ".join(f"{n} in {times}" for n, times in sorted(ends.items())))
