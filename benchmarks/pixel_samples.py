@@ -139,27 +139,28 @@ def table(rows: list[Row]) -> str:
     for scene in SCENES:
         some = [problem for problem in whole if SUITE.parts(problem)[0] == scene]
         titles = [f"{scene}, {len(some)} targets", *(f"{mark} s" for mark in MARKS)]
-        titles += [f"below 16 by {mark} s, p" for mark in MARKS] + [
-            "solved",
-            "renders",
-            "ends with",
-        ]
+        titles += [f"below 16 by {mark} s, p" for mark in MARKS]
+        titles += ["solved", "renders", "ends with"]
         text += [_line(titles), _line(["---"] * len(titles))]
-        solved = SUITE.scenes[scene].solved
-        for configuration in CONFIGURATIONS:
-            runs = [found[problem, configuration]["marks"] for problem in some]
-            usual = [found[problem, CONFIGURATIONS[0]]["marks"] for problem in some]
-            cells = [configuration, *(_range(_judged(runs, i)) for i in range(len(MARKS)))]
-            cells += [_compared(_judged(runs, i), _judged(usual, i)) for i in range(len(MARKS))]
-            cells.append(
-                ", ".join(str((_judged(runs, i) <= solved).sum()) for i in range(len(MARKS)))
-            )
-            cells.append(f"{statistics.median(run[-1]['renders'] for run in runs):,.0f}")
-            ends = Counter(run[-1]["number"] for run in runs)
-            cells.append(", ".join(f"{n} in {times}" for n, times in sorted(ends.items())))
-            text.append(_line(cells))
+        marks = {c: [found[problem, c]["marks"] for problem in some] for c in CONFIGURATIONS}
+        for configuration, runs in marks.items():
+            usual = marks[CONFIGURATIONS[0]]
+            text.append(_line([configuration, *_cells(runs, usual, SUITE.scenes[scene].solved)]))
         text.append("")
     return "\n".join(text)
+
+
+def _cells(runs: list[list[Row]], usual: list[list[Row]], solved: float) -> list[str]:
+    """Of one number of samples and the usual one: marks of the runs, target by target."""
+    judged, others = ([_judged(which, i) for i in range(len(MARKS))] for which in (runs, usual))
+    ends = Counter(run[-1]["number"] for run in runs)
+    return [
+        *map(_range, judged),
+        *map(_compared, judged, others),
+        ", ".join(str((losses <= solved).sum()) for losses in judged),
+        f"{statistics.median(run[-1]['renders'] for run in runs):,.0f}",
+        ", ".join(f"{n} in {times}" for n, times in sorted(ends.items())),
+    ]
 
 
 def _judged(runs: list[list[Row]], mark: int) -> Float64:

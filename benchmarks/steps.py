@@ -22,14 +22,14 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+import suites
 from rows import Row, by_key, command, finished_by_all
 from suite import reached
 
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.prepare import make_task
 from fide_plugins.experiments.suite import read as read_suite
-from fide_plugins.experiments.suite.tables import sign_test
-from fide_plugins.types import Float64
+from fide_plugins.experiments.suite.profiles import within
 
 RESULTS = Path(__file__).parent / "results" / "steps.jsonl"
 SUITE = read_suite("image-fitting-v1")
@@ -83,32 +83,22 @@ def table(rows: list[Row]) -> str:
     whole = finished_by_all(found, CONFIGURATIONS)
     if not whole:
         sys.exit("no problem is finished with steps and without")
-    lines = [
-        "| scene | targets | renders | steps | no steps | only steps, only none | p "
-        "| lower with steps | p |",
-        "|---|---:|---:|---:|---:|---|---:|---|---:|",
-    ]
-    for scene in (*SCENES, "all"):
-        some = [p for p in whole if scene in ("all", parts(p)[0])]
-        for n in MARKS if some else ():
-            lines.append(_line(scene, n, *(_losses(found, some, c, n) for c in CONFIGURATIONS)))
-    return "\n".join(lines)
+    lines = []
+    for scene in SCENES:
+        some = [problem for problem in whole if parts(problem)[0] == scene]
+        lines += [suites.line(f"{scene}, {n:,}", _pairs(found, some, n)) for n in MARKS if some]
+    lines += [suites.line(f"all, {n:,}", _pairs(found, whole, n)) for n in MARKS]
+    return suites.table(lines, *CONFIGURATIONS)
 
 
-def _losses(found: dict[tuple[str, str], Row], some: list[str], which: str, n: int) -> Float64:
-    """Lowest losses after n renders; 0 where the problem is solved by then."""
-    rows = [found[problem, which] for problem in some]
-    solved = [row["solved_at"] is not None and row["solved_at"] <= n for row in rows]
-    return np.where(solved, 0.0, [row["losses"][str(n)] for row in rows])
-
-
-def _line(scene: str, n: int, a: Float64, b: Float64) -> str:
-    solved = [np.array(each == 0, np.float64) for each in (a, b)]
-    only = [int(((x == 0) & (y > 0)).sum()) for x, y in ((a, b), (b, a))]
-    cells = [scene, len(a), f"{n:,}", *(int(each.sum()) for each in solved)]
-    cells += [f"{only[0]}, {only[1]}", f"{sign_test(*solved):.2g}"]
-    cells += [f"{(a < b).sum()} of {(a != b).sum()}", f"{sign_test(a, b):.2g}"]
-    return f"| {' | '.join(map(str, cells))} |"
+def _pairs(found: dict[tuple[str, str], Row], problems: list[str], n: int) -> list[suites.Pair]:
+    """When both have solved the problems, within n renders, and their lowest losses by then."""
+    pairs = []
+    for problem in problems:
+        a, b = (found[problem, configuration] for configuration in CONFIGURATIONS)
+        t = within(np.array([row["solved_at"] or np.inf for row in (a, b)]), n)
+        pairs.append((problem, *t.tolist(), a["losses"][str(n)], b["losses"][str(n)]))
+    return pairs
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ The runs are those that suite.py has measured.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from rows import rows_of
@@ -24,7 +24,7 @@ from fide_plugins.experiments.suite.tables import sign_test
 
 US = "fide"
 Pair = tuple[str, float, float, float, float]
-"""Scene; renders until FIDE and the rival have solved the problem, +inf if not; their losses."""
+"""Scene; renders until the two have solved the problem, +inf if not; their losses."""
 
 
 def pairs(rival: str, budget: int) -> Iterator[Pair]:
@@ -53,6 +53,15 @@ def line(name: str, found: list[Pair]) -> tuple[Entry, ...]:
     return tuple(Entry(text, text) for text in texts)
 
 
+def table(lines: Sequence[tuple[Entry, ...]], ours: str, theirs: str) -> str:
+    """The lines under their titles, in Markdown; names of the two that they compare."""
+    titles = (
+        "scene", "problems", ours, theirs, f"only {ours}, only {theirs}", "p",
+        f"{ours} lower", "p of losses",
+    )  # fmt: skip
+    return markdown(Table("", tuple((title, "") for title in titles), tuple(lines)))
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(
@@ -65,12 +74,8 @@ def main() -> None:
     if not found:
         parser.error(f"no problem is finished by {US} and {arguments.rival}")
     scenes = dict.fromkeys(pair[0] for pair in found)
-    titles = (
-        "scene", "problems", US, arguments.rival, f"only {US}, only {arguments.rival}", "p",
-        f"{US} lower", "p of losses",
-    )  # fmt: skip
     lines = [line(scene, [pair for pair in found if pair[0] == scene]) for scene in scenes]
-    print(markdown(Table("", tuple((title, "") for title in titles), (*lines, line("all", found)))))
+    print(table([*lines, line("all", found)], US, arguments.rival))
 
 
 if __name__ == "__main__":
