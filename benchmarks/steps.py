@@ -4,9 +4,9 @@
     python benchmarks/steps.py --table
 
 FIDE with its default and with `proposer="linear"`, which takes no steps, on forty targets of each
-of four scenes that no other page reports (seeds 3000 to 3039): on the targets of the suites these
-scenes looked worse with steps.  Size, loss and *solved* are those of `image-fitting-v1`; 2,000
-renders.
+of four scenes that no other page reports (seeds 3000 to 3039).  On the targets of the suites
+sprites, stick figures and San Miguel looked worse with steps; Robot has several basins, too.
+Size, loss and *solved* are those of `image-fitting-v1`; 2,000 renders.
 
 Each run is one line of benchmarks/results/steps.jsonl.  The seed of the optimizer is that of the
 target less 3000.
