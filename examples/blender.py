@@ -1,7 +1,7 @@
 """Find a procedural material and a lamp in Blender (the module bpy, Cycles).
 
     python examples/blender.py          # a short run
-    python examples/blender.py 2000     # the run of the gallery
+    python examples/blender.py 1000     # the run of the gallery
 
 A ball of veined stone under one lamp, eleven parameters.  Path tracing is noisy: 16 samples a
 pixel, another seed for each render.  Without bpy it says so and ends.

@@ -1,7 +1,7 @@
 """Read a plot: the curve, the colors and the style that somebody gave to Matplotlib.
 
     python examples/plot.py          # a short run
-    python examples/plot.py 4000     # the run of the gallery
+    python examples/plot.py 3000     # the run of the gallery
 
 The renderer is Matplotlib itself; ten parameters, one of them a whole number, one a choice.
 """
