@@ -15,10 +15,11 @@
     python benchmarks/authors.py table
 
 Functions of `baselines.py`, five seeds.  `turbo`: 5, 10 and 20 parameters, 12 d evaluations in
-batches of 4, after 2 d of a Latin hypercube.  `dibo`: 10, 20 and 40 parameters, 400 evaluations in
-batches of 50, of which both have the first 100 in common; the small networks of `baselines.py`, in
-double precision.  Of DiBO the whole script is run, unchanged, on these functions in place of its
-own.  `zerograds`: 5, 10 and 20 parameters, 5,000 evaluations, 21 a step, with the learning rates of
+batches of 4, after 2 d of a Latin hypercube; of ours the first is the center, and with 5 parameters
+they are 12, whole batches.  `dibo`: 10, 20 and 40 parameters, 400 evaluations in batches of 50, of
+which both have the first 100 in common; the small networks of `baselines.py`, in double precision.
+Of DiBO the whole script is run, unchanged, on these functions in place of its own.  `zerograds`: 5,
+10 and 20 parameters, 5,000 evaluations, 21 a step, with the learning rates of
 `authors_zerograds.py` for the program, which asks for points outside of the box, too: the functions
 have values there.  Its defaults were chosen on the first five seeds among four pairs of rates
 (`zerograds:rates=...`), so it is raced on five others.

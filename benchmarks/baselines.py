@@ -31,6 +31,7 @@ from rows import Row, read
 from fide_plugins import optimizers
 from fide_plugins.baselines.base import Baseline
 from fide_plugins.baselines.zerograds import ZeroGrads
+from fide_plugins.recording.record import best_so_far
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
@@ -78,7 +79,8 @@ BUDGET = 5000
 class NaiveZeroGrads(ZeroGrads):
     """The published steps, but the best is looked for among the scattered points alone.
 
-    Losses are learned as they are, whatever their size.
+    Losses are learned as they are, whatever their size.  The first of these points takes the place
+    of the parameter, so it is evaluated, and learned from, twice.
     """
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
@@ -198,7 +200,7 @@ def measure(cell: Row, name: str, options: dict[str, Any], parts: Path) -> Row:
         if name == "dibo":
             opt.save(place.with_suffix(".ckpt"))
             checkpoint.write(place, "losses", {"losses": losses, "seconds": seconds})
-    best = np.minimum.accumulate(losses)
+    best = best_so_far(losses)
     marks = {m for m in MARKS if m <= cell["budget"]} | {cell["budget"]}
     place.unlink(missing_ok=True)
     place.with_suffix(".ckpt").unlink(missing_ok=True)

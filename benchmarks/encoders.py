@@ -43,6 +43,7 @@ from fide_plugins import encoders, losses
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
 from fide_plugins.experiments import run as harness
+from fide_plugins.recording.record import best_so_far
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"
 RUNS = Path("runs/encoders")
@@ -105,7 +106,7 @@ def measure(cell: Row, loss: str, options: dict[str, Any]) -> Row:
         task, "fide", loss, cell["budget"], cell["seed"], options=options, **directory(cell)
     )
     own = time.process_time() - start - task.seconds
-    best = np.minimum.accumulate(result.losses)
+    best = best_so_far(result.losses)
     image = task.reference(result.x_best) if result.x_best is not None else task.target
     return {
         **cell,

@@ -33,6 +33,7 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import FIDE, fit
+from fide_plugins.recording.record import best_so_far
 
 BUDGET, WORKERS, SECONDS = 1000, 8, 0.1
 MARKS = (250, 500, 1000)
@@ -119,7 +120,7 @@ def losses(kind: str, seed: int, workers: int) -> dict[str, float]:
         while len(told) < BUDGET:
             X = opt.ask()
             told = np.append(told, opt.tell(X, task.render(X)))
-        curve = np.minimum.accumulate(told)
+        curve = best_so_far(told)
     else:
         several = {"workers": workers, "executor": SimulatedWorkers(workers, seed, BUDGET)}
         options |= {"workers": 0} if workers == 1 else several

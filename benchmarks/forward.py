@@ -30,6 +30,7 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_plugins import optimizers
+from fide_plugins.recording.record import best_so_far
 from fide_plugins.validation import key_value
 
 MARKS = (100, 200, 300, 500, 1000, 2000)
@@ -118,7 +119,7 @@ def run(cell: Row, arguments: argparse.Namespace) -> Row:
         rendering += time.process_time() - before
         optimizer.tell(X, images, mse)
         losses = np.concatenate([losses, mse])
-    best = np.minimum.accumulate(losses)
+    best = best_so_far(losses)
     reached = [int(np.argmax(best <= goal)) + 1 if best[-1] <= goal else None for goal in GOALS]
     ms = 1000 * (time.process_time() - start - rendering) / len(losses)
     marks = [float(best[min(mark, len(best)) - 1]) for mark in MARKS]

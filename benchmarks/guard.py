@@ -24,6 +24,7 @@ import numpy as np
 from rows import Row, read, run_missing
 
 from fide_plugins.experiments import run as harness
+from fide_plugins.recording.record import best_so_far
 
 TASKS, LOSSES = ("voronoi", "spline"), ("loi", "perceptual")
 MARKS = (1000, 2000, 4000)
@@ -54,7 +55,7 @@ def run(cell: Row) -> Row:
         task_seed=cell["seed"] % 4,
         options={"guard_images": cell["guard"]},
     )
-    best = np.minimum.accumulate(result.losses)
+    best = best_so_far(result.losses)
     return {
         **cell,
         "best": {str(mark): float(best[mark - 1]) for mark in MARKS},

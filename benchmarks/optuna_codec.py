@@ -24,6 +24,7 @@ from rows import Row, read, run_missing
 import fide_tasks
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_plugins import FIDE
+from fide_plugins.recording.record import best_so_far
 
 MARKS = (500, 1000, 2000)
 SIZE = 112
@@ -59,7 +60,7 @@ def run(cell: Row) -> Row:
             features = torch.stack([f for f in stored if f is not None])
         optimizer.tell(X, losses=told, features=features)
         losses += told
-    best = np.minimum.accumulate(losses)
+    best = best_so_far(losses)
     return {**cell, **{str(mark): float(best[mark - 1]) for mark in MARKS}}
 
 

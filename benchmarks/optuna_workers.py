@@ -34,6 +34,7 @@ from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_plugins import FIDE
 from fide_plugins.distributed.replica import Replica
+from fide_plugins.recording.record import best_so_far
 
 TRIALS = 1000
 EVERY = 25
@@ -88,7 +89,7 @@ def run(workers: int, target: int, seed: int) -> Row:
         studies[worker].tell(trial, loss)
         losses.append(loss)
         begin(worker, now)
-    curve = np.minimum.accumulate(losses)[EVERY - 1 :: EVERY]
+    curve = best_so_far(losses)[EVERY - 1 :: EVERY]
     return {"curve": curve.tolist(), "counts": samplers[0].counts(studies[0])}
 
 
@@ -132,7 +133,7 @@ def run_direct(workers: int, target: int, seed: int) -> Row:
             told += 1
             first = told if replica.generation != now_at else first
         begin(now)
-    curve = np.minimum.accumulate(losses)[EVERY - 1 :: EVERY]
+    curve = best_so_far(losses)[EVERY - 1 :: EVERY]
     return {"curve": curve.tolist(), "counts": {**counts, "image": counts.total()}}
 
 

@@ -19,10 +19,10 @@ from typing import Any, TypeAlias
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import numpy as np
 from rows import Row, read, run_missing
 
 from fide_plugins.experiments import run as harness
+from fide_plugins.recording.record import best_so_far
 from fide_plugins.validation import key_value
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 20_000, 25_000)
@@ -148,7 +148,7 @@ def measure(cell: Row, optimizer: str, options: dict[str, Any]) -> Row:
 
 def measured(cell: Row, result: harness.RunResult) -> Row:
     """The row of a run that is finished."""
-    best = np.minimum.accumulate(result.losses)
+    best = best_so_far(result.losses)
     reached = {m for m in MARKS if m <= cell["budget"]} | {cell["budget"]}
     marks = {str(m): float(best[m - 1]) for m in sorted(reached)}
     overhead = result.overhead_s / cell["budget"] * 1e3

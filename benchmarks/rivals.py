@@ -23,6 +23,7 @@ from moves import SCENES, make, span
 from rows import Row, read, run_missing
 
 from fide_plugins import optimizers
+from fide_plugins.recording.record import best_so_far
 
 MARKS = (50, 100, 200, 300, 500, 1000, 2000)
 SIZE = 64
@@ -41,7 +42,8 @@ CONFIGURATIONS |= {
 CONFIGURATIONS["composite-bo, smallest = 0.5^12"] = ("composite-bo", {"smallest": 0.5**12})
 CONFIGURATIONS |= {f"eki, patience = {n}": ("eki", {"patience": n}) for n in (3, 5, 10, 20)}
 CONFIGURATIONS |= {f"eki, k = {k}": ("eki", {"popsize": k}) for k in (40, 60, 200)}
-CONFIGURATIONS["eki, as before"] = ("eki", {"patience": 20})  # rows of the code without Var Phi
+FORMER = ("eki, as before",)
+"""Rows of older code, in the table alone."""
 
 
 def main() -> None:
@@ -95,7 +97,7 @@ def run(cell: Row, budget: int) -> Row:
         values = np.square(images - target).reshape(len(X), -1).mean(axis=1)
         opt.tell(X, images, values)
         losses.extend(values.tolist())
-    best = np.minimum.accumulate(losses)
+    best = best_so_far(losses)
     marks = {str(mark): float(best[mark - 1]) for mark in MARKS if mark <= budget}
     return {"best": marks, "cpu_s": round(time.process_time() - start, 1)}
 
@@ -119,7 +121,7 @@ def table(rows: list[Row]) -> str:
     marks = [m for m in map(str, MARKS) if any(m in row["best"] for row in rows)]
     lines = [f"| scene | | runs | {' | '.join(marks)} | CPU s |", "|---" * (len(marks) + 4) + "|"]
     for scene in dict.fromkeys(row["scene"] for row in rows):
-        for configuration in CONFIGURATIONS:
+        for configuration in (*CONFIGURATIONS, *FORMER):
             mine = [r for r in rows if (r["scene"], r["configuration"]) == (scene, configuration)]
             if mine:
                 shown = " | ".join(cells(mine, marks))

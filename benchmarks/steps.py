@@ -21,7 +21,6 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import numpy as np
 import suites
 from rows import Row, by_key, command, finished_by_all
 from suite import reached
@@ -29,7 +28,6 @@ from suite import reached
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.run.prepare import make_task
 from fide_plugins.experiments.suite import read as read_suite
-from fide_plugins.experiments.suite.profiles import within
 
 RESULTS = Path(__file__).parent / "results" / "steps.jsonl"
 SUITE = read_suite("image-fitting-v1")
@@ -93,12 +91,8 @@ def table(rows: list[Row]) -> str:
 
 def _pairs(found: dict[tuple[str, str], Row], problems: list[str], n: int) -> list[suites.Pair]:
     """When both have solved the problems, within n renders, and their lowest losses by then."""
-    pairs = []
-    for problem in problems:
-        a, b = (found[problem, configuration] for configuration in CONFIGURATIONS)
-        t = within(np.array([row["solved_at"] or np.inf for row in (a, b)]), n)
-        pairs.append((problem, *t.tolist(), a["losses"][str(n)], b["losses"][str(n)]))
-    return pairs
+    steps, none = CONFIGURATIONS
+    return [suites.pair_of(p, found[p, steps], found[p, none], n) for p in problems]
 
 
 if __name__ == "__main__":

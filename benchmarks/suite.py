@@ -37,6 +37,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
+from fide_plugins.errors import OptionError
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
@@ -44,8 +45,10 @@ from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
 from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
 from fide_plugins.experiments.suite.page import Origin, write_scores
+from fide_plugins.experiments.suite.problems import check_budgets
 from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
+from fide_plugins.recording.record import best_so_far
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results"
@@ -55,6 +58,19 @@ OPTIMIZERS = (
 )  # fmt: skip
 CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick_figure")
 """Scenes with renders of a few milliseconds."""
+
+
+def label_of(optimizer: str) -> str:
+    """Name in the file of what was typed, options in alphabetical order.
+
+    Exits for what is no optimizer, and for one with a budget of its own.
+    """
+    try:
+        configuration = Configuration.parse(optimizer)
+        check_budgets([configuration])
+    except OptionError as error:
+        sys.exit(str(error))
+    return configuration.label
 
 
 def file_of(suite: Suite) -> Path:
@@ -120,7 +136,7 @@ def reached(
 
     losses: (n,), of all renders.  solved: the loss that counts as solved.
     """
-    best = np.fmin.accumulate(losses)
+    best = best_so_far(losses)
     hits = np.flatnonzero(best <= solved)
     return int(hits[0]) + 1 if len(hits) else None, {str(n): float(best[n - 1]) for n in marks}
 
@@ -159,12 +175,12 @@ def row_of_run(suite: Suite, run: results.StoredRun, budget: int) -> Row:
     assert run.curve is not None
     at = run.curve.reaches("renders", suite.problem(run.key.task)[0].solved)
     budgets = [b for b in suite.budgets if b <= budget]
-    losses = run.curve.value("renders", budgets).tolist()
+    losses = {str(b): run.curve.loss_at("renders", b) for b in budgets}
     return row_of(
         run.key.task,
         run.key.configuration,
         int(at) if np.isfinite(at) else None,
-        dict(zip(map(str, budgets), losses, strict=True)),
+        losses,
         run.curve.ends["seconds"],
     )
 
@@ -261,8 +277,12 @@ def main() -> None:
     """Run what is missing, or show what was found."""
     arguments = parse_arguments()
     suite = read(arguments.suite)
-    scenes, _ = suite.chosen(arguments.scenes.split(","), None)
-    optimizers, budget = arguments.optimizers.split(","), budget_of(suite, arguments.budget)
+    budget = budget_of(suite, arguments.budget)
+    try:
+        scenes, targets = suite.chosen(arguments.scenes.split(","), arguments.targets)
+    except OptionError as error:
+        sys.exit(str(error))
+    optimizers = [label_of(text) for text in arguments.optimizers.split(",")]
     out = arguments.out or file_of(suite)
     if arguments.table or arguments.picture or arguments.page:
         chosen = [row for row in rows_of(out) if suite.parts(row["problem"])[0] in scenes]
@@ -270,7 +290,6 @@ def main() -> None:
     elif arguments.folder:
         print(take_over(suite, results.read(arguments.folder), out))
     else:
-        targets = len(suite.targets) if arguments.targets is None else arguments.targets
         parts = out.with_suffix(".parts")
         run_missing(
             planned(suite, scenes, optimizers, targets),

@@ -15,8 +15,8 @@ import argparse
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from rows import rows_of
-from suite import budget_of, file_of, longest
+from rows import Row, rows_of
+from suite import budget_of, file_of, label_of, longest
 
 from fide_plugins.experiments.report.tables import Entry, Table, markdown
 from fide_plugins.experiments.suite import names, profiles, read
@@ -35,9 +35,14 @@ def pairs(rival: str, budget: int) -> Iterator[Pair]:
         for problem in dict.fromkeys(problem for problem, _ in found):
             ours, theirs = (found.get((problem, label)) for label in (US, rival))
             if ours and theirs:
-                t = np.array([row["solved_at"] or np.inf for row in (ours, theirs)])
-                losses = (row["losses"][str(budget)] for row in (ours, theirs))
-                yield suite.parts(problem)[0], *profiles.within(t, budget).tolist(), *losses
+                yield pair_of(suite.parts(problem)[0], ours, theirs, budget)
+
+
+def pair_of(name: str, ours: Row, theirs: Row, budget: int) -> Pair:
+    """Two runs of one problem, within so many renders."""
+    t = np.array([row["solved_at"] or np.inf for row in (ours, theirs)])
+    a, b = profiles.within(t, budget).tolist()
+    return name, a, b, ours["losses"][str(budget)], theirs["losses"][str(budget)]
 
 
 def line(name: str, found: list[Pair]) -> tuple[Entry, ...]:
@@ -70,12 +75,13 @@ def main() -> None:
     parser.add_argument("rival", help="as in the rows, such as dfols or eki:popsize=200")
     parser.add_argument("--budget", type=int, default=500, metavar="N", help="of the suites")
     arguments = parser.parse_args()
-    found = list(pairs(arguments.rival, arguments.budget))
+    rival = label_of(arguments.rival)
+    found = list(pairs(rival, arguments.budget))
     if not found:
-        parser.error(f"no problem is finished by {US} and {arguments.rival}")
+        parser.error(f"no problem is finished by {US} and {rival}")
     scenes = dict.fromkeys(pair[0] for pair in found)
     lines = [line(scene, [pair for pair in found if pair[0] == scene]) for scene in scenes]
-    print(table([*lines, line("all", found)], US, arguments.rival))
+    print(table([*lines, line("all", found)], US, rival))
 
 
 if __name__ == "__main__":

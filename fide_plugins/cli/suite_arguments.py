@@ -49,7 +49,6 @@ def suite_plan(args: argparse.Namespace) -> Any:
             flag = _FLAGS.get(name, "--" + name.replace("_", "-"))
             raise OptionError(f"{flag} has no meaning with --suite, which is fixed; leave it out")
     configurations = [Configuration.parse(text) for text in args.optimizers]
-    _check_budgets(configurations)
     suite = read(args.suite)
     scenes, targets = suite.chosen(args.scenes, args.targets)
     plan = problems.plan(suite, configurations, scenes, targets, args.budget)
@@ -70,14 +69,3 @@ def _size_of(plan: Any) -> str:
     runs = len(list(plan.runs()))
     each = f"{counted(runs, 'run')} of {plan.budget} renders{' each' * (runs != 1)}"
     return f"{plan.suite.name}: {each} (--scenes, --targets and --budget choose a part)"
-
-
-def _check_budgets(configurations: list[Any]) -> None:
-    """Raise OptionError if an optimizer has a budget of its own."""
-    for configuration in configurations:
-        if configuration.budget is not None:
-            raise OptionError(
-                f"{configuration.label} has a budget of its own, and the optimizers of a suite are "
-                "read at the same renders; leave it out, or give all of them --budget "
-                f"{configuration.budget}"
-            )

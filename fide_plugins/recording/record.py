@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.recording.parallel import rounds
-from fide_plugins.types import Float32, Float64, Optimizer
+from fide_plugins.types import Float32, Float64, Optimizer, Solution
 
 __all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult", "best_so_far"]
 
@@ -208,6 +208,13 @@ class Record:
         """Renders so far."""
         return len(self.losses)
 
+    @property
+    def best(self) -> Solution | None:
+        """The best candidate; None before the first finite loss."""
+        if self.x_best is None:
+            return None
+        return Solution(self.x_best.copy(), self.best_loss, self.best_evaluation)
+
     def add(self, X: Float64, images: Float32, losses: Float64) -> list[int]:
         """Add a piece: candidates (n, dim), images (n, H, W, 3), losses (n,).
 
@@ -276,9 +283,10 @@ _ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q", "generations": "q
 """Array fields of a record, and their type codes for `array` and for NumPy."""
 
 
-def best_so_far(losses: Float64) -> Float64:
+def best_so_far(losses: npt.ArrayLike) -> Float64:
     """Lowest of the losses (n,) up to each, (n,); infinity before the first finite one."""
-    best: Float64 = np.minimum.accumulate(np.where(np.isfinite(losses), losses, np.inf))
+    known = np.asarray(losses, np.float64)
+    best: Float64 = np.minimum.accumulate(np.where(np.isfinite(known), known, np.inf))
     return best
 
 

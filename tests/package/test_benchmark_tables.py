@@ -67,6 +67,18 @@ def test_the_suite_is_run_and_read_at_its_own_budgets(program: Any) -> None:
     assert [run["problem"] for run in runs] == ["arm-0", "lens-0", "arm-1", "lens-1"]
 
 
+def test_an_optimizer_of_the_suite_has_one_name_and_the_suite_s_budget(
+    program: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    suite = program("suite")
+    assert suite.label_of("dibo:width=128:batch=64") == "dibo:batch=64:width=128"
+    with pytest.raises(SystemExit, match="npe:budget=500 has a budget of its own"):
+        suite.label_of("npe:budget=500")
+    monkeypatch.setattr(sys, "argv", ["suite.py", "--targets", "11"])
+    with pytest.raises(SystemExit, match="image-fitting-v1 has 10 targets, not 11"):
+        suite.main()
+
+
 def test_forward_counts_runs_that_do_not_get_there(program: Any) -> None:
     reached = program("forward")._reached
     assert reached([10, 30, None]) == "30 (2/3)"

@@ -69,8 +69,10 @@ class Checked(NamedTuple):
 class Plan:
     """What a comparison runs.
 
-    For one task and one loss, all configurations have the same target and the same budget, and
-    start from the center of the same box.  Runs with the same seed form a pair.
+    For one task and one loss, all configurations have the same target and the same box, and the
+    same budget but for those that name their own.  Searches start from the center of the box;
+    optimizers that draw their first candidates (`random`, `inverse`, `npe`) do not.  Runs with the
+    same seed form a pair.
 
     tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
     budget: renders of each run.

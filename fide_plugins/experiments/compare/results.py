@@ -53,7 +53,8 @@ class Curve:
 
     at: position of the steps along each of `AXES`, (m,).
     ends: end of the run along each of `AXES`.
-    loss: (m,), decreasing.
+    loss: (m,), of each improvement, so decreasing.  Only a run whose samples per pixel rise
+        (`least_spp`) renders its best candidate again, and compares what follows with that loss.
     metrics: other losses of the same images by name, (m,).
     """
 
@@ -69,6 +70,11 @@ class Curve:
         padded = np.append(values, np.nan)  # index -1 gives NaN
         result: Float64 = padded[index]
         return result
+
+    def loss_at(self, axis: str, x: float) -> float:
+        """Best loss at x; infinity before the first finite one."""
+        value = float(self.value(axis, [x])[0])
+        return np.inf if np.isnan(value) else value
 
     def reaches(self, axis: str, loss: float) -> float:
         """Position of the first value that is at most `loss`; infinity if there is none."""

@@ -104,7 +104,7 @@ def _section(
         "abbreviations": sentences.abbreviations(panel),
         "shorter": len({row.budget for row in panel.rows}) > 1,
         "charts": [_chart(panel, axis, charts[axis], f"p{number}-{axis}") for axis in AXES],
-        "times": _markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
+        "times": svg.markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
         "ranking": tables.ranking(panel),
         "time_table": tables.times(panel),
         "losses": tables.losses(panel),
@@ -120,13 +120,7 @@ def _section(
 def _chart(panel: Panel, axis: str, file: bytes, name: str) -> Chart:
     title = plots.AXIS_NAMES[axis]
     description = f"{plots.describe(panel)} Along: {title}."
-    return Chart(axis, title, _markup(file, name, description))
-
-
-def _markup(file: bytes, name: str, description: str) -> Any:
-    from markupsafe import Markup
-
-    return Markup(svg.in_page(file, name, description))
+    return Chart(axis, title, svg.markup(file, name, description))
 
 
 def _call(call: dict[str, Any]) -> dict[str, Any]:

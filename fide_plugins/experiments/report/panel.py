@@ -232,8 +232,7 @@ def _loss(run: StoredRun, renders: int | None) -> float:
     """Final loss of a run, or its best loss after that many renders."""
     if renders is None or run.curve is None:
         return run.final
-    value = float(run.curve.value("renders", [renders])[0])
-    return np.inf if np.isnan(value) else value
+    return run.curve.loss_at("renders", renders)
 
 
 def check_thresholds(thresholds: Collection[str], runs: Iterable[RunKey]) -> None:

@@ -14,9 +14,10 @@ from xml.sax.saxutils import quoteattr
 from fide_plugins.experiments.report.plots import INK, MUTED, PALETTE, PART_COLORS, RULE
 
 if TYPE_CHECKING:
+    from markupsafe import Markup
     from matplotlib.figure import Figure
 
-__all__ = ["VARIABLES", "as_file", "in_page", "png"]
+__all__ = ["VARIABLES", "as_file", "in_page", "markup", "png"]
 
 VARIABLES = {
     INK: "ink",
@@ -68,3 +69,10 @@ def in_page(file: bytes, name: str, description: str) -> str:
     head = f'<svg role="img" aria-label={quoteattr(description)} '
     size = re.compile(r"<svg width=\"[^\"]*\" height=\"[^\"]*\" |<svg ")
     return size.sub(lambda _: head, text, count=1)  # a function: names may hold backslashes
+
+
+def markup(file: bytes, name: str, description: str) -> Markup:
+    """As `in_page`, for a template, which does not escape it."""
+    from markupsafe import Markup
+
+    return Markup(in_page(file, name, description))

@@ -64,7 +64,8 @@ class Fidelity:
         """Record losses of candidates (n,), and images and losses (m,) of the `extra_points`.
 
         To be called before the record gets the candidates.
-        more: whether other candidates of the same generation follow.
+        more: whether others follow that were asked with them.  An optimizer that hands out the two
+            parts of a generation one after the other (`FIDE.ask_ready`) may have a number for each.
         """
         self.total += self.rule.number * (len(losses) + len(others))
         if self._has_risen and record.x_best is not None:

@@ -106,7 +106,7 @@ class Run:
     def execute(self, on_progress: Report | None = None) -> RunResult:
         """Run until the budget is spent.
 
-        on_progress: called with what is known, at the start and after each generation; None: never.
+        on_progress: called with what is known, at the start and after each piece; None: never.
 
         Raises Interrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, RenderError if the
         renderer fails, any error of the optimizer, OSError if the directory cannot be written.  In

@@ -5,11 +5,11 @@ A search needs only the ranks of the candidates of a generation.  Noise decides 
     sigma > tolerance * spread,
 
 where sigma is the standard deviation of one candidate's loss between two renders, and spread that
-of the losses of a generation.  While the population is wide, its losses differ much, and few
-samples are enough.  As it narrows, noise begins to dominate, and the number of samples is
-multiplied.  Hansen et al. 2009, "A method for handling uncertainty in evolutionary optimization",
-evaluate candidates again and adapt by rank changes; here a few candidates are rendered twice to
-estimate sigma.
+of the losses of candidates that were told together, a generation or a part of it.  While the
+population is wide, its losses differ much, and few samples are enough.  As it narrows, noise begins
+to dominate, and the number of samples is multiplied.  Hansen et al. 2009, "A method for handling
+uncertainty in evolutionary optimization", evaluate candidates again and adapt by rank changes; here
+a few candidates are rendered twice to estimate sigma.
 
 The number never decreases.  Noise increases most losses of images, such as the mean squared error.
 So a loss at few samples is too high rather than too low, and stays comparable after an increase.
@@ -32,7 +32,7 @@ from fide_plugins.validation.points import whole_number
 __all__ = ["PixelSamples"]
 
 _PAIRS, _FEWEST_PAIRS = 16, 8  # pairs of renders of one candidate that estimate sigma
-_SPREADS, _FEWEST_SPREADS = 8, 3  # generations whose median spread counts
+_SPREADS, _FEWEST_SPREADS = 8, 3  # notes of losses whose median spread counts
 _FACTOR = 4
 _SMALLEST = 4  # fewest candidates that give a spread
 _NORMAL = 1.349  # interquartile range of the normal distribution, in standard deviations
@@ -82,17 +82,19 @@ class PixelSamples:
 
     @property
     def spread(self) -> float | None:
-        """Median spread of the last generations at the current number; None before three."""
+        """Median spread of the losses last noted at the current number; None before three notes."""
         few = len(self._spreads) < _FEWEST_SPREADS
         return None if few else float(np.median(self._spreads))
 
     def note(
         self, losses: npt.ArrayLike, again: float | None = None, *, more: bool = False
     ) -> bool:
-        """Record losses (n,) of candidates of one generation, rendered with `number` samples.
+        """Record losses (n,) of candidates that were rendered together, with `number` samples.
+
+        They are a generation, or a part of a large one, of which each part gives a spread.
 
         again: loss of a second render of the first candidate, if there was one.
-        more: whether other candidates of the generation follow, which need the same number.
+        more: whether others follow that were asked with them, and so need the same number.
 
         Returns whether `number` has risen; then the best candidate should be rendered again.
         Raises LossError (a ValueError).

@@ -241,7 +241,8 @@ def _restored(
     saved = directory.restore()
     if saved is not None:
         dim = searcher.dim
-        record, searcher = saved[0], complete(saved[1], dim)
+        record = saved[0]
+        searcher = complete(saved[1], dim, record.evaluations, record.best)
         if searcher.dim != dim:
             raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
     if fidelity is not None and record.fidelity is not None:
@@ -264,8 +265,12 @@ def make_task(
     """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
 
     Its option `spp` is the largest number of samples.
+
+    Raises OptionError (a ValueError) for an option that a problem of a suite does not leave open.
     """
     if "suite" in options:
+        if others := sorted(options.keys() - {"suite", "least_spp"}):
+            raise OptionError(f"a suite is fixed and does not leave {others[0]} open; leave it out")
         scene, target_seed = read_suite(options["suite"]).problem(name)
         return make_task(scene.task or scene.name, scene.size, target_seed, scene.options)
     if renderer_task.is_own(name, options):

@@ -32,17 +32,20 @@ class UserOptimizer:
     `times` is empty, `popsize` is 1, `name` is that of the class; `save` raises OptionError.
     `evaluations` and `best` are counted here.
 
+    evaluations, best: of a run that goes on, before this object was made.
+
     Raises OptionError (a ValueError) for an object without `ask` or `tell`.
     """
 
-    def __init__(self, optimizer: AskTell, dim: int) -> None:
+    def __init__(
+        self, optimizer: AskTell, dim: int, evaluations: int = 0, best: Solution | None = None
+    ) -> None:
         self.name, self.dim = own_name(optimizer), dim
         for method in ("ask", "tell"):
             if not callable(getattr(optimizer, method, None)):
                 raise OptionError(f"an optimizer needs a method {method}, and {self.name} has none")
         self.popsize: int = getattr(optimizer, "popsize", 1)
-        self.evaluations = 0
-        self.best: Solution | None = None
+        self.evaluations, self.best = evaluations, best
         self._optimizer = optimizer
 
     @property
@@ -106,6 +109,10 @@ class UserOptimizer:
         return np.full(self.dim, 0.5) if self.best is None else self.best.x
 
 
-def complete(optimizer: Any, dim: int) -> Optimizer:
+def complete(
+    optimizer: Any, dim: int, evaluations: int = 0, best: Solution | None = None
+) -> Optimizer:
     """The optimizer itself if it has all of `types.Optimizer`, else a `UserOptimizer` of it."""
-    return optimizer if isinstance(optimizer, Optimizer) else UserOptimizer(optimizer, dim)
+    if isinstance(optimizer, Optimizer):
+        return optimizer
+    return UserOptimizer(optimizer, dim, evaluations, best)

@@ -113,7 +113,7 @@ def _write_charts(found: Scores, names: list[str], folder: Path) -> list[_Chart]
     for stem, _, figure in _figures(found, names, legend=True):
         files.write_bytes(folder / f"{stem}.png", svg.png(figure))
     return [
-        _Chart(stem, title, _markup(svg.as_file(figure), stem, title))
+        _Chart(stem, title, svg.markup(svg.as_file(figure), stem, title))
         for stem, title, figure in _figures(found, names, legend=False)
     ]
 
@@ -229,9 +229,3 @@ def _markdown(
     parts += [f"![{escaped(title)}]({link})" for link, title in pictures[1:]]
     parts += ["## How to read it", *_METHOD]
     return "\n\n".join(parts) + "\n"
-
-
-def _markup(file: bytes, name: str, description: str) -> Any:
-    from markupsafe import Markup
-
-    return Markup(svg.in_page(file, name, description))

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from fide_plugins.errors import OptionError
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.compare.plan import Plan, RunKey
 from fide_plugins.experiments.run import Keep
 from fide_plugins.experiments.run.prepare import make_task, target_of
 from fide_plugins.experiments.suite.definition import Suite
 
-__all__ = ["SuitePlan", "plan", "unavailable"]
+__all__ = ["SuitePlan", "check_budgets", "plan", "unavailable"]
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,32 @@ def plan(
     targets: int,
     budget: int | None = None,
 ) -> SuitePlan:
-    """Plan of these scenes with their first `targets` targets; budget: None for the suite's."""
+    """Plan of these scenes with their first `targets` targets; budget: None for the suite's.
+
+    Raises OptionError (a ValueError) for an optimizer with a budget of its own.
+    """
+    configurations = tuple(configurations)
+    check_budgets(configurations)
     return SuitePlan(
         tasks=tuple(suite.problem_of(scene, k) for k in range(targets) for scene in scenes),
-        configurations=tuple(configurations),
+        configurations=configurations,
         losses=tuple(dict.fromkeys(suite.scenes[scene].loss for scene in scenes)),
         seeds=targets,
         budget=budget or suite.budgets[-1],
         task_options={"suite": suite.name},
         suite=suite,
     )
+
+
+def check_budgets(configurations: Iterable[Configuration]) -> None:
+    """Raise OptionError if an optimizer has a budget of its own."""
+    for configuration in configurations:
+        if configuration.budget is not None:
+            raise OptionError(
+                f"{configuration.label} has a budget of its own, and the optimizers of a suite are "
+                "read at the same renders; leave it out, or give all of them --budget "
+                f"{configuration.budget}"
+            )
 
 
 def unavailable(suite: Suite, scenes: Iterable[str]) -> dict[str, str]:

@@ -121,7 +121,4 @@ def _renders(suite: Suite, run: StoredRun) -> float:
 
 
 def _loss(run: StoredRun, renders: int) -> float:
-    if run.curve is None:
-        return np.inf
-    value = float(run.curve.value("renders", [renders])[0])
-    return np.inf if np.isnan(value) else value
+    return np.inf if run.curve is None else run.curve.loss_at("renders", renders)

@@ -17,6 +17,7 @@ import numpy as np
 
 from fide_plugins import losses as losses_module
 from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
+from fide_plugins.experiments.compare.configuration import split
 from fide_plugins.experiments.compare.plan import target_file
 from fide_plugins.experiments.compare.results import NoResultsError
 from fide_plugins.experiments.run.prepare import make_task, target_of
@@ -61,7 +62,7 @@ class Combination:
     @property
     def words(self) -> tuple[str, ...]:
         """The preset and the other options: "balanced", "popsize=30", "size=112"."""
-        options = dict(word.split("=", 1) for word in self.name.split(":")[1:])
+        options = dict(word.split("=", 1) for word in split(self.name)[1])
         of_task = {"size": self.size, "spp": self.spp}
         options |= {name: str(value) for name, value in of_task.items() if value is not None}
         preset = options.pop("preset")
@@ -90,8 +91,7 @@ class Combination:
         assert curve is not None  # all runs are finished
         if cost >= curve.ends[axis]:
             return self.finals[i]
-        value = float(curve.value(axis, [cost])[0]) if self.anytime else np.nan
-        return np.inf if np.isnan(value) else value
+        return curve.loss_at(axis, cost) if self.anytime else np.inf
 
     def points(self, axis: str) -> list[Point]:
         """Points along the runs if `anytime`; otherwise one point at their end.

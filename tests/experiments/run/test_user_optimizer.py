@@ -29,6 +29,13 @@ class Gray:
         return np.broadcast_to(X.mean(1)[:, None, None, None], (len(X), 4, 4, 3))
 
 
+class Clean(Gray):
+    """The same with a reference image."""
+
+    def reference(self, x: Float64) -> Any:
+        return self.render(x[None])[0]
+
+
 class Least:
     """CMA-ES, of which no more than `ask` and `tell` is to be seen."""
 
@@ -53,6 +60,26 @@ class Saving(Least):
         loaded = cls(1, None)
         loaded._cma = CMA.load(path)
         return loaded
+
+
+class Worse:
+    """Asks for the answer in its first 20 candidates, and for others later."""
+
+    def __init__(self, dim: int, target: object, told: int = 0, **_: Any) -> None:
+        self.told = told
+
+    def ask(self) -> Float64:
+        return np.full((10, 2), 0.3 if self.told < 20 else 0.9)
+
+    def tell(self, X: Any, images: Any, losses: Any) -> None:
+        self.told += len(X)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        Path(path).write_text(str(self.told))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        return cls(2, TARGET, int(Path(path).read_text()))
 
 
 def test_ask_and_tell_are_enough() -> None:
@@ -105,6 +132,18 @@ def test_a_run_directory_needs_save(
     first = harness.run(Gray(), **settings)
     again = harness.run(Gray(), **settings, resume=True)
     np.testing.assert_array_equal(first.losses, again.losses)
+
+
+def test_a_resumed_run_recommends_the_best_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(optimizers._REGISTRY._factories, "own", Worse)
+    settings: dict[str, Any] = {"optimizer": "own", "out": tmp_path / "run"}
+    harness.run(Clean(), budget=20, **settings)
+    resumed = harness.run(Clean(), budget=40, resume=True, **settings)
+    assert resumed.best_evaluation == 0
+    np.testing.assert_array_equal(resumed.x_recommended, [0.3, 0.3])
+    assert resumed.recommended_loss == resumed.reference_loss
 
 
 def test_a_task_that_says_nothing_of_itself() -> None:

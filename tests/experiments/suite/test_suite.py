@@ -14,6 +14,7 @@ import pytest
 
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
+from fide_plugins.errors import OptionError
 from fide_plugins.experiments import suite as suites
 from fide_plugins.experiments.run.prepare import make_task
 from fide_plugins.experiments.suite import definition, page, problems
@@ -105,6 +106,11 @@ def test_a_problem_has_the_name_of_its_scene_and_the_number_of_its_target() -> N
 def test_unknown_problems(name: str) -> None:
     with pytest.raises(ValueError, match=re.escape(f"unknown problem {name!r} of image-fitting")):
         made(SUITE, name)
+
+
+def test_a_problem_has_no_other_option() -> None:
+    with pytest.raises(OptionError, match="does not leave spp open"):
+        make_task("beads-0", 0, 0, {"suite": SUITE.name, "spp": 4})
 
 
 def test_what_cannot_be_rendered_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,6 +62,11 @@ def test_what_is_best_within_a_time(
     )  # fmt: skip
 
 
+def test_options_with_a_colon_are_named_whole() -> None:
+    one = made("fide:encoder=vgg19:relu4_1:popsize=9:preset=paper", [1], [0.5])
+    assert one.words == ("paper", "encoder=vgg19:relu4_1", "popsize=9", "size=16")
+
+
 def test_of_equals_the_cheapest() -> None:
     twin = made("fide:twin", [1, 2, 2.5], [0.9, 0.5, 0.4])
     point = best_within([QUICK, twin], "seconds", 60)
