@@ -37,6 +37,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
+from fide_plugins.cli.arguments import whole
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
@@ -63,7 +64,7 @@ CHEAP = ("voronoi", "spline", "robot", "lamps", "sprites", "arm", "lens", "stick
 def label_of(optimizer: str) -> str:
     """Name in the file of what was typed, options in alphabetical order.
 
-    Exits for what is no optimizer, and for one with a budget of its own.
+    Exits for what is not written as an optimizer, and for one with a budget of its own.
     """
     try:
         configuration = Configuration.parse(optimizer)
@@ -311,7 +312,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--suite", default="image-fitting-v1", choices=names(), metavar="NAME")
     add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
     add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
-    add("--targets", type=int, metavar="N", help="the first N (default: all)")
+    add("--targets", type=whole(1), metavar="N", help="the first N (default: all)")
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, 0/2 or 1/2")
     add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")
     add("--from", type=Path, dest="folder", metavar="DIR", help="of fide compare --suite")

@@ -106,14 +106,14 @@ def write_target(file: Path) -> None:
 
 def main(budget: int) -> None:
     if find_spec("bpy") is None:
-        print("no Blender here: pip install bpy")
+        print("no Blender here: pip install bpy==5.0.1")
         return
     picture, out = Path("runs/blender-target.png"), f"runs/blender-{budget}"
     if not picture.exists():
         picture.parent.mkdir(exist_ok=True)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             pool.submit(write_target, picture).result()
-    # "accurate": so the result in the gallery was made; the default should do as well.
+    # "accurate": so the result in the gallery was made; the default was not tried.
     how: dict[str, Any] = {"workers": 2, "seed": 0, "preset": "accurate", "resume": True}
     result = fit(render, picture, SPACE, budget=budget, out=out, **how)
     print(result)

@@ -122,7 +122,7 @@ def main(budget: int) -> None:
     render = Glass()
     target, out = render(TRUTH, samples=1024), Path(f"runs/caustics-{budget}")
     film = Film(target)
-    # "accurate": so the result in the gallery was made; the default should do as well.
+    # "accurate": so the result in the gallery was made; the default was not tried.
     how: dict[str, Any] = {"workers": 0, "seed": 0, "preset": "accurate", "resume": True}
     result = fit(render, target, SPACE, budget=budget, out=out, callbacks=[film], **how)
     print(result)

@@ -122,7 +122,7 @@ def _frame(row: Row, frames: dict[int, Path], mark: int | None, place: int) -> P
     """The best image of the median run after `mark` renders, under the mark `place`."""
     if mark is None or row.typical.curve is None:
         return None
-    loss = float(row.typical.curve.value("renders", [mark])[0])
+    loss = row.typical.curve.loss_at("renders", mark)
     note = "" if mark == place else f"{mark}:"
     return _with_loss(frames[mark], f"{row.name} after {mark} renders", loss, note, _FRAME)
 

@@ -32,7 +32,8 @@ class UserOptimizer:
     `times` is empty, `popsize` is 1, `name` is that of the class; `save` raises OptionError.
     `evaluations` and `best` are counted here.
 
-    evaluations, best: of a run that goes on, before this object was made.
+    evaluations, best: of a run that goes on, before this object was made.  Where the samples per
+        pixel rise (`least_spp`), the loss of `best` is that of its last render.
 
     Raises OptionError (a ValueError) for an object without `ask` or `tell`.
     """
