@@ -68,11 +68,23 @@ def lists(text: str) -> list[Any]:
 
 
 def names(text: str) -> list[str]:
-    """Parse names separated by commas."""
-    found = [name.strip() for name in text.split(",")]
+    """Parse names separated by commas; those in brackets, as of ``cma:x0=[0,1]``, are of a name."""
+    found = [name.strip() for name in _parts(text)]
     if not all(found):
         raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
     return found
+
+
+def _parts(text: str) -> list[str]:
+    """Split at the commas that are not within brackets."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "[") - (character == "]")
+        if character == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
 
 
 def thresholds(text: str) -> tuple[str, float]:

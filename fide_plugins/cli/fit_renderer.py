@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shlex
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from pathlib import Path
@@ -13,7 +12,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from fide_plugins.cli.arguments import free_directory, optimizer_options
 from fide_plugins.cli.fit_pictures import pictures, weights_of
 from fide_plugins.cli.live import page_of
-from fide_plugins.cli.messages import duration, note, number, paragraph, plain, warnings_as_notes
+from fide_plugins.cli.messages import (
+    as_typed,
+    duration,
+    note,
+    number,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
 
@@ -135,7 +142,8 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     templates = args.templates[0] if len(args.templates) == 1 else args.templates
     limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
     # the program is stopped before its worker, so that its output is known
-    return *program_of(templates, space, limit), None if args.timeout is None else limit + 5
+    of_worker = None if args.timeout is None or args.workers == 0 else limit + 5
+    return *program_of(templates, space, limit), of_worker
 
 
 def _options(args: argparse.Namespace, targets: list[Any]) -> dict[str, Any]:
@@ -235,7 +243,7 @@ def _report(result: Any, out: Path) -> None:
     if result.best is None:
         print(_without_best(result))
         return
-    print(f"look at {plain(out)}/best.png, or: fide solutions {plain(shlex.quote(str(out)))}")
+    print(f"look at {plain(out)}/best.png, or: {as_typed(['fide', 'solutions', str(out)])}")
     print(plain(result.status))
 
 

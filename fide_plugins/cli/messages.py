@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
+import shlex
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 
 __all__ = [
+    "as_typed",
     "complain",
     "duration",
     "note",
@@ -24,6 +27,11 @@ def plain(text: object) -> str:
     """`text` on one line, with unprintable characters (such as escapes) written out."""
     words = " ".join(str(text).split())
     return "".join(c if c.isprintable() else _escaped(c) for c in words)
+
+
+def as_typed(words: Iterable[str]) -> str:
+    """Words of a command, to be pasted into a shell; unprintable characters are written out."""
+    return "".join(c if c.isprintable() else _escaped(c) for c in shlex.join(words))
 
 
 def paragraph(text: object) -> str:
@@ -43,8 +51,12 @@ def complain(who: str, message: object) -> int:
 
 
 def note(text: str) -> None:
-    """Print a line to standard error."""
-    print(text, file=sys.stderr, flush=True)
+    """Print a line to standard error; if nobody reads it any longer, the work goes on without."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except BrokenPipeError:
+        with suppress(OSError, ValueError):  # what is printed there, is not
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 @contextmanager

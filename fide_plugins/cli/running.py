@@ -6,12 +6,12 @@ import argparse
 import json
 import math
 import os
-import shlex
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from fide_plugins.cli.messages import (
+    as_typed,
     complain,
     duration,
     note,
@@ -190,4 +190,4 @@ def continuation(command: list[str], out: str | None = None) -> str:
     words = [word for word in command if word != "--resume"]
     if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
         words += ["--out", out]
-    return plain(shlex.join([*words, "--resume"]))
+    return as_typed([*words, "--resume"])

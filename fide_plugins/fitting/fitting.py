@@ -111,11 +111,14 @@ class Fitting:
                 self._learn(self._rounds, interrupts, report)
             self._rounds.remove_renders()  # also where an earlier call was killed before that
         self._show(report, last=stopped is not None)  # from where the speed counts
-        while stopped is None:
-            stopped = loop.step()
-            self._show(report, last=stopped is not None)
-            self._save_if_due()
-            interrupts.check()
+        try:
+            while stopped is None:
+                stopped = loop.step()
+                self._show(report, last=stopped is not None)
+                self._save_if_due()
+                interrupts.check()
+        finally:
+            loop.search_ended = time.perf_counter()
         return stopped
 
     def _learn(self, rounds: Rounds, interrupts: Interrupts, report: Report | None) -> None:
@@ -183,7 +186,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
-        searched = max(time.perf_counter() - loop.search_began, 1e-9)
+        searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
             best=best,

@@ -67,8 +67,8 @@ class Loop:
         self._ahead = workers.number > 1
         self.stopped_by_callback = False
         self._clock = time.perf_counter()
-        self.search_began = self._clock
-        """When renders began to be counted, by `time.perf_counter`."""
+        self.search_began = self.search_ended = self._clock
+        """When renders began to be counted, and when no more were, by `time.perf_counter`."""
 
     @property
     def busy(self) -> int:
@@ -253,8 +253,9 @@ class Loop:
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
             r.first_image = canonical(self.optimizer, image)
-        improved = loss < r.best_loss and best is not None
-        if improved and best is not None:
+        improved = best is not None and np.isfinite(loss) and loss < r.best_loss
+        if improved:
+            assert best is not None
             r.best_loss, r.best_evaluation = loss, r.evaluations
             r.x_best, r.image = x, best.solution.image
             r.improvements.append(r.evaluations)

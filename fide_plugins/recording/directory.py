@@ -124,7 +124,7 @@ class RunDirectory:
                 self._run["sources"] = sources_module.versions_with(
                     sources, before, self.path, begun=begun
                 )
-            files.remove_leftovers(self.path)
+            files.remove_leftovers(self.path, age=files.OLD)  # others may write in the folder
             self._lock = lock.pop_all()
 
     def close(self) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import math
 import os
+import select
 import signal
 import subprocess
 import threading
@@ -20,6 +23,7 @@ _SHOWN = 20  # last lines of the output that an error shows
 _MOST = 4000  # characters of them
 _LONGEST = 2**24  # bytes of output, beyond which the file of it begins anew
 _LOOK = 0.1  # seconds between two looks at its length
+_RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,9 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
     """Run a program in the current folder, the end of its output in the file `log`.
 
     The program gets no standard input.  All it has started is stopped with it: after `timeout`
-    seconds, or when this process is interrupted.  To know what that is, the program gets a process
-    group of its own; but in a worker process that leads one, it stays in that, so that who kills
-    the worker's group kills the program, too.
+    seconds, when this process is interrupted, or when it ends while a thread waits.  To know what
+    that is, the program gets a process group of its own; but in a worker process that leads one, it
+    stays in that, so that who kills the worker's group kills the program, too.
 
     Raises OSError if it cannot be started.
     """
@@ -50,20 +54,54 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
         try:
             with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
                 child = _start(command, output)
+                _RUNNING.add(child)
             with _kept_short(output):
                 code = _wait(child, timeout)
         finally:
-            if child is not None and child.returncode is None:
-                _stop(child)
+            if child is not None:
+                _RUNNING.discard(child)
+                if child.returncode is None:
+                    _stop(child)
     return Ended(code, tail_of(log))
+
+
+@atexit.register
+def _stop_all() -> None:
+    """Stop what threads wait for that the end of this process does not let come to an end."""
+    for child in list(_RUNNING):
+        with suppress(ProcessLookupError):
+            _stop(child)
 
 
 def _wait(child: subprocess.Popen[bytes], timeout: float | None) -> int | None:
     """Exit code; None after `timeout` seconds."""
+    ended = None if timeout is None else _ends_within(child, timeout)
+    if ended is False:
+        return None
     try:
-        return child.wait(timeout)
+        return child.wait(timeout if ended is None else None)
     except subprocess.TimeoutExpired:
         return None
+
+
+def _ends_within(child: subprocess.Popen[bytes], timeout: float) -> bool | None:
+    """Whether the program ends within so many seconds; None where the system does not tell.
+
+    `wait` with a limit looks every 50 ms whether the program has ended; Linux tells at once.
+    """
+    milliseconds = math.ceil(timeout * 1000)
+    if not hasattr(os, "pidfd_open") or milliseconds >= 2**31:
+        return None
+    try:
+        descriptor = os.pidfd_open(child.pid)
+    except OSError:
+        return None
+    try:
+        ended = select.poll()
+        ended.register(descriptor, select.POLLIN)
+        return bool(ended.poll(milliseconds))
+    finally:
+        os.close(descriptor)
 
 
 @contextmanager

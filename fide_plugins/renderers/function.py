@@ -19,6 +19,7 @@ from fide_plugins.runtime.reference import (
     split,
 )
 from fide_plugins.space import Space
+from fide_plugins.validation.image_sources import is_path
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["FunctionRenderer"]
@@ -31,6 +32,15 @@ _REFERENT = Referent(
     "write FILE.py:NAME or module:NAME, such as scene.py:render",
 )
 _FOLDERS: dict[ModuleType, OwnFolder] = {}  # a module is executed once a process
+
+
+def _found_from_anywhere(image: Any) -> Any:
+    """The image; of files, or a list with some, absolute paths: the function has its own folder."""
+    if is_path(image):
+        return os.path.abspath(image)
+    if isinstance(image, list | tuple) and any(map(is_path, image)):
+        return [_found_from_anywhere(one) for one in image]
+    return image
 
 
 class FunctionRenderer:
@@ -62,7 +72,7 @@ class FunctionRenderer:
         """Image of the parameters."""
         try:
             with self._folder.entered():
-                return self._function(params)
+                return _found_from_anywhere(self._function(params))
         except (Exception, SystemExit) as error:  # scripts end by sys.exit
             raise RenderError(
                 f"{self._name} in {self.place} raised an exception\n"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import secrets
 import time
 from collections.abc import Iterator
@@ -23,6 +24,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
+    "OLD",
     "atomic_writer",
     "check_writable",
     "is_locked",
@@ -33,6 +35,9 @@ __all__ = [
 ]
 
 _SUFFIX = ".tmp"
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")
+OLD = 3600.0
+"""Seconds after which nobody is still writing a file."""
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
 """Errors of a file system that has no locks; the last one of NFS, for a file opened to be read."""
 _OF_ANOTHER = (errno.EWOULDBLOCK, errno.EACCES)
@@ -102,11 +107,13 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
 def remove_leftovers(folder: str | os.PathLike[str], *, age: float = 0.0) -> None:
     """Remove temporary files that a killed process left in `folder`.
 
-    age: seconds since they were last written, at least, where others may be writing; 0: whatever.
+    age: seconds since they were last written, at least, where others may be writing, see `OLD`;
+        0: whatever.
     """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
         with suppress(OSError):
-            if not age or time.time() - leftover.stat().st_mtime >= age:
+            old = not age or time.time() - leftover.stat().st_mtime >= age
+            if old and _TEMPORARY.fullmatch(leftover.name):
                 leftover.unlink()
 
 

@@ -116,7 +116,7 @@ def _import(name: str, referent: Referent) -> ModuleType:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise UnknownNameError(f"no module {name!r}; {referent.form}") from None
         raise _unusable(name, error) from error
-    except Exception as error:
+    except BaseException as error:  # scripts end by sys.exit
         raise _unusable(name, error) from error
 
 

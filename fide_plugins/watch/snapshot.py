@@ -61,9 +61,10 @@ class RunFiles:
             "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
         }
         totals = run.get("totals")
-        if isinstance(totals, dict) and isinstance(totals.get("status"), str):
+        under_way = shown["status"] == "running"  # then totals are those of an earlier call
+        if isinstance(totals, dict) and isinstance(totals.get("status"), str) and not under_way:
             shown["sentence"] = _text(totals["status"])
-        live = self._json(LIVE)
+        live = {} if self._is_of_an_earlier_call(LIVE) else self._json(LIVE)
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
@@ -74,6 +75,11 @@ class RunFiles:
         if shown["status"] != "running":
             shown.pop("busy", None)
         return shown
+
+    def _is_of_an_earlier_call(self, name: str) -> bool:
+        """Whether the run went on without writing the file."""
+        mine, tables = self._mark(name), self._mark("curve.csv")
+        return mine is not None and tables is not None and tables[0] - mine[0] > _QUIET * 1e9
 
     def _has_stopped(self) -> bool:
         """Whether the process of a run was killed: its lock is free, and nothing is written.

@@ -6,6 +6,7 @@ import importlib.metadata
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,9 +20,9 @@ import pytest
 
 import fide_plugins
 import fide_tasks
-from fide_plugins.cli import main
+from fide_plugins.cli import arguments, main
 from fide_plugins.cli.arguments import setting
-from fide_plugins.cli.messages import duration, plain
+from fide_plugins.cli.messages import as_typed, duration, note, plain
 from fide_plugins.fide import FIDE
 from fide_plugins.options import GLOBAL, PRESETS
 
@@ -331,6 +332,26 @@ def test_a_run_that_fails_is_exit_code_1(
 
 
 # -- text ------------------------------------------------------------------------------------------
+
+
+def test_names_may_hold_lists() -> None:
+    assert arguments.names("fide:groups=[[0,1],[2,3]],cma") == ["fide:groups=[[0,1],[2,3]]", "cma"]
+    assert arguments.names("cma, random") == ["cma", "random"]
+
+
+def test_a_command_can_be_pasted() -> None:
+    words = ["fide", "run", "--out", "runs/a  b", "it's"]
+    assert shlex.split(as_typed(words)) == words
+    assert as_typed(["a\x1b[2J"]) == r"'a\x1b[2J'"
+
+
+def test_a_reader_that_has_gone_stops_no_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as nobody:
+        monkeypatch.setattr(sys, "stderr", nobody)
+        for _ in range(3):
+            note("best 0.1")
 
 
 def test_text_cannot_control_the_terminal() -> None:

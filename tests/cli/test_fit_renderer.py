@@ -156,6 +156,12 @@ def test_a_program_is_fitted_without_a_shell(
     assert "it is too dark" in captured.err
 
 
+@pytest.mark.filterwarnings("always:a render failed")
+def test_a_program_in_this_process_has_its_own_time_limit(program: str) -> None:
+    words = ["lines.png", "--command", program, "--space", "space.toml", "--workers", 0]
+    assert fide("fit", *words, "--timeout", 30, "--budget", 3, "--out", "out") == 0
+
+
 @pytest.mark.usefixtures("target")
 def test_the_other_rules_by_which_a_fit_stops(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]

@@ -25,6 +25,8 @@ def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, f
     def render(params: dict[str, float]) -> Any:
         import os
         import signal
+        import struct
+        import sys
         import time
 
         import numpy as np
@@ -38,6 +40,14 @@ def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, f
         if unlucky == "raises":
             raise ValueError("too far to the right")
         if unlucky == "dies":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if unlucky == "dies while it sends":  # the length of a message, and a part of it
+            frame = sys._getframe()
+            while "result_queue" not in frame.f_locals:
+                assert frame.f_back is not None
+                frame = frame.f_back
+            results = frame.f_locals["result_queue"]._writer.fileno()
+            os.write(results, struct.pack("!i", 10**6) + b"ten bytes.")
             os.kill(os.getpid(), signal.SIGKILL)
         if unlucky == "hangs":
             time.sleep(100)

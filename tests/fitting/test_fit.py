@@ -18,6 +18,7 @@ from scipy import stats
 from fide_plugins import FIDE, fit
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.callbacks import Event, StopFitting
+from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.rendering import Portable, Rendered, Renderer
 from fide_plugins.fitting.stopping import Stopping
@@ -220,6 +221,19 @@ def test_it_stops_at_a_loss_and_by_time_and_when_told() -> None:
     assert told.stopped == "callback" and told.evaluations == 1
 
 
+def test_an_infinite_loss_is_no_best_and_stops_nothing(tmp_path: Path) -> None:
+    def log_of_mean(images: Any) -> Any:
+        means = images.mean(axis=(1, 2, 3))
+        return np.where(means < 0.2, -np.inf, means)
+
+    arguments: dict[str, Any] = {"loss": log_of_mean, "workers": 0, "seed": 0}
+    result = fit(disk(), target(), SPACE, 30, stop_at=-5, out=tmp_path / "run", **arguments)
+    assert result.stopped == "budget" and result.best is not None
+    assert np.isneginf(result.curve[:, 1]).sum() == 0 and np.isfinite(result.best.loss)
+    more = fit(disk(), target(), SPACE, 40, out=tmp_path / "run", resume=True, **arguments)
+    assert more.evaluations == 40 and more.best is not None and np.isfinite(more.best.loss)
+
+
 def test_a_time_of_centuries_is_waited_for_in_days() -> None:
     assert fit(disk(), target(), SPACE, budget=4, time=1e10, workers=1).evaluations == 4
 
@@ -265,6 +279,21 @@ def test_a_result_is_short_to_read() -> None:
     text = repr(fit(disk(), target(), SPACE, budget=20, workers=0, seed=0))
     assert len(text.splitlines()) <= 6 and "array" not in text
     assert "20 evaluations" in text and "radius" in text
+
+
+def test_writing_is_no_time_of_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(params: Any) -> Any:
+        time.sleep(0.01)
+        return disk()(params)
+
+    def slow_write(self: Fitting, status: str) -> None:
+        time.sleep(2)
+        write(self, status)
+
+    write = Fitting._write
+    monkeypatch.setattr(Fitting, "_write", slow_write)
+    result = fit(slow, target(), SPACE, budget=40, workers=0, seed=0, out=tmp_path / "run")
+    assert result.busy > 0.3
 
 
 def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:

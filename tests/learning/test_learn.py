@@ -320,7 +320,7 @@ def test_nothing_is_written_before_it_can_begin(tmp_path: Path) -> None:
 
 def test_one_call_at_a_time_learns_a_file(tmp_path: Path) -> None:
     """A second one would remove what the first is writing."""
-    live = tmp_path / "m.renders" / ".000000.npz.0123.tmp"
+    live = tmp_path / "m.renders" / ".000000.npz.0123456789ab.tmp"
     seen: list[bool] = []
 
     def render(x: Float64) -> Float64:

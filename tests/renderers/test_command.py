@@ -302,8 +302,17 @@ def test_output_without_end_does_not_fill_the_disk(
     assert log.stat().st_size < 10**6  # of 2.4 million bytes
 
 
+@pytest.mark.parametrize(
+    "timeout",
+    [
+        None,
+        pytest.param(
+            60.0, marks=pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="of Linux")
+        ),
+    ],
+)
 def test_the_end_of_a_program_is_noticed_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
 ) -> None:
     """`Popen.wait` with a time limit looks every 50 ms only: half of a quick render."""
 
@@ -318,7 +327,7 @@ def test_the_end_of_a_program_is_noticed_at_once(
     limits: list[float | None] = []
     monkeypatch.setattr(subprocess, "Popen", Program)
     command = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(0.3)"]
-    assert child.run(command, tmp_path / "log", None).code == 0
+    assert child.run(command, tmp_path / "log", timeout).code == 0
     assert limits == [None]
 
 

@@ -139,11 +139,16 @@ def test_an_error_in_the_file_is_shown_whole(tmp_path: Path) -> None:
     assert FunctionRenderer(f"{path}:half")(3) == 1.5
 
 
-def test_a_file_that_ends_the_process_or_lacks_a_module_is_reported(tmp_path: Path) -> None:
+def test_a_file_that_ends_the_process_or_lacks_a_module_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "leaves.py"
     path.write_text("raise SystemExit(3)")
     with pytest.raises(FideError, match="cannot be imported.*\n.*\n.*\nSystemExit: 3"):
         FunctionRenderer(f"{path}:render")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(FideError, match="leaves cannot be imported.*\n.*\n.*\nSystemExit: 3"):
+        FunctionRenderer("leaves:render")
     path.write_text("import fide_no_such_module")
     with pytest.raises(FideError, match="No module named 'fide_no_such_module'"):
         FunctionRenderer(f"{path}:render")
@@ -199,6 +204,12 @@ def removes(params):
 
 def leaves(params):
     os.chdir("..")
+
+def file(params):
+    return "gray.txt"
+
+def files(params):
+    return Path("gray.txt"), [Path("gray.txt")], 0.5
 """
 
 
@@ -224,6 +235,12 @@ def test_a_file_that_changes_the_folder_changes_its_own_only(here: Path) -> None
     with pytest.raises(RenderError, match="No such file.*gray.txt"):
         renderer({})  # where the code has gone by itself
     assert Path.cwd() == here
+
+
+def test_a_file_that_it_names_is_in_its_own_folder(here: Path) -> None:
+    gray = str(here.parent / "scene" / "gray.txt")
+    assert FunctionRenderer("../scene/moves.py:file")({}) == gray
+    assert FunctionRenderer("../scene/moves.py:files")({}) == [gray, [gray], 0.5]
 
 
 def test_a_file_that_changes_the_folder_is_refused_in_threads(here: Path) -> None:

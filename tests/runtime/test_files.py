@@ -68,18 +68,19 @@ def test_folders_that_cannot_be_written(tmp_path: Path) -> None:
 
 
 def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
-    for name in (".run.json.0123.tmp", "mine.tmp", ".hidden"):
+    for name in (".run.json.0123456789ab.tmp", "mine.tmp", ".hidden", ".notes.tmp"):
         (tmp_path / name).touch()
     files.remove_leftovers(tmp_path)
-    assert sorted(os.listdir(tmp_path)) == [".hidden", "mine.tmp"]
+    assert sorted(os.listdir(tmp_path)) == [".hidden", ".notes.tmp", "mine.tmp"]
 
 
 def test_what_another_process_may_be_writing_stays(tmp_path: Path) -> None:
-    for name in (".new.0123.tmp", ".old.0123.tmp"):
-        (tmp_path / name).touch()
-    os.utime(tmp_path / ".old.0123.tmp", (0, time.time() - 100))
+    new, old = (tmp_path / f".{name}.0123456789ab.tmp" for name in ("new", "old"))
+    new.touch()
+    old.touch()
+    os.utime(old, (0, time.time() - 100))
     files.remove_leftovers(tmp_path, age=50)
-    assert os.listdir(tmp_path) == [".new.0123.tmp"]
+    assert os.listdir(tmp_path) == [new.name]
 
 
 HOLDER = """

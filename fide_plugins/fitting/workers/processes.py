@@ -121,6 +121,7 @@ class _Worker:
         self._ready_at: float | None = None
         self._asked_at = time.monotonic()
         self._executor.submit(_ready).add_done_callback(self._note_ready)
+        _leave_results_to_the_process(self._executor)
 
     def _note_ready(self, _: object) -> None:
         self._ready_at = time.monotonic()
@@ -170,6 +171,17 @@ def _check_directory() -> None:
             "no worker can start, since the working directory no longer exists; change to one that "
             "does (os.chdir), or give workers=0",
         ) from error
+
+
+def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
+    """Close our copy of the end of the pipe into which only the process writes.
+
+    With it open, a process that is killed while it sends an image would leave the executor waiting
+    for the rest for ever, and with it `shutdown`.  The executor has no public name for the pipe.
+    """
+    writer = getattr(getattr(executor, "_result_queue", None), "_writer", None)
+    if writer is not None:
+        writer.close()
 
 
 def _exit_code(process: SpawnProcess) -> int | None:

@@ -122,7 +122,7 @@ def test_a_call_that_is_killed_before_its_record_leaves_the_target_for_the_next(
         compare.run(plan_of(scene, "cma"), out)
     (kept,) = (out / "targets").iterdir()
     before = kept.read_bytes()
-    (out / "targets" / ".left.ckpt.tmp").touch()
+    (out / "targets" / ".left.ckpt.0123456789ab.tmp").touch()
     assert [outcome.kind for outcome in compare.run(plan_of(scene, "cma"), out)] == ["done"]
     assert kept.read_bytes() == before
 

@@ -277,7 +277,7 @@ def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> No
 
 def test_what_others_write_meanwhile_is_kept(tmp_path: Path) -> None:
     first = prepare(small("cma", seeds=1), tmp_path)
-    live = tmp_path / ".study.json.0123.tmp"
+    live = tmp_path / ".study.json.0123456789ab.tmp"
 
     def extend(_: Outcome) -> None:
         live.touch()
