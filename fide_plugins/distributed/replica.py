@@ -182,8 +182,9 @@ class Replica:
     def _open(self) -> None:
         """Draw the candidates of the generation; what is still out of others is forgotten."""
         if 0 not in self._batches:
-            self._population.forget_pending()
-            self.optimizer.draw_generation()
+            if not self._population.remaining:  # else it is drawn, and making proposals failed
+                self._population.forget_pending()
+                self.optimizer.draw_generation()
             self._batches[0] = self._population.hand_out_all()
 
     def _register(

@@ -29,7 +29,7 @@ SCHEMA: Schema = {
 
 
 class Pending:
-    """Candidates by their points, in the order in which they were handed out."""
+    """Candidates by their points, in the order in which the last one of each was handed out."""
 
     def __init__(self) -> None:
         self._by_point: dict[bytes, list[Candidate]] = {}
@@ -59,7 +59,8 @@ class Pending:
             self._pop(next(iter(self._by_point)), 0)
 
     def _await(self, candidate: Candidate) -> None:
-        self._by_point.setdefault(_key(candidate.x), []).append(candidate)
+        key = _key(candidate.x)
+        self._by_point[key] = [*self._by_point.pop(key, ()), candidate]  # the last is at the end
         self._n += 1
 
     def take(self, x: Float64) -> Candidate | None:
@@ -106,7 +107,7 @@ class Pending:
         for several in reversed(self._by_point.values()):  # the last handed out come first
             if several[-1].index < oldest:
                 break
-            n += sum(candidate.role is not CandidateRole.STEP for candidate in several)
+            n += sum(c.role is not CandidateRole.STEP and c.index >= oldest for c in several)
         return n
 
     # -- saving ------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ _LEAST = 32
 """Candidates.  They lie around the start: of three parameters, one that changes the image above 0.7
 of its axis alone changes none of the 32 in a sixth of all searches; above 0.9, in three of four.
 """
+_MOST = 10_000  # candidates that are kept, and so counted
 _ROUNDING = 2e-6  # a GPU renders the same image with other last bits: by 1e-7 to 1e-6
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-9  # by which losses of such images differ at most
 
@@ -37,7 +38,10 @@ class SameImages:
 
     @property
     def number(self) -> int:
-        """How many candidates have the same image, if these are enough to say so; 0 otherwise."""
+        """How many candidates have the same image, if these are enough to say so; 0 otherwise.
+
+        Beyond some 10,000 no more are counted.
+        """
         number = 0 if self._points is None else len(self._points)
         return number if number >= self._enough else 0
 
@@ -66,7 +70,8 @@ class SameImages:
             self.forget()
             return
         known = self.number
-        self._points.update(x.tobytes() for x in points)
+        if len(self._points) < max(_MOST, self._enough):
+            self._points.update(x.tobytes() for x in points)
         if self.number and not known:
             warn_user(
                 f"all images of the first {self.number} different candidates are equal: no "

@@ -13,6 +13,8 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
+from fide_plugins.population import Population
+from fide_plugins.population.candidate import Candidate
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.types import Float32, Float64
 
@@ -134,6 +136,23 @@ def test_who_asks_what_changes_nothing(bench: Bench) -> None:
                 replica.tell(x, *result, generation=replica.generation, slot=slot)
         assert stages(idle) == stages(busy)
     assert idle.generation == busy.generation == 30
+
+
+def test_an_interrupt_while_a_generation_is_made_leaves_it_as_it_would_be(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(_: Population) -> list[Candidate]:
+        raise KeyboardInterrupt
+
+    replica, other = Replica(bench.optimizer()), Replica(bench.optimizer())
+    run(bench, replica, 24)
+    run(bench, other, 24)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Population, "hand_out_all", stopped)
+        replica.candidate(0)
+    assert replica.size == other.size
+    for slot in range(other.size):
+        np.testing.assert_array_equal(replica.candidate(slot).x, other.candidate(slot).x)
 
 
 def test_slots_without_end_are_of_the_same_distribution(target: Float32) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.population import Population, mirrored_pair, pending
+from fide_plugins.population.candidate import Candidate
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of, made_of
@@ -230,6 +231,23 @@ def test_what_never_comes_back_is_given_up_the_oldest_first(
     assert index_of(population, x[14], 0.0) is None
     assert index_of(population, x[15], 0.0) == 15
     assert population.pending == Population.from_state(population.state_dict(), 1).pending == 9
+
+
+def test_of_a_point_that_is_out_twice_the_later_one_is_awaited() -> None:
+    """With integers and choices points come again."""
+    waiting, x = pending.Pending(), np.array([[0.1], [0.2]])
+
+    def add(row: int, index: int) -> None:
+        waiting.add(Candidate(index, x[row], x[row]))
+
+    add(0, 1)
+    add(1, 2)
+    add(0, 100)
+    add(0, 101)
+    assert waiting.take(x[0]) is not None and len(waiting) == 3
+    for same in (waiting, pending.Pending.from_state(waiting.state_dict())):
+        assert same.awaited(4) == 2
+        assert same.awaited(100) == 3
 
 
 def test_what_comes_back_rounded_is_the_candidate_that_was_asked() -> None:

@@ -39,6 +39,15 @@ def test_a_fit_says_once_that_all_images_are_equal() -> None:
     assert "candidates have the same image" in result.status.sentence
 
 
+def test_it_keeps_no_more_points_than_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fide_plugins.views.same_images._MOST", 50)
+    same, rng = SameImages(10), np.random.default_rng(0)
+    with pytest.warns(RuntimeWarning, match=SAYS):
+        for _ in range(40):
+            same.note(rng.random((4, 3)), np.zeros((4, 8, 8, 3), np.float32), np.ones(4))
+    assert same.number == 52
+
+
 @pytest.mark.parametrize(("noise", "equal"), [(1e-7, True), (1e-4, False)])
 def test_a_gpu_s_rounding_makes_no_image_another_one(noise: float, equal: bool) -> None:
     generator = np.random.default_rng(0)

@@ -89,7 +89,7 @@ class OptimizerSettings:
         earlier versions lack that one, and count.
         """
         options = asdict(make_options(self.preset, self.options))
-        described = {name: distribution_to_json(space[name]) for name in space}
+        described = {name: _described(space[name]) for name in space}
         text = json.dumps([options, self.sigma0, self.target is None, described], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()
 
@@ -157,3 +157,10 @@ class Settings:
         made = replace(self.optimizer, options=options).make(dim, seed, self.images)
         first: Float64 = made.ask(1)[0]
         return first
+
+
+def _described(distribution: BaseDistribution) -> str:
+    try:
+        return distribution_to_json(distribution)
+    except TypeError:  # choices that are no JSON, which a study in memory may have
+        return repr(distribution)

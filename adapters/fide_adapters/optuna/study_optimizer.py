@@ -87,6 +87,9 @@ class StudyOptimizer:
             self.only_stored = True
             self.restart()
             self._process(trials, evaluate)
+        except BaseException:  # also Ctrl-C: a trial told in part would be told again
+            self.restart()
+            raise
 
     def _process(self, trials: Trials, evaluate: Evaluate) -> None:
         for trial in self._order.processable(trials):

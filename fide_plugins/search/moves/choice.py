@@ -23,6 +23,7 @@ _KEEP = 0.85  # of what is known, at each outcome of the same move
 _PRIOR_TRIES = 2.0  # that the prior gain is worth
 _FLOOR = 0.3  # of all draws are even
 _LEAST = 1e-300  # gain or cost that can be
+_VAIN = 1e-200  # gain after thousands of vain tries, of which rates can still be compared
 
 
 class Choice:
@@ -41,7 +42,7 @@ class Choice:
     def note(self, name: str, gain: float, evaluations: int) -> None:
         """Note the outcome of a move."""
         i = self.names.index(name)
-        self._gain[i] = _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0)
+        self._gain[i] = max(_VAIN, _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0))
         self._cost[i] = _KEEP * self._cost[i] + evaluations
 
     def probabilities(self, possible: Sequence[str]) -> Float64:

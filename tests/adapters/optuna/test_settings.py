@@ -137,6 +137,20 @@ def test_a_search_space_that_differs_from_the_objective_is_warned_of_once(bench:
     assert len(caught) == 1
 
 
+@pytest.mark.filterwarnings("ignore:Choices for a categorical distribution should be")
+def test_choices_of_a_study_in_memory_may_be_anything() -> None:
+    functions: Any = [np.sin, np.cos]
+
+    def objective(trial: optuna.Trial) -> float:
+        function: Any = trial.suggest_categorical("f", functions)
+        power = trial.suggest_categorical("n", list(np.arange(1, 4)))
+        return float(function(trial.suggest_float("x", 0, 1)) ** power)
+
+    study = optuna.create_study(sampler=FIDESampler(seed=0))
+    study.optimize(objective, n_trials=30)
+    assert counts_of(study)["member"] > 10
+
+
 def test_it_is_found_where_the_optimizer_is() -> None:
     import fide_plugins
 

@@ -12,9 +12,11 @@ from optuna.distributions import FloatDistribution
 from optuna.storages import InMemoryStorage
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from fide_adapters.optuna import FIDESampler
 from fide_adapters.optuna.storage import ASK
 from fide_adapters.optuna.study_optimizer import StudyOptimizer
 from fide_plugins import FIDE
+from fide_plugins.distributed.replica import Replica
 from fide_plugins.types import Float64
 
 from .conftest import Bench, counts_of, state_of
@@ -218,6 +220,34 @@ def workers_of_one_study(bench: Bench, seeds: list[int | None]) -> list[optuna.S
     samplers = [bench.sampler(seed=seed, search_space=bench.space) for seed in seeds]
     shared: dict[str, Any] = {"study_name": "s", "storage": storage, "load_if_exists": True}
     return [optuna.create_study(sampler=sampler, **shared) for sampler in samplers]
+
+
+def test_after_an_interrupt_no_trial_is_told_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    tell, told = Replica.tell, []
+
+    def interrupted(*given: Any, **more: Any) -> Any:
+        role = tell(*given, **more)
+        told.append(role)
+        if len(told) == 20:
+            raise KeyboardInterrupt
+        return role
+
+    def objective(trial: Trial) -> float:
+        return sum(trial.suggest_float(name, 0, 1) ** 2 for name in "abc")
+
+    study = optuna.create_study(sampler=FIDESampler(seed=0))
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Replica, "tell", interrupted)
+        study.optimize(objective, n_trials=60)
+    study.optimize(objective, n_trials=60)
+    complete = sum(trial.state is TrialState.COMPLETE for trial in study.trials)
+    assert counted(optimizer_of(study)) == complete >= 60
+    assert optimizer_of(study).replica.optimizer.evaluations == complete
+    fresh = optuna.load_study(
+        study_name=study.study_name, storage=study._storage, sampler=FIDESampler(seed=0)
+    )
+    fresh.optimize(objective, n_trials=1)
+    assert "altered" not in counts_of(fresh)
 
 
 def test_workers_without_a_seed_share_one(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:

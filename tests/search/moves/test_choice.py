@@ -51,6 +51,17 @@ def test_state_goes_on_and_impossible_ones_are_refused() -> None:
         copy.load_state_dict([])  # type: ignore[arg-type]
 
 
+def test_ten_thousand_vain_tries_leave_a_choice() -> None:
+    choice = Choice(PRIORS, 100)
+    for name in PRIORS:
+        for _ in range(10_000):
+            choice.note(name, 0.0, 100)
+    choice.load_state_dict(choice.state_dict())
+    np.testing.assert_allclose(choice.probabilities(list(PRIORS)), 1 / 3)
+    choice.note("b", 0.1, 100)
+    assert choice.probabilities(list(PRIORS))[1] > 0.79
+
+
 def test_a_move_that_is_added_anywhere_takes_no_other_ones_gain() -> None:
     earlier = Choice({"a": 0.5, "c": 0.1}, 100)
     earlier.note("a", 0.7, 30)
