@@ -111,7 +111,7 @@ class Asking(Retargeting):
     def draw_generation(self) -> None:
         """Queue a generation; spare candidates where the present one needs just its own."""
         state, population = self.state, self.state.population
-        if state.needs_its_own and population.pending + population.evaluated > 0:
+        if state.needs_its_own and population.has_begun:
             self._draw_spare()
         else:
             self.draw(population, state.rng)

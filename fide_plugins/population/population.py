@@ -76,6 +76,11 @@ class Population:
         """How many of these are proposals that are not made yet."""
         return self._queue.unmade
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether something of the present generation is out, told or withdrawn."""
+        return self.pending + self.evaluated + self._withdrawn > 0
+
     def draw(
         self,
         x: Float64,

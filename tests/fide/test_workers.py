@@ -11,8 +11,8 @@ import pytest
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.population import CandidateRole
 from fide_plugins.search.moves.policy import Stage
+from fide_plugins.space import Float, Int, Space
 from fide_plugins.types import Float32, Float64
 
 from .helpers import TINY, Render, StateOf, pending_now, sphere
@@ -115,25 +115,43 @@ def test_lost_candidates_stop_nothing(
 
 
 @pytest.mark.parametrize("stage", TESTS)
+@pytest.mark.parametrize("every", [False, True])
 def test_a_test_with_failures_is_not_asked_again(
-    stage: Stage, target: Float32, render: Render
+    stage: Stage, every: bool, target: Float32, render: Render
 ) -> None:
-    """As many others are asked as failed, and they complete it; unless all of them failed."""
+    """As many others are asked as failed, and they complete it, also where all of them failed."""
     opt = until(stage, target, render, **settings(stage))
     generations = opt.state.population.generations
     own = opt.ask()
-    opt.withdraw(own)
-    again = opt.ask()
-    assert len(again) == len(own) and all(
-        one.role is CandidateRole.MEMBER for one in pending_now(opt)
-    )
-    opt.withdraw(again[:1])
-    opt.tell(again[1:], render(again[1:]))
+    failed = len(own) if every else 1
+    opt.withdraw(own[:failed])
+    if not every:
+        opt.tell(own[1:], render(own[1:]))
     assert opt.state.population.generations == generations
     others = opt.ask()
-    assert len(others) == 1 and not (again == others).all(axis=1).any()
+    assert len(others) == failed and not any((own == x).all(axis=1).any() for x in others)
     opt.tell(others, render(others))
     assert opt.state.population.generations == generations + 1
+
+
+def test_a_value_that_cannot_be_rendered_is_not_asked_for_ever(target: Float32) -> None:
+    """It is among the values that were searched least often, and soon alone."""
+    space, rng = Space(x=Float(0, 1), y=Float(0, 1), n=Int(1, 4)), np.random.default_rng(0)
+    height, width = target.shape[:2]
+    picture = rng.random((height, width, 3)).astype(np.float32)
+    opt = FIDE(space, target, seed=0, popsize=6, patience=1)
+    failed = [0]
+    while opt.evaluations < 700:
+        [x] = opt.ask(1)
+        p = space.decode(x)
+        if p["n"] == 4:
+            opt.withdraw(x[None])
+            failed[-1] += 1
+            assert failed[-1] < 40, "one after the other"
+        else:
+            opt.tell(x[None], [np.clip(picture * p["x"] + 0.1 * p["n"] * p["y"], 0, 1)])
+            failed += [0] * (failed[-1] > 0)
+    assert opt.state.searches > 3 and len(failed) > 3
 
 
 @pytest.mark.parametrize("stage", TESTS)
