@@ -55,8 +55,16 @@ def note(text: str) -> None:
     try:
         print(text, file=sys.stderr, flush=True)
     except BrokenPipeError:
-        with suppress(OSError, ValueError):  # what is printed there, is not
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+        _print_no_more()
+
+
+def _print_no_more() -> None:
+    """What is printed to standard error is lost from now on, and to output if that is the same."""
+    with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
+        error, output = sys.stderr.fileno(), sys.__stdout__
+        if output is not None and os.path.sameopenfile(output.fileno(), error):
+            os.dup2(nowhere.fileno(), output.fileno())
+        os.dup2(nowhere.fileno(), error)
 
 
 @contextmanager

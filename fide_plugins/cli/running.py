@@ -161,6 +161,8 @@ def _execute(
         if again:
             note(f"continue with: {again}")
         return 128 + stop.signum
+    except BrokenPipeError:  # of standard output, when all is done
+        raise
     except (FideError, OSError) as error:
         note(f"{who}: {failed}: {paragraph(error)}")
         return 1

@@ -62,7 +62,7 @@ class SavedRun:
             refused.callback(self.close)
             record = self.restore(optimizer)
             self._directory.write_target(picture(optimizer, optimizer.evaluator.target))
-            self._directory.write_run()
+            self._directory.begin(None)
             refused.pop_all()
         return record
 

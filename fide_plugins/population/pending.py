@@ -29,20 +29,20 @@ SCHEMA: Schema = {
 
 
 class Pending:
-    """Candidates by their points, in the order in which the last one of each was handed out."""
+    """Candidates in the order in which they were handed out, and by their points."""
 
     def __init__(self) -> None:
+        self._by_index: dict[int, Candidate] = {}
         self._by_point: dict[bytes, list[Candidate]] = {}
-        self._n = 0
         self._most = _MOST
         self._newest = 0  # highest index handed out
         self._lags = (0, 0)  # by how much more than a generation a result was late: now, before
 
     def __len__(self) -> int:
-        return self._n
+        return len(self._by_index)
 
     def __iter__(self) -> Iterator[Candidate]:
-        return (candidate for several in self._by_point.values() for candidate in several)
+        return iter(self._by_index.values())
 
     def __contains__(self, x: Float64) -> bool:
         return bool(self._by_point.get(_key(x)))
@@ -55,36 +55,35 @@ class Pending:
         """A candidate was handed out; if there are too many, the oldest is given up."""
         self._await(candidate)
         self._newest = max(self._newest, candidate.index)
-        if self._n > self._most:
-            self._pop(next(iter(self._by_point)), 0)
+        if len(self) > self._most:
+            self._remove(next(iter(self)))
 
     def _await(self, candidate: Candidate) -> None:
-        key = _key(candidate.x)
-        self._by_point[key] = [*self._by_point.pop(key, ()), candidate]  # the last is at the end
-        self._n += 1
+        self._by_index[candidate.index] = candidate
+        self._by_point.setdefault(_key(candidate.x), []).append(candidate)
 
     def take(self, x: Float64) -> Candidate | None:
         """Take the candidate x (d,) away; None if none is.
 
         Of several with nearly the same point that with just this one; of these a spare one.
         """
-        key = _key(x)
-        if not (waiting := self._by_point.get(key)):
+        if not (waiting := self._by_point.get(_key(x))):
             return None
         unlike = [(not np.array_equal(c.x, x), c.role is not CandidateRole.SPARE) for c in waiting]
-        return self._pop(key, unlike.index(min(unlike)))
+        return self._remove(waiting[unlike.index(min(unlike))])
 
-    def _pop(self, key: bytes, which: int) -> Candidate:
-        candidate = self._by_point[key].pop(which)
-        self._n -= 1
-        if not self._by_point[key]:
-            del self._by_point[key]
+    def _remove(self, candidate: Candidate) -> Candidate:
+        del self._by_index[candidate.index]
+        key = _key(candidate.x)
+        left = [other for other in self._by_point.pop(key) if other is not candidate]
+        if left:
+            self._by_point[key] = left
         return candidate
 
     def clear(self) -> None:
         """Forget all."""
+        self._by_index.clear()
         self._by_point.clear()
-        self._n = 0
 
     # -- how long to wait --------------------------------------------------------------------------
 
@@ -104,10 +103,10 @@ class Pending:
         """
         oldest = self._newest - _LONG * (size + max(self._lags))
         n = 0
-        for several in reversed(self._by_point.values()):  # the last handed out come first
-            if several[-1].index < oldest:
+        for candidate in reversed(self._by_index.values()):  # the last handed out come first
+            if candidate.index < oldest:
                 break
-            n += sum(c.role is not CandidateRole.STEP and c.index >= oldest for c in several)
+            n += candidate.role is not CandidateRole.STEP
         return n
 
     # -- saving ------------------------------------------------------------------------------------

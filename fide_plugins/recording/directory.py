@@ -55,10 +55,12 @@ from fide_plugins.saving import Saved
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
-__all__ = ["TABLES", "RunDirectory", "is_under_way", "results_in"]
+__all__ = ["LIVE", "TABLES", "RunDirectory", "is_under_way", "results_in"]
 
 TABLES = ("curve.csv", "improvements.csv")
 _RESULTS = (*TABLES, "best.png", "reference.png", "summary.png", CHECKPOINT)
+LIVE = "live.json"
+"""What a call says of itself between two checkpoints, see `watch.live`."""
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 
 
@@ -205,6 +207,7 @@ class RunDirectory:
         """Write the run down, after its target, which the record names; None: it is elsewhere."""
         if kept is not None:
             kept_target.write(self.path / kept_target.NAME, kept)
+        (self.path / LIVE).unlink(missing_ok=True)
         self.write_run()
 
     def save(self, record: Record, optimizer: Optimizer) -> None:

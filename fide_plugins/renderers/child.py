@@ -23,7 +23,8 @@ _SHOWN = 20  # last lines of the output that an error shows
 _MOST = 4000  # characters of them
 _LONGEST = 2**24  # bytes of output, beyond which the file of it begins anew
 _LOOK = 0.1  # seconds between two looks at its length
-_RUNNING: set[subprocess.Popen[bytes]] = set()
+_RUNNING: set[subprocess.Popen[bytes]] = set()  # in groups of their own
+_ENDING = threading.Event()  # this process
 
 
 @dataclass(frozen=True)
@@ -54,23 +55,31 @@ def run(command: Sequence[str], log: Path, timeout: float | None) -> Ended:
         try:
             with _held(signal.SIGINT, signal.SIGTERM):  # until it is known what is to be stopped
                 child = _start(command, output)
-                _RUNNING.add(child)
+                if not _is_leader():
+                    _RUNNING.add(child)
+            if _ENDING.is_set():
+                raise OSError("this process ends, so it starts no other program")
             with _kept_short(output):
                 code = _wait(child, timeout)
         finally:
             if child is not None:
-                _RUNNING.discard(child)
                 if child.returncode is None:
                     _stop(child)
+                _RUNNING.discard(child)
     return Ended(code, tail_of(log))
 
 
 @atexit.register
 def _stop_all() -> None:
-    """Stop what threads wait for that the end of this process does not let come to an end."""
+    """Kill what threads wait for, which come to no end of their own when this process ends."""
+    _ENDING.set()
     for child in list(_RUNNING):
-        with suppress(ProcessLookupError):
-            _stop(child)
+        with suppress(OSError):
+            _kill(child)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_RUNNING.clear)  # they are of the parent
 
 
 def _wait(child: subprocess.Popen[bytes], timeout: float | None) -> int | None:
@@ -89,8 +98,7 @@ def _ends_within(child: subprocess.Popen[bytes], timeout: float) -> bool | None:
 
     `wait` with a limit looks every 50 ms whether the program has ended; Linux tells at once.
     """
-    milliseconds = math.ceil(timeout * 1000)
-    if not hasattr(os, "pidfd_open") or milliseconds >= 2**31:
+    if not hasattr(os, "pidfd_open") or timeout * 1000 >= 2**31 - 1:
         return None
     try:
         descriptor = os.pidfd_open(child.pid)
@@ -99,7 +107,7 @@ def _ends_within(child: subprocess.Popen[bytes], timeout: float) -> bool | None:
     try:
         ended = select.poll()
         ended.register(descriptor, select.POLLIN)
-        return bool(ended.poll(milliseconds))
+        return bool(ended.poll(math.ceil(timeout * 1000)))
     finally:
         os.close(descriptor)
 
@@ -181,16 +189,22 @@ def _is_leader() -> bool:
 
 def _stop(child: subprocess.Popen[bytes]) -> None:
     """Stop a program that has not been waited for, so that its number is still its own."""
-    if os.name != "posix":
-        child.kill()
-    elif not _is_leader():
-        os.killpg(child.pid, signal.SIGKILL)
+    if not _is_leader():
+        _kill(child)
     else:
         before = signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the group has this process, too
         os.killpg(0, signal.SIGTERM)
         child.kill()
         signal.signal(signal.SIGTERM, before)
     child.wait()
+
+
+def _kill(child: subprocess.Popen[bytes]) -> None:
+    """Kill a program, and its group, which is its own."""
+    if os.name == "posix":
+        os.killpg(child.pid, signal.SIGKILL)
+    else:
+        child.kill()
 
 
 def tail_of(log: Path) -> str:

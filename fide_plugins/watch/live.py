@@ -9,15 +9,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fide_plugins.recording.directory import LIVE
 from fide_plugins.renderers.naming import flat
 from fide_plugins.runtime import files
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.callbacks import Event, Run
 
-__all__ = ["LIVE", "LiveFile", "listed"]
+__all__ = ["LiveFile", "listed"]
 
-LIVE = "live.json"
 _MOST = 2000  # improvements that are kept; beyond that every second of the older half is dropped
 
 

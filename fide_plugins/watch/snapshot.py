@@ -12,7 +12,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.watch.live import LIVE, listed
+from fide_plugins.recording.directory import LIVE
+from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]
 
@@ -64,7 +65,7 @@ class RunFiles:
         under_way = shown["status"] == "running"  # then totals are those of an earlier call
         if isinstance(totals, dict) and isinstance(totals.get("status"), str) and not under_way:
             shown["sentence"] = _text(totals["status"])
-        live = {} if self._is_of_an_earlier_call(LIVE) else self._json(LIVE)
+        live = self._json(LIVE)
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
@@ -75,11 +76,6 @@ class RunFiles:
         if shown["status"] != "running":
             shown.pop("busy", None)
         return shown
-
-    def _is_of_an_earlier_call(self, name: str) -> bool:
-        """Whether the run went on without writing the file."""
-        mine, tables = self._mark(name), self._mark("curve.csv")
-        return mine is not None and tables is not None and tables[0] - mine[0] > _QUIET * 1e9
 
     def _has_stopped(self) -> bool:
         """Whether the process of a run was killed: its lock is free, and nothing is written.

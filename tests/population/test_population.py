@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.population import Population, mirrored_pair, pending
-from fide_plugins.population.candidate import Candidate
+from fide_plugins.population.candidate import Candidate, CandidateRole
 from fide_plugins.types import Float64
 
 from .conftest import drawn, hand_out, index_of, made_of
@@ -248,6 +248,19 @@ def test_of_a_point_that_is_out_twice_the_later_one_is_awaited() -> None:
     for same in (waiting, pending.Pending.from_state(waiting.state_dict())):
         assert same.awaited(4) == 2
         assert same.awaited(100) == 3
+    assert waiting.take(x[0]) is not None and waiting.take(x[0]) is not None
+    for same in (waiting, pending.Pending.from_state(waiting.state_dict())):
+        assert (same.awaited(4), same.awaited(100), len(same)) == (0, 1, 1)
+
+
+def test_a_spare_one_that_comes_back_leaves_the_others_awaited() -> None:
+    waiting, points = pending.Pending(), np.linspace(0, 1, 12)[:, None]
+    for index, point in enumerate([*points, points[0]]):
+        role = CandidateRole.MEMBER if index < 3 else CandidateRole.SPARE
+        waiting.add(Candidate(index, point, point, role))
+    taken = waiting.take(points[0])
+    assert taken is not None and taken.index == 12
+    assert waiting.awaited(3) == pending.Pending.from_state(waiting.state_dict()).awaited(3) == 9
 
 
 def test_what_comes_back_rounded_is_the_candidate_that_was_asked() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import signal
@@ -302,13 +303,19 @@ def test_output_without_end_does_not_fill_the_disk(
     assert log.stat().st_size < 10**6  # of 2.4 million bytes
 
 
+def tells_of_ends() -> bool:
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except (AttributeError, OSError):
+        return False
+    return True
+
+
 @pytest.mark.parametrize(
     "timeout",
     [
         None,
-        pytest.param(
-            60.0, marks=pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="of Linux")
-        ),
+        pytest.param(60.0, marks=pytest.mark.skipif(not tells_of_ends(), reason="of Linux")),
     ],
 )
 def test_the_end_of_a_program_is_noticed_at_once(
@@ -329,6 +336,32 @@ def test_the_end_of_a_program_is_noticed_at_once(
     command = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(0.3)"]
     assert child.run(command, tmp_path / "log", timeout).code == 0
     assert limits == [None]
+
+
+@pytest.mark.parametrize("timeout", [1e9, math.inf])
+def test_a_time_limit_may_be_long(tmp_path: Path, timeout: float) -> None:
+    assert child.run([sys.executable, "-I", "-S", "-c", ""], tmp_path / "log", timeout).code == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="of POSIX")
+def test_a_fork_that_ends_leaves_the_programs_of_its_parent(tmp_path: Path) -> None:
+    script = (
+        "import os, sys, threading, time\n"
+        "from pathlib import Path\n"
+        "from fide_plugins.renderers import child\n"
+        "command = [sys.executable, '-I', '-S', '-c', 'import time; time.sleep(2)']\n"
+        "def render(): print(child.run(command, Path('log'), 60).code, flush=True)\n"
+        "thread = threading.Thread(target=render)\n"
+        "thread.start()\n"
+        "while not child._RUNNING: time.sleep(0.01)\n"
+        "if os.fork() == 0: sys.exit()\n"
+        "thread.join()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", script],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert ended.stdout == "0\n", ended.stderr
 
 
 def test_a_worker_that_leads_a_group_stops_what_hangs_and_goes_on(

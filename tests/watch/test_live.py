@@ -72,6 +72,18 @@ def test_a_fit_of_two_views_and_a_mask(tmp_path: Path) -> None:
     assert set(RunFiles(out).state()["pictures"]) == {"target.png", "best.png", "difference.png"}
 
 
+def test_a_call_without_a_page_shows_nothing_of_an_earlier_one(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    arguments: dict[str, Any] = {"workers": 0, "seed": 0, "out": out}
+    target = render({"angle": 30.0, "level": 0.8})
+    fide_plugins.fit(render, target, SPACE, 20, callbacks=[LiveFile()], **arguments)
+    assert (out / "live.json").exists()
+    fide_plugins.fit(render, target, SPACE, 40, resume=True, **arguments)
+    state = RunFiles(out).state()
+    assert not (out / "live.json").exists() and state["evaluations"] == 40
+    assert not {"budget", "workers"} & state.keys()
+
+
 def test_it_writes_no_more_often_than_it_says(tmp_path: Path) -> None:
     now = [0.0]
     live, written = LiveFile(every=0.5, clock=lambda: now[0]), []

@@ -9,7 +9,11 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from optuna.distributions import BaseDistribution, distribution_to_json
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    distribution_to_json,
+)
 from optuna.samplers import BaseSampler
 
 from fide_adapters.optuna.artifacts import ImageArtifacts
@@ -162,5 +166,6 @@ class Settings:
 def _described(distribution: BaseDistribution) -> str:
     try:
         return distribution_to_json(distribution)
-    except TypeError:  # choices that are no JSON, which a study in memory may have
-        return repr(distribution)
+    except TypeError:  # a study in memory may have choices that are no JSON
+        choices = distribution.choices if isinstance(distribution, CategoricalDistribution) else ()
+        return json.dumps([getattr(one, "__qualname__", None) or repr(one) for one in choices])

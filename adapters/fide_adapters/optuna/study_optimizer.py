@@ -59,6 +59,7 @@ class StudyOptimizer:
         self.only_stored = False
         """Whether it learns from features as they are stored, which are the same for all workers,
         and not from those that this process has computed."""
+        self._broken = False  # by an exception in the midst of a trial
         self.restart()
 
     def restart(self) -> None:
@@ -80,16 +81,21 @@ class StudyOptimizer:
         return self._order.is_processed(number)
 
     def process(self, trials: Trials, evaluate: Evaluate) -> None:
-        """Process the trials that have finished."""
+        """Process the trials that have finished.
+
+        After an exception, such as Ctrl-C, the next call begins anew: of a trial that was told in
+        part nothing is known.
+        """
+        if self._broken:
+            self.restart()
+        self._broken = True
         try:
             self._process(trials, evaluate)
         except StoredFeaturesNeeded:
             self.only_stored = True
             self.restart()
             self._process(trials, evaluate)
-        except BaseException:  # also Ctrl-C: a trial told in part would be told again
-            self.restart()
-            raise
+        self._broken = False
 
     def _process(self, trials: Trials, evaluate: Evaluate) -> None:
         for trial in self._order.processable(trials):

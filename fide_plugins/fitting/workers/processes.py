@@ -174,7 +174,7 @@ def _check_directory() -> None:
 
 
 def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
-    """Close our copy of the end of the pipe into which only the process writes.
+    """Close our copy of the end of the pipe into which the process writes.
 
     With it open, a process that is killed while it sends an image would leave the executor waiting
     for the rest for ever, and with it `shutdown`.  The executor has no public name for the pipe.
