@@ -18,6 +18,7 @@ from fide_plugins.types import Float64
 __all__ = ["SCHEMA", "Pending"]
 
 _MOST = 20_000  # candidates; or twice as many as were asked at once, if that is more
+_ZERO = np.float32(0.0)
 _LONG = 3  # times as late as the latest result of late, from which on no result is expected
 
 SCHEMA: Schema = {
@@ -55,8 +56,8 @@ class Pending:
         """A candidate was handed out; if there are too many, the oldest is given up."""
         self._await(candidate)
         self._newest = max(self._newest, candidate.index)
-        if len(self) > self._most:
-            self._remove(next(iter(self)))
+        if len(self._by_index) > self._most:
+            self._pop(_key(next(iter(self)).x), 0)
 
     def _await(self, candidate: Candidate) -> None:
         self._by_index[candidate.index] = candidate
@@ -67,17 +68,17 @@ class Pending:
 
         Of several with nearly the same point that with just this one; of these a spare one.
         """
-        if not (waiting := self._by_point.get(_key(x))):
+        key = _key(x)
+        if not (waiting := self._by_point.get(key)):
             return None
         unlike = [(not np.array_equal(c.x, x), c.role is not CandidateRole.SPARE) for c in waiting]
-        return self._remove(waiting[unlike.index(min(unlike))])
+        return self._pop(key, unlike.index(min(unlike)))
 
-    def _remove(self, candidate: Candidate) -> Candidate:
+    def _pop(self, key: bytes, which: int) -> Candidate:
+        candidate = self._by_point[key].pop(which)
         del self._by_index[candidate.index]
-        key = _key(candidate.x)
-        left = [other for other in self._by_point.pop(key) if other is not candidate]
-        if left:
-            self._by_point[key] = left
+        if not self._by_point[key]:
+            del self._by_point[key]
         return candidate
 
     def clear(self) -> None:
@@ -133,4 +134,4 @@ class Pending:
 
 def _key(x: Float64) -> bytes:
     """Name of a point, the same after a way through a renderer in single precision."""
-    return (x.astype(np.float32) + np.float32(0.0)).tobytes()  # 0 and -0 are one number
+    return (x.astype(np.float32) + _ZERO).tobytes()  # 0 and -0 are one number

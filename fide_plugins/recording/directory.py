@@ -126,7 +126,7 @@ class RunDirectory:
                 self._run["sources"] = sources_module.versions_with(
                     sources, before, self.path, begun=begun
                 )
-            files.remove_leftovers(self.path, age=files.OLD)  # others may write in the folder
+            files.remove_leftovers(self.path, mine=_is_of_a_run)  # not what others write there
             self._lock = lock.pop_all()
 
     def close(self) -> None:
@@ -287,6 +287,13 @@ def _lock(path: Path) -> ExitStack:
                 "ends or stop it, and resume then, or name another directory"
             )
         return lock.pop_all()
+
+
+def _is_of_a_run(name: str) -> bool:
+    """Whether a run writes files of that name."""
+    pictures = name == "target.png" or name.startswith("frame-")
+    states = name in ("run.json", LIVE, kept_target.NAME) or name.startswith("optimizer-")
+    return name in _RESULTS or pictures or states
 
 
 def results_in(path: Path) -> list[str]:

@@ -12,7 +12,7 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -24,7 +24,6 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
-    "OLD",
     "atomic_writer",
     "check_writable",
     "is_locked",
@@ -35,9 +34,7 @@ __all__ = [
 ]
 
 _SUFFIX = ".tmp"
-_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{12}\.tmp")
-OLD = 3600.0
-"""Seconds after which nobody is still writing a file."""
+_TEMPORARY = re.compile(r"\.(.+)\.[0-9a-f]{12}\.tmp")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
 """Errors of a file system that has no locks; the last one of NFS, for a file opened to be read."""
 _OF_ANOTHER = (errno.EWOULDBLOCK, errno.EACCES)
@@ -104,16 +101,22 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
         raise type(error)(error.errno, message) from error
 
 
-def remove_leftovers(folder: str | os.PathLike[str], *, age: float = 0.0) -> None:
+def remove_leftovers(
+    folder: str | os.PathLike[str],
+    *,
+    age: float = 0.0,
+    mine: Callable[[str], bool] = lambda name: True,
+) -> None:
     """Remove temporary files that a killed process left in `folder`.
 
-    age: seconds since they were last written, at least, where others may be writing, see `OLD`;
-        0: whatever.
+    age: seconds since they were last written, at least, where others may be writing; 0: whatever.
+    mine: whether a file of that name is written by nobody else now.
     """
     for leftover in Path(folder).glob(f".*{_SUFFIX}"):
         with suppress(OSError):
+            of = _TEMPORARY.fullmatch(leftover.name)
             old = not age or time.time() - leftover.stat().st_mtime >= age
-            if old and _TEMPORARY.fullmatch(leftover.name):
+            if of is not None and old and mine(of[1]):
                 leftover.unlink()
 
 

@@ -25,6 +25,15 @@ def test_a_folder_with_such_files_of_someone_else_is_refused(
     assert os.listdir(tmp_path) == [name]
 
 
+def test_temporary_files_of_others_stay(tmp_path: Path) -> None:
+    """`fide learn` may write its model in the same folder at the same time."""
+    ours, theirs = ".best.png.0123456789ab.tmp", ".scene.fide.0123456789ab.tmp"
+    for name in (ours, theirs, ".optimizer-30-0.ckpt.0123456789ab.tmp"):
+        (tmp_path / name).touch()
+    RunDirectory(tmp_path, {"budget": 5}, resume=False).close()
+    assert (tmp_path / theirs).exists() and len(list(tmp_path.glob(".*.tmp"))) == 1
+
+
 def test_other_files_may_be_there(tmp_path: Path) -> None:
     """The user's target is kept: a fit may write its results beside it."""
     (tmp_path / "target.png").write_text("mine")

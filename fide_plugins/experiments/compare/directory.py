@@ -33,6 +33,8 @@ from fide_plugins.runtime import files, machine
 
 __all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of"]
 
+_OLD = 3600.0  # seconds; nothing that is written here takes so long
+
 
 class ComparisonDirectory:
     """Directory `path` of a comparison, made or reopened for `plan`.
@@ -71,7 +73,7 @@ class ComparisonDirectory:
         check_versions(self.path, sources, self.states, there)
         files.check_writable(self.path)
         for folder in (self.path, self.path / TARGETS):
-            files.remove_leftovers(folder, age=files.OLD)  # another process may be at work here
+            files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
 
     def _check(self, theirs: dict[str, Any], resume: bool) -> None:
         mine = self._settings
