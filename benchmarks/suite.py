@@ -37,14 +37,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
-from fide_plugins.cli.arguments import whole
+from fide_plugins.cli.arguments import names, whole
 from fide_plugins.errors import OptionError
 from fide_plugins.experiments import run as harness
 from fide_plugins.experiments.compare import results
 from fide_plugins.experiments.compare.configuration import Configuration
 from fide_plugins.experiments.report import svg
 from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.suite import Suite, figures, names, profiles, read
+from fide_plugins.experiments.suite import Suite, figures, names as suites, profiles, read
 from fide_plugins.experiments.suite.page import Origin, write_scores
 from fide_plugins.experiments.suite.problems import check_budgets
 from fide_plugins.experiments.suite.scores import Scores
@@ -280,10 +280,10 @@ def main() -> None:
     suite = read(arguments.suite)
     budget = budget_of(suite, arguments.budget)
     try:
-        scenes, targets = suite.chosen(arguments.scenes.split(","), arguments.targets)
+        scenes, targets = suite.chosen(arguments.scenes, arguments.targets)
     except OptionError as error:
         sys.exit(str(error))
-    optimizers = [label_of(text) for text in arguments.optimizers.split(",")]
+    optimizers = [label_of(text) for text in arguments.optimizers]
     out = arguments.out or file_of(suite)
     if arguments.table or arguments.picture or arguments.page:
         chosen = [row for row in rows_of(out) if suite.parts(row["problem"])[0] in scenes]
@@ -309,9 +309,15 @@ def parse_arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--suite", default="image-fitting-v1", choices=names(), metavar="NAME")
-    add("--scenes", default=",".join(CHEAP), metavar="A,B", help="also povray, san_miguel, beads")
-    add("--optimizers", default=",".join(OPTIMIZERS), metavar="A,B")
+    add("--suite", default="image-fitting-v1", choices=suites(), metavar="NAME")
+    add(
+        "--scenes",
+        type=names,
+        default=[*CHEAP],
+        metavar="A,B",
+        help="also povray, san_miguel, beads",
+    )
+    add("--optimizers", type=names, default=[*OPTIMIZERS], metavar="A,B")
     add("--targets", type=whole(1), metavar="N", help="the first N (default: all)")
     add("--part", default="0/1", metavar="I/N", help="the runs of this process, 0/2 or 1/2")
     add("--out", type=Path, metavar="FILE", help="that of the suite in benchmarks/results")

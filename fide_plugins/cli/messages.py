@@ -25,23 +25,21 @@ __all__ = [
 
 def plain(text: object) -> str:
     """`text` on one line, with unprintable characters (such as escapes) written out."""
-    words = " ".join(str(text).split())
-    return "".join(c if c.isprintable() else _escaped(c) for c in words)
+    return _printable(" ".join(str(text).split()))
 
 
 def as_typed(words: Iterable[str]) -> str:
     """Words of a command, to be pasted into a shell; unprintable characters are written out."""
-    return "".join(c if c.isprintable() else _escaped(c) for c in shlex.join(words))
+    return _printable(shlex.join(words))
 
 
 def paragraph(text: object) -> str:
     """`text` with its lines and their indentation, other unprintable characters written out."""
-    kept = (c if c.isprintable() or c == "\n" else _escaped(c) for c in str(text).expandtabs())
-    return "".join(kept).rstrip()
+    return "\n".join(map(_printable, str(text).expandtabs().split("\n"))).rstrip()
 
 
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape").decode()
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def complain(who: str, message: object) -> int:

@@ -8,6 +8,7 @@ that of ``x = opt.ask(1); opt.tell(x, [render(x)])``.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -253,7 +254,7 @@ class Loop:
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
             r.first_image = canonical(self.optimizer, image)
-        improved = best is not None and np.isfinite(loss) and loss < r.best_loss
+        improved = best is not None and math.isfinite(loss) and loss < r.best_loss
         if improved:
             assert best is not None
             r.best_loss, r.best_evaluation = loss, r.evaluations

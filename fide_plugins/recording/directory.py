@@ -25,6 +25,7 @@ import os
 import shlex
 from collections.abc import Collection, Mapping
 from contextlib import ExitStack, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +62,9 @@ TABLES = ("curve.csv", "improvements.csv")
 _RESULTS = (*TABLES, "best.png", "reference.png", "summary.png", CHECKPOINT)
 LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
+_WRITTEN = (
+    *_RESULTS, LIVE, kept_target.NAME, "run.json", "target.png", "frame-*.png", "optimizer-*.ckpt",
+)  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 
 
@@ -291,9 +295,7 @@ def _lock(path: Path) -> ExitStack:
 
 def _is_of_a_run(name: str) -> bool:
     """Whether a run writes files of that name."""
-    pictures = name == "target.png" or name.startswith("frame-")
-    states = name in ("run.json", LIVE, kept_target.NAME) or name.startswith("optimizer-")
-    return name in _RESULTS or pictures or states
+    return any(fnmatchcase(name, pattern) for pattern in _WRITTEN)
 
 
 def results_in(path: Path) -> list[str]:
