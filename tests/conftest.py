@@ -7,10 +7,12 @@ import io
 import os
 import shutil
 import signal
+import sys
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, TextIO, TypeAlias
 
@@ -132,6 +134,15 @@ def _only_drawn_where_it_is_looked_at(
         monkeypatch.setattr("fide_plugins.experiments.report.svg.as_file", lambda _: EMPTY_SVG)
 
 
+@pytest.fixture(autouse=True)
+def _folders_of_modules_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's file is imported with its folder, which stays in `sys.path` of its process.
+
+    Of thousands of tests, hundreds would be searched by each import, and by each run for versions.
+    """
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+
+
 def empty_png() -> bytes:
     buffer = io.BytesIO()
     Image.new("L", (1, 1)).save(buffer, format="PNG")
@@ -183,6 +194,27 @@ def ended(pid: int) -> bool:
             return True
         time.sleep(0.02)
     return False
+
+
+@pytest.fixture(scope="session")
+def counted_calls() -> Callable[[Counter[str]], AbstractContextManager[None]]:
+    """A block in which calls of functions are counted, Python's and C's, as ``count["calls"]``.
+
+    Unlike seconds, they depend on no other program, and on no disk.
+    """
+    return counting_calls
+
+
+@contextmanager
+def counting_calls(count: Counter[str]) -> Iterator[None]:
+    def note(frame: object, event: str, argument: object) -> None:
+        count["calls"] += event in ("call", "c_call")
+
+    sys.setprofile(note)
+    try:
+        yield
+    finally:
+        sys.setprofile(None)
 
 
 @pytest.fixture

@@ -5,8 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -65,21 +67,37 @@ def test_further_views_are_a_list_of_pictures() -> None:
         fit(both, [target(), target()], SPACE, 20, views=["front", "side"], workers=0)
 
 
-def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
+def unasked(budget: int) -> Callable[[], object]:
+    """A fit, ready to start, whose optimizer and renderer do nothing."""
     image, X, losses = target(), np.full((1, 4), 0.5), np.array([0.5])
-    stopping = Stopping.of(500, None, None, False)
-    least = np.inf
-    for _ in range(30):  # a busy machine makes single runs slower, never faster
-        fitting = prepare(lambda x: image, image, 4, stopping=stopping, workers=0, seed=0)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(fitting.optimizer, "ask", lambda n: X)
-            patch.setattr(fitting.optimizer, "tell", lambda X, images: losses)
-            start = time.thread_time()
-            fitting.execute()
-            least = min(least, time.thread_time() - start)
-        if least / 500 < 1e-4:
-            return
-    pytest.fail(f"the loop takes {1e3 * least / 500:.3f} ms a render, limit 0.1 ms")
+    stopping = Stopping.of(budget, None, None, False)
+    fitting = prepare(lambda x: image, image, 4, stopping=stopping, workers=0, seed=0)
+    optimizer: Any = fitting.optimizer
+    optimizer.ask, optimizer.tell = lambda n: X, lambda X, images: losses
+    return fitting.execute
+
+
+def test_the_loop_makes_few_calls_for_a_render(
+    counted_calls: Callable[[Counter[str]], AbstractContextManager[None]],
+) -> None:
+    """Calls of functions are counted, which no other program can change."""
+    execute, count = unasked(500), Counter[str]()
+    with counted_calls(count):
+        execute()
+    assert count["calls"] / 500 < 200
+
+
+@pytest.mark.slow
+def test_the_loop_costs_less_than_a_tenth_of_a_millisecond() -> None:
+    """CPU time of this thread, the least of many fits: others make fits slower, never faster."""
+    seconds = []
+    for execute in [unasked(500) for _ in range(30)]:
+        start = time.thread_time()
+        execute()
+        seconds.append(time.thread_time() - start)
+    took_ms = 1e3 * min(seconds) / 500
+    print(f"the loop takes {took_ms:.3f} ms for each render")
+    assert took_ms < 0.1
 
 
 def test_several_workers_find_the_disk_too() -> None:

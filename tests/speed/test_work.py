@@ -7,12 +7,11 @@ change does less, lower the number; where more work buys something, raise it and
 from __future__ import annotations
 
 import inspect
-import sys
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -26,6 +25,8 @@ from fide_plugins import asking, fide
 from fide_plugins.fide import FIDE
 from fide_plugins.population.training_sample import columns
 from fide_plugins.proposers.diffusion import DiffusionProposer
+
+Counted: TypeAlias = Callable[[Counter[str]], AbstractContextManager[None]]
 
 BEGIN, END = 150, 600  # renders between which a run is watched; its buffers are full by then
 MORE = 1.2
@@ -46,22 +47,8 @@ TRAINING, PROPOSING = 82.36, 63.46
 READ = {"dense": 3, "patch": 2}
 
 
-@contextmanager
-def calls(count: Counter[str]) -> Iterator[None]:
-    """Count calls of functions within this block."""
-
-    def note(frame: object, event: str, argument: object) -> None:
-        count["calls"] += event in ("call", "c_call")
-
-    sys.setprofile(note)
-    try:
-        yield
-    finally:
-        sys.setprofile(None)
-
-
 @cache
-def work(preset: str, restarts: str | None) -> dict[str, float]:
+def work(counted_calls: Counted, preset: str, restarts: str | None) -> dict[str, float]:
     """Work for one candidate of a run of Voronoi, all but rendering; restarts: None, the preset's.
 
     When a search is over depends on the last digits, which differ between CPUs, and after that the
@@ -94,10 +81,10 @@ def work(preset: str, restarts: str | None) -> dict[str, float]:
             if opt.evaluations < BEGIN:
                 count.clear()
                 began = opt.evaluations
-            with calls(count):
+            with counted_calls(count):
                 X = opt.ask()
             images = task.render(X)
-            with calls(count):
+            with counted_calls(count):
                 opt.tell(X, images)
     n = opt.evaluations - began
     cubes = {name: count[name] / n / 1000 for name in ("eigen", "factors")}
@@ -106,9 +93,9 @@ def work(preset: str, restarts: str | None) -> dict[str, float]:
 
 @pytest.mark.parametrize("what", ["calls", "eigen", "factors", "images"])
 @pytest.mark.parametrize("preset", WORK)
-def test_work_for_one_candidate(preset: str, what: str) -> None:
+def test_work_for_one_candidate(counted_calls: Counted, preset: str, what: str) -> None:
     restarts = "none" if what in ("eigen", "factors") else None
-    found, stated = work(preset, restarts)[what], WORK[preset][what]
+    found, stated = work(counted_calls, preset, restarts)[what], WORK[preset][what]
     assert found < MORE * stated, f"{preset} does {found:.4g} {what} a candidate, not {stated}"
     assert found > stated / MORE, f"{preset} does less {what}, {found:.4g}: lower the number"
 
@@ -199,12 +186,12 @@ def test_pixels_read_for_one_candidate(encoder: str) -> None:
     assert READ[encoder] / MORE < found < MORE * READ[encoder]
 
 
-def test_what_is_counted_grows_with_the_work() -> None:
+def test_what_is_counted_grows_with_the_work(counted_calls: Counted) -> None:
     """The counter itself: twice the calls are twice the count."""
     counts = []
     for repeats in (50, 100):
         count: Counter[str] = Counter()
-        with calls(count):
+        with counted_calls(count):
             for _ in range(repeats):
                 np.zeros(1).sum()
         counts.append(count["calls"])
