@@ -31,7 +31,7 @@ DOCS   := $(VENV)/.docs
 SITE   := build/docs/html
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-kernels test-gpu lint format docs docs-links wheel clean
+.PHONY: setup demo test test-thorough test-kernels test-gpu lint format docs docs-links wheel clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -51,8 +51,12 @@ demo: setup
 	$(BIN)/fide run voronoi --size 112 --budget 4000 --out runs/demo
 	@echo "Look at runs/demo/summary.png"
 
+# The tests that take less than a second or two, and those that take more.
 test: setup
-	$(KEEP) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL)
+	$(KEEP) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL) -m "not slow and not thorough"
+
+test-thorough: setup
+	$(KEEP) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q $(PARALLEL) -m "thorough and not slow"
 
 # The same result on any CPU: other kernels of OpenBLAS, PyTorch and NumPy, and two threads.
 test-kernels: setup

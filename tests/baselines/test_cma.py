@@ -51,6 +51,7 @@ def test_the_library_gets_finite_losses_with_the_same_ranking(
     assert losses[2] == losses[3] >= largest
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dim", [2, 5, 10])
 def test_rosenbrock_is_solved(dim: int) -> None:
     """By most searches: from four dimensions on there is a second minimum."""

@@ -227,6 +227,7 @@ def test_the_buffer_keeps_the_best() -> None:
     np.testing.assert_array_equal(opt._losses, np.sort(losses)[:50])
 
 
+@pytest.mark.thorough
 def test_it_minimizes() -> None:
     tiny = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
     epochs = {"proxy_epochs": 20, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 10}

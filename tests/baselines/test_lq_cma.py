@@ -28,6 +28,7 @@ def ellipsoid(X: Float64) -> Float64:
     return value
 
 
+@pytest.mark.thorough
 def test_it_is_the_library_to_the_last_bit_over_restarts() -> None:
     points, begun = recorded(cma.fmin_lq_surr2, valley, DIM, seed=5, evaluations=700)
     assert begun >= 2

@@ -135,6 +135,7 @@ def test_densities_that_are_no_numbers_are_none(sbi: Any) -> None:
         assert draw_truncated(10, prior, flow, as_it_is, 0.1, 100).shape == (10, 2)
 
 
+@pytest.mark.thorough
 def test_what_is_asked_comes_near_the_answer(sbi: Any) -> None:
     """A spot that shows both of its parameters: after two rounds it is known where it is."""
     options = {**TINY, "popsize": 90, "epochs": 9, "width": 20, "transforms": 2}

@@ -27,6 +27,7 @@ def trained(n: int = 2400, epochs: int = 9, seed: int = 0) -> PosteriorSampler:
     return predictor
 
 
+@pytest.mark.thorough
 def test_samples_find_both_answers_and_the_regression_their_average() -> None:
     predictor = trained()
     low, high = 0.2, 0.8

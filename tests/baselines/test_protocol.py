@@ -111,6 +111,7 @@ def test_global_random_state_is_neither_read_nor_changed(subject: Subject) -> No
     np.testing.assert_array_equal(run(1), run(2))
 
 
+@pytest.mark.thorough
 def test_seeds(subject: Subject) -> None:
     several = [subject.make(3, seed=s) for s in (0, 1, None, None)]
     runs = [np.concatenate(subject.minimize(opt, 25)).tobytes() for opt in several]
@@ -139,6 +140,7 @@ def test_injected_points_are_counted_and_can_be_best_but_do_not_move_the_search(
     assert theirs.evaluations == count + len(X)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("share", "bad"), [(0.3, np.nan), (1.0, np.inf), (0.5, -np.inf)])
 def test_losses_that_are_no_numbers_rank_last_and_count(
     subject: Subject, share: float, bad: float
@@ -168,6 +170,7 @@ def test_no_thread_outlives_its_baseline(subject: Subject) -> None:
     assert not own & set(threading.enumerate())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("workers", [1, 3])
 def test_candidates_told_in_single_precision(subject: Subject, workers: int) -> None:
     exact, single = subject.make(3, seed=4), subject.make(3, seed=4)

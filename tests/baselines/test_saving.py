@@ -21,6 +21,7 @@ from fide_plugins.runtime import checkpoint
 Subject = Any  # of conftest.py
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.0, 0.02, 1.0])
 def test_saving_and_loading_continues_bit_for_bit(
     subject: Subject, share: float, tmp_path: Path

@@ -262,6 +262,7 @@ def test_doctor_says_which_weights_are_here(
         assert missing.split(", ") == [words[0] for words in listed if len(words) > 1]
 
 
+@pytest.mark.thorough
 def test_doctor_is_short_and_imports_no_framework() -> None:
     script = (
         "import sys; from fide_plugins.cli import main; code = main(['doctor']);"
@@ -280,6 +281,7 @@ def test_doctor_is_short_and_imports_no_framework() -> None:
 # -- interruption ----------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_interrupt_saves_and_resume_reaches_the_same_result(
     forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -24,6 +24,7 @@ SMALL += ["--task-set", "cells=2"]
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
 
+@pytest.mark.thorough
 def test_compare_runs_everything_and_makes_the_report(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["compare", "voronoi", *SMALL, "--losses", "loi", "--out", "out"]
     assert fide(*words, "--threshold", "loi=0.5") == 0
@@ -129,6 +130,7 @@ def test_a_failure_is_exit_code_1_and_in_the_report(
     assert not Path("none/report.html").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(machine.cores() < 2, reason="needs two cores")
 def test_jobs_stop_together_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_command, "make", lambda *_: 0)

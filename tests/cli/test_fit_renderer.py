@@ -183,6 +183,7 @@ def test_a_picture_is_reduced_to_the_renderers_size(capsys: pytest.CaptureFixtur
     assert fide("fit", "large.png", *words, "--size", 16) == 0
 
 
+@pytest.mark.thorough
 def test_ctrl_c_saves_and_resume_goes_on(
     target: Path, forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -312,6 +313,7 @@ def test_wrong_usage_is_said_before_anything_is_written(
     assert not Path("runs").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("body", "message"),
     [
@@ -333,6 +335,7 @@ def test_a_renderer_that_cannot_render_is_found_by_the_first_render(
     assert not Path("runs").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("target")
 def test_the_time_of_the_first_render_is_counted_from_its_beginning() -> None:
     """As in the fit: the start of the worker, which imports the renderer, is none of it."""

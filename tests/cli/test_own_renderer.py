@@ -179,6 +179,7 @@ def test_run_takes_a_program(capsys: pytest.CaptureFixture[str]) -> None:
     assert options == {"space": "space.toml", "command": COMMAND, "timeout": 120.0}
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("program")
 def test_compare_takes_a_program_and_a_picture(target: Path) -> None:
     words = ["--command", COMMAND, "--space", "space.toml", "--target", target.name]

@@ -89,6 +89,7 @@ ODD: list[Any] = [
 ]  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
 @settings(max_examples=120 * CASES, deadline=None)
 @given(st.sampled_from(sorted(STATES)), st.data(), st.integers(1, 3))
@@ -112,6 +113,7 @@ SETTINGS = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
 @pytest.mark.parametrize("which", range(len(SETTINGS)), ids=[place[1] for _, place in SETTINGS])
 def test_settings_of_a_checkpoint_are_refused_or_go_on(which: int) -> None:
@@ -251,6 +253,7 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 @settings(max_examples=60 * CASES, deadline=None)
 @given(st.data())
 def test_a_run_directory_of_anything_is_refused_or_goes_on(

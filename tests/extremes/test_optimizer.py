@@ -127,6 +127,7 @@ def check(opt: FIDE) -> None:
 sizes = st.sampled_from([(1, 1), (1, 5), (3, 2), (8, 8), (2, 40)])
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*clipped to:RuntimeWarning")
 @pytest.mark.filterwarnings("ignore:all images of:RuntimeWarning")
 @settings(max_examples=60 * CASES, deadline=None)

@@ -114,6 +114,7 @@ def make(name: str) -> Any:
     return fide_tasks.make(name, size=32, seed=0, **options)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("proposer", ["linear", "forward"])
 @pytest.mark.parametrize("name", TASKS)
 def test_a_step_in_single_precision(name: str, proposer: str) -> None:

@@ -106,6 +106,7 @@ popsizes = st.one_of(st.integers(2, 20), st.sampled_from([4, 50, 130]))
 exponents = st.floats(-12, 6)
 
 
+@pytest.mark.thorough
 @settings(max_examples=250 * CASES, deadline=None)
 @given(
     d=dims,

@@ -130,6 +130,7 @@ def expected() -> Any:
     return run(None)
 
 
+@pytest.mark.thorough
 def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
     """By the clock and between any two changes of files: what was told is there afterwards."""
     rng, kills, before = random.Random(0), 0, 0
@@ -160,6 +161,7 @@ def test_killed_at_any_time(tmp_path: Path, expected: Any) -> None:
     assert not list(tmp_path.glob("run/.*")), "what a killed writer leaves is cleared"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("most", [0, 900, 5_000, 12_000])
 def test_a_disk_that_is_full(most: int, tmp_path: Path, expected: Any) -> None:
     """No file may grow beyond so many bytes."""

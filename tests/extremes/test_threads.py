@@ -139,6 +139,7 @@ def test_a_forked_process_goes_on_like_its_parent(
         torch.set_num_threads(threads)
 
 
+@pytest.mark.thorough
 def test_a_spawned_process_makes_the_same_and_sends_it_back() -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         made = pool.apply_async(optimizers.make, ("fide", DIM, TARGET), {"seed": 0})

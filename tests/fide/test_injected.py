@@ -15,6 +15,7 @@ from fide_plugins.types import Float32, Float64
 from .helpers import TINY, Render, pending_now, run, sphere
 
 
+@pytest.mark.thorough
 def test_many_workers_late_results_and_lost_candidates(render: Render, target: Float32) -> None:
     """Twenty workers, results in any order, one in ten never comes back."""
     opt = FIDE(6, target, popsize=8, seed=0)

@@ -172,6 +172,7 @@ def test_what_fails_after_the_steps_hands_out_none(
     opt.tell(X := opt.ask(1), render(X))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("n", "out"), [(1, 1), (1, 6), (12, 12)])
 def test_integers_bring_no_step_twice(n: int, out: int) -> None:
     """Asked n at a time, and told when so many are out."""

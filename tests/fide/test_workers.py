@@ -39,6 +39,7 @@ class Workers:
         self.opt.tell(x[None], self.render(x[None]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 1])
 def test_exchangeable_blocks_are_found(seed: int) -> None:
     """The cells of a Voronoi diagram, each the five parameters of one."""

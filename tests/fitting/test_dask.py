@@ -72,6 +72,7 @@ def hanging(gate: Path, times: int) -> Callable[[Any], Any]:
     return render
 
 
+@pytest.mark.thorough
 def test_a_render_that_hangs_costs_one_candidate_and_its_worker(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,6 +63,7 @@ def test_a_failed_render_is_withdrawn_and_the_first_one_shown(
     assert result.optimizer.state.population.pending == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("misfortune", "timeout", "message"),
     [
@@ -200,6 +201,7 @@ print(result.evaluations, result.failures, threading.active_count() > 1)
 """
 
 
+@pytest.mark.thorough
 def test_a_thread_that_hangs_does_not_keep_the_script_alive() -> None:
     command = [sys.executable, "-W", "ignore", "-c", HANGS]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)

@@ -194,6 +194,7 @@ def in_a_pool(_: int) -> tuple[int, list[str], str]:
     return result.evaluations, [str(one.message) for one in caught], refused
 
 
+@pytest.mark.thorough
 def test_a_process_that_may_start_no_other_renders_in_threads(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -302,6 +303,7 @@ def test_a_result_is_short_to_read() -> None:
     assert "20 evaluations" in text and "radius" in text
 
 
+@pytest.mark.thorough
 def test_writing_is_no_time_of_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def slow_write(self: Fitting, status: str) -> None:
         time.sleep(2)

@@ -76,6 +76,7 @@ def slow_tell(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FIDE, "tell", late)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("slow_tell")
 @pytest.mark.parametrize("executor", ["threads", "processes"])
 @pytest.mark.parametrize(("views", "opened"), [(1, False), (2, False), (1, True)])
@@ -85,6 +86,7 @@ def test_each_candidate_is_told_with_its_own_image(
     check(one_file(tmp_path, views, opened), executor, views)
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("slow_tell")
 @pytest.mark.parametrize("tensor", [False, True])
 def test_threads_may_draw_into_one_array_each(tensor: bool) -> None:

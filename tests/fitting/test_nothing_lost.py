@@ -271,6 +271,7 @@ SCRIPT = """
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.name == "nt", reason="no such locks on Windows")
 def test_a_second_process_is_refused_until_the_first_one_has_ended(tmp_path: Path) -> None:
     def render(x: Any) -> Any:

@@ -197,6 +197,7 @@ def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
     assert "features of the encoder learned-1-" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_the_global_preset_of_a_fit_and_of_a_run(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

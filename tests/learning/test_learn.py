@@ -92,6 +92,7 @@ def test_what_was_rendered_is_not_rendered_again(tmp_path: Path) -> None:
     assert len(calls) == 2 + 200 + 4  # of the renders that are there, see test_identity.py
 
 
+@pytest.mark.thorough
 def test_other_renders_are_refused_with_the_difference(learned: Path) -> None:
     with pytest.raises(OptionError, match=r"its size is \[16, 16\], not \[20, 20\]"):
         learn(disk, SPACE, size=20, out=learned)
@@ -472,6 +473,7 @@ def test_training_begins_again_where_images_are_changed_otherwise(tmp_path: Path
     assert again.report.curve == fresh.report.curve
 
 
+@pytest.mark.thorough
 def test_more_passes_go_on_and_fewer_begin_again(tmp_path: Path) -> None:
     arguments: dict[str, Any] = {"renders": 200, "size": SIDE}
     file = tmp_path / "m"
@@ -511,6 +513,7 @@ def test_a_schedule_that_was_only_interrupted_is_not_extended(passes: int, tmp_p
     assert state["passed"] == passes and not state["extended"]
 
 
+@pytest.mark.thorough
 def test_a_longer_schedule_goes_on_where_nothing_improved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -525,6 +528,7 @@ def test_a_longer_schedule_goes_on_where_nothing_improved(
     assert passed[0] == passed[1] < 12 and passed[2] == 15
 
 
+@pytest.mark.thorough
 def test_more_time_extends_a_schedule_that_the_time_ended(tmp_path: Path) -> None:
     """Its rate was zero at the end, and is high again.  The pass that it cut short begins again."""
     options: dict[str, Any] = {"renders": 200, "size": SIDE, "passes": 4, "out": tmp_path / "m"}

@@ -74,6 +74,7 @@ def test_without_a_memory_the_last_best_point_comes_first(proposer: str, model: 
     np.testing.assert_array_equal(opt.ask(), expected)
 
 
+@pytest.mark.thorough
 def test_a_remembered_candidate_that_is_best_is_searched_as_narrowly_as_memory_says(
     model: Model,
 ) -> None:
@@ -111,6 +112,7 @@ def test_the_memory_is_compared_with_the_search_that_would_follow() -> None:
     assert not moves.hypotheses.available
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("renders", [0, 30, 200])
 def test_a_saved_run_goes_on_bit_for_bit(renders: int, model: Model, tmp_path: Path) -> None:
     whole, parts = searched(renders, learned=model), searched(renders, learned=model)
@@ -209,6 +211,7 @@ def hard_disk(params: dict[str, Any]) -> Float64:
     return image
 
 
+@pytest.mark.thorough
 def test_a_far_picture_is_found_about_as_soon_as_by_a_new_optimizer(tmp_path: Path) -> None:
     """Renders to a loss of 1e-4, of eight pairs of pictures."""
     space = Space(x=Float(0, 1), y=Float(0, 1), radius=Float(0, 1))

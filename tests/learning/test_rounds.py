@@ -24,6 +24,8 @@ from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
 
+pytestmark = pytest.mark.thorough
+
 TRUTH = {"x": 0.3, "y": 0.65, "gray": 0.5, "hidden": 0.5}
 PICTURE = disk(TRUTH)
 BUDGET = 500

@@ -94,6 +94,7 @@ def run(learned: Path, budget: int, out: Path | None, *, resume: bool = False) -
     return np.minimum.accumulate(result.losses)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("run", [fitted, run])
 def test_hypotheses_are_made_only_where_no_state_is_saved(
     run: Callable[..., Float64], learned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -121,6 +122,7 @@ def test_hypotheses_are_made_only_where_no_state_is_saved(
     assert any(asked)
 
 
+@pytest.mark.thorough
 def test_all_distinct_hypotheses_have_their_turn_before_other_moves(model: Model) -> None:
     opt = FIDE(SPACE, PICTURE, learned=model, seed=1)
     while opt.state.moves.hypotheses.waiting or opt.evaluations < 100:

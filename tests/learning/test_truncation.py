@@ -19,6 +19,8 @@ from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
 
+pytestmark = pytest.mark.thorough
+
 TRUTH = np.array([0.3, 0.65, 0.5, 0.5])
 PICTURE = disk(SPACE.decode(TRUTH))
 OTHER = disk(SPACE.decode(np.array([0.6, 0.4, 0.9, 0.5])))

@@ -157,6 +157,7 @@ CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
 """What a page must have found; the others must only run."""
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
 @pytest.mark.filterwarnings("ignore:the model of .* has learned nothing like")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: f"{page.parent.name}-{page.stem}")

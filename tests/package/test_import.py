@@ -57,6 +57,7 @@ assert isinstance(learn, types.FunctionType) and fide_plugins.learn is learn
 """
 
 
+@pytest.mark.thorough
 def test_no_submodule_hides_what_its_package_exports() -> None:
     subprocess.run([sys.executable, "-c", SUBMODULES_FIRST], check=True)
 

@@ -204,6 +204,7 @@ class TestBrowser:
         schemes = (("light", check.SCREEN), ("dark", check.PHONE))
         return [one for how in schemes for one in check.read(browser, folder, *how)]
 
+    @pytest.mark.thorough
     def test_a_good_site(self, check: ModuleType, browser: Any, good: Path) -> None:
         assert self.read(check, browser, good) == []
         assert list(check.films(browser, good)) == []
@@ -225,6 +226,7 @@ class TestBrowser:
         self.add(good, text)
         assert any(complaint in one for one in self.read(check, browser, good))
 
+    @pytest.mark.thorough
     def test_a_film_that_stands_still(self, check: ModuleType, browser: Any, good: Path) -> None:
         (good / "film.webp").write_bytes((good / "still.webp").read_bytes())
         troubles = list(check.films(browser, good, wait=1000))

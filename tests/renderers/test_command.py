@@ -285,6 +285,7 @@ def test_the_time_of_a_render_is_that_of_all_views_together(
     assert given[6:] == [None, None]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("timeout", [60, None])
 def test_output_without_end_does_not_fill_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, timeout: float | None
@@ -343,6 +344,7 @@ def test_a_time_limit_may_be_long(tmp_path: Path, timeout: float) -> None:
     assert child.run([sys.executable, "-I", "-S", "-c", ""], tmp_path / "log", timeout).code == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="of POSIX")
 def test_a_fork_that_ends_leaves_the_programs_of_its_parent(tmp_path: Path) -> None:
     script = (

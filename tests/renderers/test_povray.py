@@ -60,6 +60,7 @@ def test_the_target_is_that_of_its_parameters() -> None:
     assert np.abs(picture - images.load("target.png")).mean() < 2 / 255
 
 
+@pytest.mark.thorough
 def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None:
     words = documented()
     words[words.index("--budget") + 1] = "10"
@@ -74,6 +75,7 @@ def test_the_documented_command_fits(capsys: pytest.CaptureFixture[str]) -> None
     assert np.square(again - images.load("target.png")).mean() == pytest.approx(result["mse"])
 
 
+@pytest.mark.thorough
 def test_fit_finds_the_same_from_python() -> None:
     render = small()
     target = render(TRUTH)
@@ -84,6 +86,7 @@ def test_fit_finds_the_same_from_python() -> None:
     assert result.best.loss < np.median(result.optimizer.evaluator.loss(_random(render)))
 
 
+@pytest.mark.thorough
 def test_optuna_s_sampler_fits_it_too() -> None:
     optuna = pytest.importorskip("optuna")
     from fide_adapters.optuna import FIDESampler, image_objective

@@ -281,6 +281,7 @@ assert torch.get_num_threads() == 2, torch.get_num_threads()
 """
 
 
+@pytest.mark.thorough
 def test_a_library_that_is_imported_later_is_found() -> None:
     # MKL's, too: Dask sets it to 1 in the process of the tests
     numbers = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "2")

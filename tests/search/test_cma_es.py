@@ -220,6 +220,7 @@ def test_generations_without_a_finite_loss_only_widen_until_there_is_one() -> No
         np.testing.assert_array_equal(value, before[name], err_msg=name)
 
 
+@pytest.mark.thorough
 def test_failures_here_and_there_do_not_widen_a_search() -> None:
     """Of generations in which seven of ten candidates fail, one in 25 has no loss at all."""
     ends = []

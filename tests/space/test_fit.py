@@ -47,6 +47,7 @@ def fitted(seed: int) -> FIDE:
     return opt
 
 
+@pytest.mark.thorough
 def test_all_kinds_of_parameters_are_found() -> None:
     """By two of at most six runs: the angle lies near the end of its range."""
     found = 0
@@ -96,6 +97,7 @@ def test_a_point_that_was_never_asked_counts_as_what_is_rendered_there() -> None
     np.testing.assert_array_equal(opt.best.x, SPACE.snap(inexact))
 
 
+@pytest.mark.thorough
 def test_a_solution_keeps_the_standard_deviations_of_its_time() -> None:
     """Whether they are read at once or later: they belong to the solution."""
     first, second = (FIDE(SPACE, TARGET, seed=0) for _ in range(2))

@@ -84,6 +84,7 @@ def test_beads_reach_the_walls_and_go_no_further(task: Task) -> None:
     assert list(task.decode(np.zeros(18))["bead 6"]) == [f"{a} [half sides]" for a in "xyz"]
 
 
+@pytest.mark.thorough
 def test_axes_are_right_up_and_towards_the_camera() -> None:
     task = make(32, reference_spp=512)
     away = np.tile([0.5, 0.5, 0.0], 6)  # all six in one place at the back wall
@@ -130,6 +131,7 @@ def test_renders_vary_continuously(task: Task) -> None:
     assert changes[0] < noise, "a step of 1/250 is lost in the noise of 256 paths"
 
 
+@pytest.mark.thorough
 def test_the_loss_of_references_is_lowest_at_x_star() -> None:
     task = make(24, reference_spp=1024)
     x, target = task.x_star, task.target

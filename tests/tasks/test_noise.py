@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 import fide_tasks
 from fide_tasks import Task
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")
 
 NAMES = ["beads", "san_miguel"]

@@ -286,6 +286,7 @@ def measured(*expressions: str) -> list[float]:
     return [float(word) for word in alone(f"{MEMORY}\nprint({', '.join(expressions)})").split()]
 
 
+@pytest.mark.thorough
 @needs_proc
 def test_neither_frames_nor_contexts_leave_memory_behind_and_contexts_that_stay_are_seen() -> None:
     """One that stays takes 28 MB."""

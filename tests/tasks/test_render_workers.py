@@ -52,6 +52,7 @@ def pids(task: Any) -> list[int]:
     return found
 
 
+@pytest.mark.thorough
 def test_images_do_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     one, two, X = make(1, variant="auto"), make(2, variant="auto"), random_x(9)
     np.testing.assert_array_equal(two.render(X, seed=4), one.render(X, seed=4))
@@ -97,6 +98,7 @@ def test_a_process_killed_while_it_renders(shared: Any) -> None:
     killer.join()
 
 
+@pytest.mark.thorough
 def test_a_process_that_is_stopped_is_an_error(
     shared: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,6 +168,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.thorough
 def test_wherever_a_process_gets_stuck_it_is_noticed(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(STUCK.replace("{path}", repr([p for p in sys.path if p])))

@@ -224,6 +224,7 @@ def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.thorough
 def test_many_parameters_are_known_as_well_as_noisy_samples_tell() -> None:
     """A linear renderer with noise in each render; the samples are those of a search."""
     d, n, rng = 200, 1500, np.random.default_rng(0)
@@ -301,6 +302,7 @@ SCENE = Space(
 )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_a_search_knows_which_choices_the_picture_does_not_show() -> None:
     """Noise in every render; of six seeds, since how often a search tries a value is chance."""
     v, u = np.mgrid[-1:1:16j, -1:1:16j]
@@ -337,6 +339,7 @@ def spot(p: dict[str, float]) -> Float64:
     return bright
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("budget", [60, 200])
 def test_a_search_of_steps_does_not_know_what_the_picture_does_not_show(budget: int) -> None:
     """A step leaves such a parameter where it is, so that its samples soon lie together."""

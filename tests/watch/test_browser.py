@@ -20,6 +20,7 @@ def titled(page: Any, text: str) -> None:
     playwright.expect(page).to_have_title(re.compile(f"^{re.escape(text)}"))
 
 
+@pytest.mark.thorough
 def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, directory: Path) -> None:
     page = browser.new_page(viewport={"width": 1000, "height": 900})
     troubles: list[str] = []
@@ -65,6 +66,7 @@ def test_losses_of_zero_and_below_have_a_curve(
     page.close()
 
 
+@pytest.mark.thorough
 def test_it_says_when_nobody_answers(browser: Any, directory: Path) -> None:
     from fide_plugins.watch import serve
 

@@ -60,6 +60,7 @@ EXECUTORS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:Ignoring since timer was stopped")  # of Nevergrad's batches
 @pytest.mark.parametrize(
     "name", ["threads", "processes", "dask", pytest.param("submitit", marks=pytest.mark.slow)]

@@ -55,6 +55,7 @@ def test_point_20_infnan(theirs: Any, alias: str) -> None:
     theirs.lib.test_infnan(alias)
 
 
+@pytest.mark.thorough
 def test_point_20_infnan_with_any_seed(theirs: Any) -> None:
     """As theirs of the same name, many times: NaN or infinite but in a quarter of the plane."""
     failures = []

@@ -37,6 +37,7 @@ assert registry["FIDE"] is fide_adapters.nevergrad.FIDE is not first
 """
 
 
+@pytest.mark.thorough
 def test_point_19_importing_registers_one_name_and_loads_nothing() -> None:
     output = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROBE], capture_output=True, text=True, check=True

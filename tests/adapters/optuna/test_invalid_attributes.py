@@ -141,6 +141,7 @@ def meddled(draw: st.DrawFn) -> list[FrozenTrial]:
     return trials
 
 
+@pytest.mark.thorough
 @settings(max_examples=60 * CASES, deadline=None, suppress_health_check=list(HealthCheck))
 @given(meddled(), st.none() | anything, st.sampled_from([None, 0]))
 def test_whatever_is_in_the_storage_the_search_goes_on(

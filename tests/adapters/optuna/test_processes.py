@@ -121,6 +121,7 @@ def check(study: optuna.Study, folder: Path) -> None:
     assert at >= running[0].number
 
 
+@pytest.mark.thorough
 def test_point_8_four_processes_on_a_journal(folders: dict[str, tuple[Path, str]]) -> None:
     folder, path = folders["journal"]
     storage = JournalStorage(JournalFileBackend(path))

@@ -198,6 +198,7 @@ print(json.dumps([[t.params for t in study.trials], hash("differs from process t
 """
 
 
+@pytest.mark.thorough
 def test_point_2_reproducible_in_another_process() -> None:
     run = [sys.executable, "-c", ELSEWHERE]
     environment = {**os.environ, "PYTHONHASHSEED": "12345"}

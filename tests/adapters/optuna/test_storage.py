@@ -44,6 +44,7 @@ def params_in(storage: Any) -> list[dict[str, Any]]:
     return [trial.params for trial in study.trials]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", STORAGE_MODES)
 def test_point_5_every_storage_gives_the_same(mode: str, in_memory: list[dict[str, Any]]) -> None:
     with warnings.catch_warnings():

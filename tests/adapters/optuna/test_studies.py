@@ -106,6 +106,7 @@ def test_a_pickled_sampler_begins_such_a_study_like_a_new_one(bench: Bench) -> N
     np.testing.assert_array_equal(bench.points(old), alone(bench, 40))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pickled", [False, True])
 @pytest.mark.parametrize("reconnects", [False, True])
 def test_a_study_that_was_deleted_and_made_again(

@@ -70,6 +70,7 @@ def skipped(workers: int, trials: int, spread: float, dies: float, seed: int = 0
     return [dead[number] for number in history.skipped]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dies", [0.0, 0.25])
 def test_a_hundred_workers_are_waited_for(dies: float) -> None:
     found = skipped(100, 1500, 0.3, dies)

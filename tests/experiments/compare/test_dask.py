@@ -24,6 +24,7 @@ def cluster() -> Iterator[Any]:
         yield cluster
 
 
+@pytest.mark.thorough
 def test_runs_on_a_cluster_are_those_of_one_process(cluster: Any, tmp_path: Path) -> None:
     plan = small("random", "random:popsize=30", seeds=2)
     outcomes = compare.run(plan, tmp_path / "there", dask=cluster.scheduler_address)

@@ -15,6 +15,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "reference" / "compare.md"
 SMALL = 'seeds=1, budget=60, size=16, task_options={"cells": 2}'
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(machine.cores() < 2, reason="two processes need two cores")
 def test_the_example_is_a_script_of_two_processes(tmp_path: Path) -> None:
     """Each process imports the script again, so what it runs must be under the guard."""

@@ -47,6 +47,7 @@ def targets(out: Path) -> set[str]:
     return {run["settings"]["target"] for run in runs}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_it_is_rendered_once_for_all_runs_and_all_calls(
     scene: str, jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -315,6 +315,7 @@ def test_folders_of_other_things_are_left_alone(tmp_path: Path) -> None:
             compare.run(small(), tmp_path, resume=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_what_an_optimizer_warns_of_is_said_once(
     jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -34,6 +34,7 @@ def page(browser: Any, address: str) -> Iterator[Any]:
     assert [url for url in fetched if not url.startswith("data:")] == [address]
 
 
+@pytest.mark.thorough
 def test_the_axis_can_be_changed(page: Any) -> None:
     charts = page.locator(".charts")
     for button in charts.locator("button.axis").all():
@@ -126,6 +127,7 @@ def test_a_phone_shows_it_without_scrolling_sideways(
     context.close()
 
 
+@pytest.mark.thorough
 def test_many_optimizers_with_long_names_fit_a_phone_too(browser: Any, tmp_path: Path) -> None:
     from fide_plugins.experiments import report
 

@@ -385,6 +385,7 @@ def test_seeds_that_are_missing_are_not_said_to_be_few() -> None:
     assert "6 of 12 runs are not finished, continue with --resume" in sentences.verdict(panel)
 
 
+@pytest.mark.thorough
 def test_failures_reach_the_page_the_markdown_and_the_terminal(study: Path, written: Path) -> None:
     overview = report.write(compare.read(study), study / "report.html").overview
     said = f"1 of 6 runs failed and count as infinite: {NASTY['configuration']} 1 of 3."
@@ -393,6 +394,7 @@ def test_failures_reach_the_page_the_markdown_and_the_terminal(study: Path, writ
     assert "\\" not in overview.replace("\\1", ""), "a terminal shows names without escapes"
 
 
+@pytest.mark.thorough
 def test_a_task_of_which_every_run_failed_is_named(study: Path, tmp_path: Path) -> None:
     there = compare.read(study)
     runs = [*there.runs, *(failed("cma", s, task="b_2") for s in range(2))]

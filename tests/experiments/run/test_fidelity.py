@@ -57,6 +57,7 @@ def test_samples_rise_as_the_search_narrows() -> None:
     assert result.details()["samples"] == result.samples
 
 
+@pytest.mark.thorough
 def test_it_finds_what_many_samples_find_and_few_do_not() -> None:
     """Judged by references: as good as with 64 throughout, better than with one."""
 

@@ -49,6 +49,7 @@ def test_the_definition() -> None:
     assert pickle.loads(pickle.dumps(SUITE)).scenes.keys() == SUITE.scenes.keys()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SUITE.scenes)
 def test_every_scene_builds_and_its_truth_solves_it(name: str) -> None:
     if name in NEEDS:
@@ -209,6 +210,7 @@ def test_failed_runs_are_unsolved_and_open_ones_left_out(
     assert "Left out, 1 problem: random is missing on lamps-1." in printed.out
 
 
+@pytest.mark.thorough
 def test_what_was_never_run_is_named_and_optimizers_may_be_chosen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

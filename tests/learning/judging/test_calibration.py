@@ -66,6 +66,7 @@ def narrow(of: Network, to: float) -> None:
                     numbers[:, 3] = float(np.log(z / (1 - z))) - 1.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("head", "blocks"), KINDS)
 def test_the_scale_that_was_lost_is_found(head: str, blocks: list[list[int]]) -> None:
     """Parameters come from a density; one that is half as wide is mended."""
@@ -119,6 +120,7 @@ def test_renders_that_choose_do_not_judge() -> None:
     assert fitted_scale(network("mixture", []), np.zeros((0, 5)), PICTURE[:0]) == 1.0
 
 
+@pytest.mark.thorough
 def test_the_scale_comes_with_the_file(tmp_path: Path) -> None:
     def gray(x: Any) -> Any:
         return np.broadcast_to(x[0], (SIDE, SIDE))

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.learning import LearnProgress, Model, learn
 from fide_plugins.learning.hypotheses import posterior_of
+from fide_plugins.learning.networks import inversion
 from fide_plugins.learning.networks.emulator import Emulator
 from fide_plugins.learning.networks.inversion import _bounded, _free, inverted
 from fide_plugins.learning.networks.network import as_input
@@ -116,10 +117,12 @@ def test_renders_that_are_all_the_same_are_no_division_by_zero() -> None:
     assert torch.isfinite(loss)
 
 
+@pytest.mark.thorough
 def test_it_learns_renders_that_it_has_not_seen(trained: tuple[Emulator, float]) -> None:
     assert trained[1] < 0.1  # other seeds: 0.006 to 0.02
 
 
+@pytest.mark.thorough
 def test_descents_find_what_the_emulator_made(trained: tuple[Emulator, float]) -> None:
     """An identity, whatever was learned: the pictures are the emulator's own.
 
@@ -189,6 +192,7 @@ def model(trained: tuple[Emulator, float], tmp_path_factory: pytest.TempPathFact
     return Model.load(path)
 
 
+@pytest.mark.thorough
 def test_hypotheses_are_what_descents_find(model: Model) -> None:
     """Their renders are nearer to the picture than all but a few of a thousand others."""
     assert model.emulates
@@ -204,6 +208,15 @@ def test_hypotheses_are_what_descents_find(model: Model) -> None:
         assert (np.square(others - picture).mean(axis=(1, 2)) < error).mean() < 0.02
 
 
+@pytest.fixture
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Descents that find nothing, where it is their identity that counts."""
+    stages = tuple(replace(stage, steps=6) for stage in inversion._STAGES)
+    monkeypatch.setattr(inversion, "_STAGES", stages)
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("few_steps")
 def test_same_seed_same_hypotheses(model: Model) -> None:
     picture, X = lights(np.full(6, 0.3)), np.random.default_rng(0).random((3, 6))
     first, second, third = (model.refined(picture, X, seed) for seed in (0, 0, 1))
@@ -212,6 +225,7 @@ def test_same_seed_same_hypotheses(model: Model) -> None:
     assert not np.array_equal(first, third)
 
 
+@pytest.mark.thorough
 def test_a_bad_emulator_is_not_asked(model: Model) -> None:
     bad = replace(model, report=replace(model.report, emulated=0.89))
     assert not bad.emulates
@@ -221,6 +235,7 @@ def test_a_bad_emulator_is_not_asked(model: Model) -> None:
     assert posterior.refined is None
 
 
+@pytest.mark.thorough
 def test_without_an_emulator_nothing_is_refined(model: Model) -> None:
     without = replace(model, emulator=None)
     assert not without.emulates
@@ -230,11 +245,14 @@ def test_without_an_emulator_nothing_is_refined(model: Model) -> None:
         replace(without, blocks=()).refined(lights(np.full(6, 0.3)), np.full((1, 6), 0.5))
 
 
+@pytest.mark.thorough
 def test_points_are_needed(model: Model) -> None:
     with pytest.raises(OptionError, match="X has no points"):
         model.refined(lights(np.full(6, 0.3)), np.empty((0, 6)))
 
 
+@pytest.mark.thorough
+@pytest.mark.usefixtures("few_steps")
 @pytest.mark.parametrize("loaded", ["outside", "inside"])
 def test_a_mode_of_the_caller_changes_nothing(model: Model, loaded: str, tmp_path: Path) -> None:
     """Neither that of inference, which forbids gradients, nor that of low precision."""
@@ -332,6 +350,7 @@ def damaged(state: dict[str, Any], how: str) -> dict[str, Any]:
     return {**state, "emulator": weights, "report": report}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "how",
     [

@@ -65,6 +65,7 @@ def store(folder: Path, dim: int = 2) -> RenderStore:
     return RenderStore(folder, {"dim": dim, "size": [SIDE, SIDE], "seed": 0, "renderer": "r"})
 
 
+@pytest.mark.thorough
 def test_a_cluster_renders_the_same_and_goes_on(client: Any, tmp_path: Path) -> None:
     task = fide_tasks.make("voronoi", SIDE, cells=2)
 
@@ -109,6 +110,7 @@ def test_a_lost_worker_costs_the_shard_it_rendered(client: Any, tmp_path: Path) 
     assert 600 < len(Path(calls).read_text()) <= 600 + 2 * 100
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_a_render_that_ends_every_worker_is_one_that_failed(client: Any, tmp_path: Path) -> None:
     """With a worker what it had rendered is lost, too: nothing else may be counted as failed."""

@@ -75,6 +75,7 @@ def refused_in_a_pool(out: Path) -> str:
     return ""
 
 
+@pytest.mark.thorough
 def test_a_process_that_may_start_no_other_is_told_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,7 @@ def same(one: Model, other: Model) -> bool:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("room", [0, 1000])
 @pytest.mark.parametrize(
     ("module", "name", "kept"),

@@ -317,6 +317,7 @@ open(sys.argv[1], "w").write("P2 16 16 255 " + pixels)
 """
 
 
+@pytest.mark.thorough
 def test_a_program_that_has_changed_is_noticed(tmp_path: Path) -> None:
     """Its command line is what it was."""
     file = tmp_path / "draw.py"

@@ -71,6 +71,7 @@ def states(out: Path) -> dict[str, dict[str, Any]]:
     return {name: checkpoint.read(folder / name, "training")["state"] for name in names}
 
 
+@pytest.mark.thorough
 def test_a_quarter_of_the_time_is_the_emulator_s(clock: Clock, tmp_path: Path) -> None:
     there = learned(clock, tmp_path / "m")
     assert there["training"]["spent"] == 210  # the step that is under way is finished
@@ -79,6 +80,7 @@ def test_a_quarter_of_the_time_is_the_emulator_s(clock: Clock, tmp_path: Path) -
     assert alone["training"]["spent"] == 310 and "emulator" not in alone
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stop_at", [2, 6])  # of four steps a pass
 def test_an_interruption_in_the_emulator_s_time_is_not_the_density_s(
     stop_at: int, clock: Clock, tmp_path: Path

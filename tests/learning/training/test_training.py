@@ -59,6 +59,7 @@ def test_a_longer_schedule_is_not_ended_by_the_best_of_the_shorter_one(
     assert longer.over
 
 
+@pytest.mark.thorough
 def test_training_stops_when_the_time_is_up_and_goes_on_with_more(now: list[float]) -> None:
     saved: list[dict[str, Any]] = []
     short = training(now, 14.5 * PERIOD)
