@@ -6,6 +6,7 @@
     python benchmarks/authors.py turbo --program TuRBO
     python benchmarks/authors.py dibo --program DiBO
     python benchmarks/authors.py dibo:schedule=paper --program DiBO
+    python benchmarks/authors.py dibo:likelihood=exact --program DiBO
     git clone https://github.com/mfischer-ucl/zerograds && git -C zerograds checkout 7490db8
     python benchmarks/authors.py zerograds --program zerograds
     python benchmarks/authors.py zerograds:scale=none --program zerograds
@@ -60,6 +61,7 @@ from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"
 PAPER = "dibo:schedule=paper"  # with the variances of the DiBO paper, not of its program
+EXACT = "dibo:likelihood=exact"  # with that of the model, not the number of its program
 RAW = "zerograds:scale=none"  # learns losses as they are, as its program does
 SAME = "zerograds:authors"  # the same, with the learning rates of the program on each function
 BOX = "zerograds:authors:box"  # and the program is told of the nearest point in the box
@@ -73,6 +75,7 @@ FUNCTIONS = {
     "turbo": ("ackley", "rosenbrock", "levy"),
     "dibo": ("ackley", "rosenbrock", "levy", "rastrigin"),
     PAPER: ("ackley", "rosenbrock"),
+    EXACT: ("ackley", "rosenbrock"),
     "zerograds": tuple(BEST),
     RAW: tuple(BEST),
     SAME: tuple(BEST),
@@ -97,6 +100,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "turbo": {},
     "dibo": DIBO,
     PAPER: {**DIBO, "schedule": "paper"},
+    EXACT: {**DIBO, "likelihood": "exact"},
     "zerograds": {},
     RAW: {"scale": "none"},
     FORMER_RAW: {"learning_rate": 2e-3, "proxy_rate": 3e-3, "scale": "none"},
@@ -283,7 +287,7 @@ def table(rows: list[Row]) -> str:
         mine = [row for row in rows if row["baseline"] == baseline]
         for f in functions:
             of_f = [row for row in mine if row["f"] == f]
-            if ":" not in baseline or baseline == PAPER:
+            if ":" not in baseline or method(baseline) == "dibo":
                 for dim in DIMS[method(baseline)]:
                     some = [row for row in of_f if row["dim"] == dim]
                     lines += line(f"`{baseline}` | {f} | {dim}", some, test=False)

@@ -55,10 +55,12 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "CMA-ES, default k": ("cma", {}),
     "CMA-ES, k = 50": ("cma", {"popsize": 50}),
     "dual annealing": ("dual-annealing", {}),
-    "ZeroGrads": ("zerograds", {"learning_rate": 2e-3, "proxy_rate": 3e-3}),  # its former defaults
+    "ZeroGrads": ("zerograds", {}),
+    "ZeroGrads, former rates": ("zerograds", {"learning_rate": 2e-3, "proxy_rate": 3e-3}),
     "ZeroGrads, naive": ("naive zerograds", {"learning_rate": 5e-4, "proxy_rate": 1e-3}),
     "DiBO": ("dibo", SMALL_DIBO),
     "DiBO, exact likelihood": ("dibo", {**SMALL_DIBO, "likelihood": "exact"}),
+    "DiBO, small networks": ("dibo", {**SMALL_DIBO, "schedule": "authors"}),  # else its defaults
     "DiBO, naive": ("dibo", {**SMALL_DIBO, "proposals": 1, "search_epochs": 0}),
     "Optuna TPE": ("optuna:TPESampler", {}),
 }
@@ -72,7 +74,8 @@ CONFIGURATIONS |= {
     for rate, proxy in RATES
 }
 """Of the parameter and of the network, to choose from."""
-BUDGETS = {"DiBO": 600, "DiBO, exact likelihood": 600, "DiBO, naive": 600, "Optuna TPE": 600}
+SHORT = ("DiBO", "DiBO, exact likelihood", "DiBO, small networks", "DiBO, naive", "Optuna TPE")
+BUDGETS = dict.fromkeys(SHORT, 600)
 BUDGET = 5000
 
 
