@@ -1,8 +1,8 @@
 """The main comparison of the paper: five scenes, six optimizers, both losses of every result.
 
 The stages `backbones` and `backbones-rendered` add the published method with the features of a
-pretrained network, the latter on three pictures of San Miguel; the stage `dibo-long` adds DiBO with
-10,000 renders, half an hour a run.
+pretrained network, the latter on three pictures of San Miguel; `annealing-step` adds dual annealing
+on Robot with another step; `dibo-long` adds DiBO with 10,000 renders, half an hour a run.
 
     python benchmarks/paper.py --stages mse perceptual loi
 
@@ -54,6 +54,8 @@ RACERS: Configurations = {
 PRETRAINED = "FIDE paper, 20 epochs, EfficientNet-Lite0"
 BACKBONES: Configurations = {PRETRAINED: ("fide", {"preset": "paper", "encoder": "efficientnet"})}
 """The published method with features of a pretrained network instead of its patches."""
+COARSE: Configurations = {"dual annealing, step 0.01": ("dual-annealing", {"step": 0.01})}
+"""On Robot, where neither step is clearly the better one."""
 STEPS = {"voronoi": 0.01}  # of dual annealing: the best in docs/measurements/baselines.md
 USUAL_STEP = 0.001
 SLOW = (PUBLISHED, PRETRAINED, DIBO, DIBO_LONG)
@@ -91,6 +93,7 @@ STAGES = {
     ],
     "rendered-mse": [Stage(RENDERED, ("mse",), RENDERED_RACERS, (0,))],
     "rendered-loi": [Stage(RENDERED, ("loi",), ("FIDE", PUBLISHED), (0,))],
+    "annealing-step": [Stage(("robot",), METRICS, tuple(COARSE))],
     "dibo-long": [Stage(FAST, ("mse",), (DIBO_LONG,))],
 }
 
@@ -101,7 +104,7 @@ def main() -> None:
     parts = arguments.out.with_suffix(".parts")
     run_configurations(
         grid(arguments.stages),
-        {**RACERS, **BACKBONES},
+        {**RACERS, **BACKBONES, **COARSE},
         arguments.out,
         arguments.part,
         partial(measure, parts=parts, threads=arguments.threads),
