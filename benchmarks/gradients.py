@@ -9,7 +9,7 @@ Adam descends the mean squared error by the gradients of Mitsuba's `prb_projecti
 and Jakob 2023, doi:10.1145/3618385), without what indirect light adds at silhouettes, whose
 sampling takes minutes to prepare here.  Three starts: `center`, where every search of the paper
 begins, with all beads in one place; `random` places; and `near`, each coordinate of the truth moved
-by at most 5 % of the box.  `fide` has the same scene, loss and number of paths a pixel, and no
+by at most 5 % of the box.  `fide` has the same scene, loss and number of samples per pixel, and no
 gradients.
 
 Beads are of glass, as in the task, or of a matt white (`diffuse`), to tell what is hard for whom:
@@ -17,7 +17,7 @@ Beads are of glass, as in the task, or of a matt white (`diffuse`), to tell what
 
 Every run (optimizer, material, start, target, rate) is one line of the output file, appended when
 it is done; a second call does what is missing.  The last point of a descent is judged, and of the
-search the candidate with the lowest loss: by its own picture with 1,024 paths a pixel, and by how
+search the candidate with the lowest loss: by its own picture with 1,024 samples per pixel, and by how
 far each bead is from its place, matched as a set.
 """
 

@@ -1,11 +1,13 @@
-"""All suites together, scene by scene: FIDE against one rival.
+"""All suites together, or some of them, scene by scene: FIDE against one rival.
 
     python benchmarks/suites.py dfols              # 500 renders
     python benchmarks/suites.py eki --budget 2000
+    python benchmarks/suites.py dfols --suites image-fitting-v3
+    python benchmarks/suites.py eki:popsize=200 --ours eki --budget 10000
 
-Each line is a scene, with the problems of all suites that both have finished up to the budget: how
-many each has solved, how many only one of the two, and on how many of those that at most one has
-solved FIDE's loss is the lower one.  p of the exact McNemar and sign tests, not adjusted.
+Each line is a scene, with the problems of these suites that both have finished up to the budget:
+how many each has solved, how many only one of the two, and on how many of those that at most one
+has solved FIDE's loss is the lower one.  p of the exact McNemar and sign tests, not adjusted.
 The runs are those that suite.py has measured.
 """
 
@@ -22,18 +24,18 @@ from fide_plugins.experiments.report.tables import Entry, Table, markdown
 from fide_plugins.experiments.suite import names, profiles, read
 from fide_plugins.experiments.suite.tables import sign_test
 
-US = "fide"
 Pair = tuple[str, float, float, float, float]
 """Scene; renders until the two have solved the problem, +inf if not; their losses."""
 
 
-def pairs(rival: str, budget: int) -> Iterator[Pair]:
-    """Of all problems that both have finished."""
-    for name in names():
+def pairs(ours_is: str, rival: str, budget: int, of: Sequence[str]) -> Iterator[Pair]:
+    """Of all problems of these suites that both have finished."""
+    both = (ours_is, rival)
+    for name in of:
         suite = read(name)
-        found = longest(rows_of(file_of(suite)), (US, rival), budget_of(suite, budget))
+        found = longest(rows_of(file_of(suite)), both, budget_of(suite, budget))
         for problem in dict.fromkeys(problem for problem, _ in found):
-            ours, theirs = (found.get((problem, label)) for label in (US, rival))
+            ours, theirs = (found.get((problem, label)) for label in both)
             if ours and theirs:
                 yield pair_of(suite.parts(problem)[0], ours, theirs, budget)
 
@@ -74,14 +76,16 @@ def main() -> None:
     )
     parser.add_argument("rival", help="as in the rows, such as dfols or eki:popsize=200")
     parser.add_argument("--budget", type=int, default=500, metavar="N", help="of the suites")
+    parser.add_argument("--suites", nargs="+", choices=names(), default=names(), metavar="NAME")
+    parser.add_argument("--ours", default="fide", metavar="NAME", help="instead of FIDE's default")
     arguments = parser.parse_args()
-    rival = label_of(arguments.rival)
-    found = list(pairs(rival, arguments.budget))
+    ours, rival = label_of(arguments.ours), label_of(arguments.rival)
+    found = list(pairs(ours, rival, arguments.budget, arguments.suites))
     if not found:
-        parser.error(f"no problem is finished by {US} and {rival}")
+        parser.error(f"no problem is finished by {ours} and {rival}")
     scenes = dict.fromkeys(pair[0] for pair in found)
     lines = [line(scene, [pair for pair in found if pair[0] == scene]) for scene in scenes]
-    print(table([*lines, line("all", found)], US, rival))
+    print(table([*lines, line("all", found)], ours, rival))
 
 
 if __name__ == "__main__":
