@@ -64,6 +64,7 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "DiBO, naive": ("dibo", {**SMALL_DIBO, "proposals": 1, "search_epochs": 0}),
     "Optuna TPE": ("optuna:TPESampler", {}),
 }
+SHOWN = [name for name in CONFIGURATIONS if name != "Optuna TPE"]
 RATES = [(rate, 1e-3) for rate in (5e-4, 2e-3, 5e-3, 1e-2, 2e-2)]
 RATES += [(5e-4, 3e-3), (2e-3, 3e-3), (2e-3, 1e-2), (5e-3, 1e-2)]
 CONFIGURATIONS |= {
@@ -158,9 +159,7 @@ def main() -> None:
 def parse_arguments() -> argparse.Namespace:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument(
-        "--configurations", nargs="+", default=list(CONFIGURATIONS)[:9], metavar="CONFIGURATION"
-    )
+    parser.add_argument("--configurations", nargs="+", default=SHOWN, metavar="CONFIGURATION")
     parser.add_argument("--functions", nargs="+", default=list(FUNCTIONS))
     parser.add_argument("--dims", nargs="+", type=int, default=[10, 20])
     parser.add_argument("--seeds", type=int, default=3)

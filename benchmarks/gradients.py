@@ -17,8 +17,8 @@ Beads are of glass, as in the task, or of a matt white (`diffuse`), to tell what
 
 Every run (optimizer, material, start, target, rate) is one line of the output file, appended when
 it is done; a second call does what is missing.  The last point of a descent is judged, and of the
-search the candidate with the lowest loss: by its own picture with 1,024 samples per pixel, and by how
-far each bead is from its place, matched as a set.
+search the candidate with the lowest loss: by its own picture with 1,024 samples per pixel, and by
+how far each bead is from its place, matched as a set.
 """
 
 from __future__ import annotations
