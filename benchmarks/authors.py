@@ -61,7 +61,7 @@ from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"
 PAPER = "dibo:schedule=paper"  # with the variances of the DiBO paper, not of its program
-EXACT = "dibo:likelihood=exact"  # with that of the model, not the number of its program
+EXACT = "dibo:likelihood=exact"  # with the likelihood of the model, not that of its program
 RAW = "zerograds:scale=none"  # learns losses as they are, as its program does
 SAME = "zerograds:authors"  # the same, with the learning rates of the program on each function
 BOX = "zerograds:authors:box"  # and the program is told of the nearest point in the box

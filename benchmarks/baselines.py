@@ -60,7 +60,7 @@ CONFIGURATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "ZeroGrads, naive": ("naive zerograds", {"learning_rate": 5e-4, "proxy_rate": 1e-3}),
     "DiBO": ("dibo", SMALL_DIBO),
     "DiBO, exact likelihood": ("dibo", {**SMALL_DIBO, "likelihood": "exact"}),
-    "DiBO, small networks": ("dibo", {**SMALL_DIBO, "schedule": "authors"}),  # else its defaults
+    "DiBO, authors' noise": ("dibo", {**SMALL_DIBO, "schedule": "authors"}),
     "DiBO, naive": ("dibo", {**SMALL_DIBO, "proposals": 1, "search_epochs": 0}),
     "Optuna TPE": ("optuna:TPESampler", {}),
 }
@@ -75,7 +75,7 @@ CONFIGURATIONS |= {
     for rate, proxy in RATES
 }
 """Of the parameter and of the network, to choose from."""
-SHORT = ("DiBO", "DiBO, exact likelihood", "DiBO, small networks", "DiBO, naive", "Optuna TPE")
+SHORT = ("DiBO", "DiBO, exact likelihood", "DiBO, authors' noise", "DiBO, naive", "Optuna TPE")
 BUDGETS = dict.fromkeys(SHORT, 600)
 BUDGET = 5000
 

@@ -4,7 +4,7 @@ Makes a table of docs/measurements/encoders_quality.md:
 
     python benchmarks/encoder_noise.py
 
-24 candidates of Beads from the start of a search, at 112 x 112 and 16 paths per pixel, each
+24 candidates of Beads from the start of a search, at 112 x 112 and 16 samples per pixel, each
 rendered twice, and a third time with 128 paths as the reference.
 
 *noise / difference*: the median distance of two renders of one candidate, divided by the median

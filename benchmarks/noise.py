@@ -5,7 +5,7 @@
     python benchmarks/noise.py beads --losses mse loi --spp 64 --targets 4
     python benchmarks/noise.py beads --losses perceptual --spp 1 4 8 16 --targets 4
 
-Prints one row per number of paths per pixel: the standard error of a pixel at x_star and the mean
+Prints one row per number of samples per pixel: the standard error of a pixel at x_star and the mean
 squared error of a render of x_star against its target, from 128 renders and all targets. Standard
 errors are averaged as squares, since rare bright paths cause the noise: the plain mean would be
 smaller, and smaller still with fewer renders, most of which contain no such path.
@@ -94,7 +94,7 @@ def main() -> None:
                     print("\n".join(rows), flush=True)
             continue
         renderer = getattr(fide_tasks.make(name, arguments.size), "renderer", "")
-        print(f"{name} {renderer} | paths a pixel | standard error | MSE of x*", flush=True)
+        print(f"{name} {renderer} | samples per pixel | standard error | MSE of x*", flush=True)
         for spp in arguments.spp:
             error, square = row(name, arguments.size, spp, arguments.targets or 3)
             print(f"| {spp} | {error:.3f} | {square:.4f} |", flush=True)

@@ -1,13 +1,13 @@
-"""All suites together, or some of them, scene by scene: FIDE against one rival.
+"""All suites together, or some of them, scene by scene: FIDE, or `--ours`, against one rival.
 
     python benchmarks/suites.py dfols              # 500 renders
     python benchmarks/suites.py eki --budget 2000
     python benchmarks/suites.py dfols --suites image-fitting-v3
-    python benchmarks/suites.py eki:popsize=200 --ours eki --budget 10000
+    python benchmarks/suites.py eki --ours eki:popsize=200 --budget 10000
 
 Each line is a scene, with the problems of these suites that both have finished up to the budget:
 how many each has solved, how many only one of the two, and on how many of those that at most one
-has solved FIDE's loss is the lower one.  p of the exact McNemar and sign tests, not adjusted.
+has solved the first one's loss is lower.  p of the exact McNemar and sign tests, not adjusted.
 The runs are those that suite.py has measured.
 """
 

@@ -135,12 +135,15 @@ def _only_drawn_where_it_is_looked_at(
 
 
 @pytest.fixture(autouse=True)
-def _folders_of_modules_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A user's file is imported with its folder, which stays in `sys.path` of its process.
+def _folders_of_modules_are_forgotten() -> Iterator[None]:
+    """A user's file is imported with its folder, which stays in `sys.path`.
 
-    Of thousands of tests, hundreds would be searched by each import, and by each run for versions.
+    Without this, each import, and each run that reads versions of packages, would search the
+    folders of hundreds of earlier tests.
     """
-    monkeypatch.setattr(sys, "path", sys.path.copy())
+    before = sys.path.copy()
+    yield
+    sys.path[:] = before
 
 
 def empty_png() -> bytes:

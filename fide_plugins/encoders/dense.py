@@ -14,7 +14,7 @@ have about as many square patches, see `grid`.
 The remaining noise depends on the image.  A second set of samples is taken from the image
 despeckled twice, and smoothed by a bilateral filter (Tomasi & Manduchi 1998).  The features use
 (1 - w) times the first set plus w times the second.  The weight w grows with the `noise_level` from
-0, at half a step of 8 bits, to 1, at 0.015, which images of 10 to 20 paths per pixel exceed.
+0, at half a step of 8 bits, to 1, at 0.015, which images of 10 to 20 samples per pixel exceed.
 Drawings and shaded scenes have no noise and w = 0.
 
 Channels of a token (C = 16)

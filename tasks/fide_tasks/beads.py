@@ -24,7 +24,7 @@ _WALL = 1.0 - _RADIUS
 _CEILING = 0.98 - _RADIUS  # the lamp hangs at 0.99
 _CAMERA_Z = 3.9
 _APART = 2.2  # least distance of the centers in a generated target, in radii
-_ENOUGH = 16  # paths a pixel with which `perceptual` finds the true beads better than one bead
+_ENOUGH = 16  # samples per pixel with which `perceptual` finds the true beads better than one bead
 _IN_SIGHT = 0.8  # least distance of the beads on the screen, relative to the sum of their radii
 
 
@@ -36,12 +36,12 @@ class Beads(MitsubaTask):
     then refracts as if there were air outside, which no glass does, but the image stays valid and
     varies continuously. Swapping two beads leaves the image unchanged, so there are 6! optima.
 
-    The scene is Mitsuba's own Cornell box without its two boxes. By default 64 paths a pixel of at
-    most 8 segments: longer ones carry 6 % of the light and would take 15 % more time.
+    The scene is Mitsuba's own Cornell box without its two boxes. By default 64 samples per pixel of
+    at most 8 segments: longer paths carry 6 % of the light and would take 15 % more time.
 
     The x_star of a generated target depends on `seed` alone, its picture on the size and all other
-    options: it is rendered with `reference_spp` paths a pixel, so it has some noise, too. Its beads
-    keep 1.1 diameters apart, and none hides another one.
+    options: it is rendered with `reference_spp` samples per pixel, so it has some noise, too. Its
+    beads keep 1.1 diameters apart, and none hides another one.
 
     Compare pictures by `perceptual`, with 16 paths or more. Each bead adds noise, and mse counts
     that: on some targets six beads in one place, which are one bead to see, have a lower mse than
@@ -68,7 +68,7 @@ class Beads(MitsubaTask):
             return None
         return (
             "beads: each bead adds noise, so mse and loi, and perceptual with less than "
-            f"{_ENOUGH} paths a pixel, may prefer a picture of one bead to the right one; take "
+            f"{_ENOUGH} samples per pixel, may prefer a picture of one bead to the right one; take "
             f"--loss perceptual and --spp {max(self.spp, _ENOUGH)}"
         )
 

@@ -53,7 +53,7 @@ class MitsubaTask(Task):
         cores, so more are faster only for frames of about 32 pixels; but with more, a crash or a
         hang becomes a `RenderWorkerError`, after which rendering can continue.
     threads: number of threads of each process; None divides all cores among the processes.
-    reference_spp: paths per pixel of `reference` and of a generated target. None: default of the
+    reference_spp: samples per pixel of `reference` and of a generated target. None: default of the
         task.
     target: the user's own picture, float (H, W, 3) in [0, 1], instead of a generated one.
 
@@ -147,7 +147,7 @@ class MitsubaTask(Task):
         return self._converged(self._one(self._x_star), stream=2 + self.seed)
 
     def _converged(self, values: Vector, stream: int) -> Image:
-        """Render with `reference_spp` paths a pixel, in passes that several processes can share."""
+        """Render with `reference_spp` samples per pixel, in passes that processes can share."""
         height, width = self.size
         most = max(1, _CHUNK // (height * width))
         parts = [most] * (self.reference_spp // most) + [self.reference_spp % most]

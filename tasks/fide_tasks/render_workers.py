@@ -53,7 +53,7 @@ class RenderWorkerError(RuntimeError):
 
 
 class Job(NamedTuple):
-    """One frame: physical values (dim,), noise seed, paths a pixel, and whether it is encoded."""
+    """One frame: physical values (dim,), noise seed, samples per pixel, whether it is encoded."""
 
     values: Vector
     seed: int

@@ -80,11 +80,16 @@ def unasked(budget: int) -> Callable[[], object]:
 def test_the_loop_makes_few_calls_for_a_render(
     counted_calls: Callable[[Counter[str]], AbstractContextManager[None]],
 ) -> None:
-    """Calls of functions are counted, which no other program can change."""
-    execute, count = unasked(500), Counter[str]()
-    with counted_calls(count):
-        execute()
-    assert count["calls"] / 500 < 200
+    """Calls are counted, which no other program can change; those of begin and end are left out."""
+
+    def calls(budget: int) -> int:
+        execute, count = unasked(budget), Counter[str]()
+        with counted_calls(count):
+            execute()
+        return count["calls"]
+
+    calls(100)  # what is done once in a process
+    assert (calls(1500) - calls(500)) / 1000 < 215  # 179 in November 2026
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ N = 16  # candidates
 
 @pytest.fixture(scope="module")
 def renders() -> tuple[Float32, Float32]:
-    """Two renders of each of N candidates, 16 paths a pixel, of different noise."""
+    """Two renders of each of N candidates, 16 samples per pixel, of different noise."""
     pytest.importorskip("mitsuba", reason="Mitsuba is not installed (extra mitsuba)")
     task = fide_tasks.make("beads", 112, 0, spp=16)
     X = np.random.default_rng(0).normal(0.5, 1 / 6, (N, task.dim)).clip(0, 1)

@@ -79,7 +79,6 @@ def test_a_module_by_name_is_found_in_the_current_folder(
 ) -> None:
     (tmp_path / "fide_test_module.py").write_text("def render(params): return params + 1")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
     assert FunctionRenderer("fide_test_module:render")(1) == 2
 
 

@@ -226,7 +226,7 @@ def test_a_reference_in_chunks_is_the_same_but_for_noise(
 ) -> None:
     x = random_x(1)[0]
     whole = task.reference(x)
-    monkeypatch.setattr(mitsuba_task, "_CHUNK", 100 * 32 * 32)  # 100 + 100 + 56 paths a pixel
+    monkeypatch.setattr(mitsuba_task, "_CHUNK", 100 * 32 * 32)  # 100 + 100 + 56 samples per pixel
     parts = task.reference(x)
     other = make(spp=256).render(x[None], seed=1)[0]
     assert 0.6 < loss(parts, whole) / loss(other, whole) < 1.7

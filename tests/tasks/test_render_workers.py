@@ -188,7 +188,7 @@ def test_wherever_a_process_gets_stuck_it_is_noticed(tmp_path: Path) -> None:
 
 
 def test_patience_follows_from_the_number_of_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scalar renderer takes 145 s for 64 paths a pixel at 1600 x 1600; it is not to be ended."""
+    """A render of 145 s (scalar, 1600 x 1600, 64 samples per pixel) is not to be ended."""
     granted = []
     monkeypatch.setattr(render_workers, "_Worker", Idle)
     for side, spp in ((112, 8), (1600, 64)):

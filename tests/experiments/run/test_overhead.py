@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from fide_plugins import losses, optimizers
 from fide_plugins.experiments import run as harness
 from fide_plugins.types import Float64
 
-LIMIT_CALLS, LIMIT_MS = 20, 0.2  # for one render
+LIMIT_CALLS, LIMIT_MS = 20, 0.2  # for one render; 14 calls and 0.045 ms in November 2026
 
 
 class Tint:
@@ -42,9 +43,12 @@ def by_hand(budget: int) -> Callable[[], object]:
 
 
 def by_the_harness(budget: int, out: Path) -> Callable[[], object]:
-    """The same run, with its record, its folder and its film."""
+    """The same run, with record, folder and film; without checkpoints, which follow a clock."""
     keep = harness.Keep(("mse", "perceptual"), film=True, summary=False, checkpoint=False)
-    return harness.prepare(Tint(), "cma", "mse", budget, 0, out=out, keep=keep).execute
+    run = harness.prepare(
+        Tint(), "cma", "mse", budget, 0, out=out, keep=keep, checkpoint_every=math.inf
+    )
+    return run.execute
 
 
 def test_the_loop_adds_few_calls_to_each_render(
