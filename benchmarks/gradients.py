@@ -12,7 +12,7 @@ begins, with all beads in one place; `random` places; and `near`, each coordinat
 by at most 5 % of the box.  `fide` has the same scene, loss and number of samples per pixel, and no
 gradients.
 
-Beads are of glass, as in the task, or of a matt white (`diffuse`), to tell what is hard for whom:
+Beads are of glass, as in the task, or diffuse and white (`diffuse`), to tell what is hard for whom:
 `--check` compares gradients with differences of the loss.
 
 Every run (optimizer, material, start, target, rate) is one line of the output file, appended when
@@ -57,7 +57,7 @@ Point = NDArray[np.float64]
 
 
 class MattBeads(Beads):
-    """The same beads in the same places, of a matt white."""
+    """The same beads in the same places, of a diffuse white."""
 
     def _scene(self, mi: Any) -> dict[str, Any]:
         scene = super()._scene(mi)

@@ -88,12 +88,12 @@ def longest(rows: list[Row]) -> list[Row]:
 
 def section(task: str, loss: str, rows: list[Row], configurations: list[str]) -> list[str]:
     """One table, a row for each configuration, with "-" for what is missing."""
-    paths = f", {TASK_OPTIONS[task]['spp']} samples per pixel" if task in TASK_OPTIONS else ""
+    samples = f", {TASK_OPTIONS[task]['spp']} samples per pixel" if task in TASK_OPTIONS else ""
     most = max(row["budget"] for row in rows)
     marks = [*(m for m in MARKS if int(m) < most), str(most)]
     columns = ["", "lowest", "solved", "targets"]  # these first: a page cuts off what is wide
     columns += [f"{name}, {int(m):,}" for name in METRICS for m in marks]
-    lines = [f"### {task}, minimized `{loss}`{paths}", "", "| " + " | ".join(columns) + " |"]
+    lines = [f"### {task}, minimized `{loss}`{samples}", "", "| " + " | ".join(columns) + " |"]
     lines.append("|---" + "|---:" * (len(columns) - 1) + "|")
     for configuration in configurations:
         group = [row for row in rows if row["configuration"] == configuration]

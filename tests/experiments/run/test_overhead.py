@@ -51,6 +51,7 @@ def by_the_harness(budget: int, out: Path) -> Callable[[], object]:
     return run.execute
 
 
+@pytest.mark.thorough
 def test_the_loop_adds_few_calls_to_each_render(
     counted_calls: Callable[[Counter[str]], AbstractContextManager[None]], tmp_path: Path
 ) -> None:
