@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-for folder in (ROOT, ROOT / "adapters", ROOT / "tasks", ROOT / "docs" / "extensions"):
+for folder in (ROOT, ROOT / "adapters", ROOT / "lab", ROOT / "tasks", ROOT / "docs" / "extensions"):
     sys.path.insert(0, str(folder))
 
 import fide_plugins  # noqa: E402

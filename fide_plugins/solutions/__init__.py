@@ -10,8 +10,8 @@
 
 from __future__ import annotations
 
-from fide_plugins.experiments.solutions.figure import figure
-from fide_plugins.experiments.solutions.found import Found, read
-from fide_plugins.experiments.solutions.words import Row, rows
+from fide_plugins.solutions.figure import figure
+from fide_plugins.solutions.found import Found, read
+from fide_plugins.solutions.words import Row, rows
 
 __all__ = ["Found", "Row", "figure", "read", "rows"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 from typing import Any
 
-from fide_plugins.experiments.solutions.found import Found
-from fide_plugins.experiments.solutions.words import Row, rows
 from fide_plugins.recording.figures import plain
+from fide_plugins.solutions.found import Found
+from fide_plugins.solutions.words import Row, rows
 from fide_plugins.types import Float32
 
 __all__ = ["figure"]

@@ -12,11 +12,11 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.solutions import pictures
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.run_checkpoint import is_saved, read_checkpoint
 from fide_plugins.runtime import checkpoint
+from fide_plugins.solutions import pictures
 from fide_plugins.types import Float32, Solution
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Every optimizer by name: FIDE, its rivals, and what others register.
 
-    >>> from fide_plugins import optimizers
+    >>> from fide_lab import optimizers
     >>> optimizers.names()[:4]
     ['bipop-cma-es', 'cma', 'composite-bo', 'dfols']
     >>> opt = optimizers.make("cma", 3, popsize=8, seed=0)
@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from fide_lab.baselines import FAMILIES, PLACES as BASELINES
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.reference import is_reference
 from fide_plugins.runtime.registry import Registry
@@ -30,27 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["check", "load", "make", "names", "options", "register", "source_of"]
 
-PLACES: Mapping[str, str] = {
-    "bipop-cma-es": "fide_plugins.baselines.bipop:BIPOP",
-    "cma": "fide_plugins.baselines.cma:CMA",
-    "composite-bo": "fide_plugins.baselines.trust_region.composite:CompositeBO",
-    "dfols": "fide_plugins.baselines.dfols:DFOLS",
-    "dibo": "fide_plugins.baselines.dibo:DiBO",
-    "dual-annealing": "fide_plugins.baselines.dual_annealing:DualAnnealing",
-    "eki": "fide_plugins.baselines.eki:EKI",
-    "fide": "fide_plugins.fide:FIDE",
-    "fide-annealing": "fide_plugins.baselines.fide_annealing:FIDEAnnealing",
-    "inverse": "fide_plugins.baselines.inverse:Inverse",
-    "lq-cma-es": "fide_plugins.baselines.lq_cma:LQCMA",
-    "npe": "fide_plugins.baselines.npe.search:NPE",
-    "pgpe": "fide_plugins.baselines.pgpe:PGPE",
-    "random": "fide_plugins.baselines.random:Random",
-    "turbo": "fide_plugins.baselines.trust_region.turbo:TuRBO",
-    "zerograds": "fide_plugins.baselines.zerograds:ZeroGrads",
-}
+PLACES: Mapping[str, str] = {"fide": "fide_plugins.fide:FIDE", **BASELINES}
 """Where the classes of ours are."""
-FAMILIES = ("nevergrad", "optuna")
-"""First words of ``"FAMILY:NAME"``; functions of `baselines.frameworks`, which make classes."""
 _REGISTRY: Registry[Any] = Registry("optimizer", [f"{family}:NAME" for family in FAMILIES])
 for _name, _place in PLACES.items():
     _REGISTRY.register(_name, _place)
@@ -155,7 +137,7 @@ def _resolve(name: str) -> Any:
         if family in FAMILIES and method:
             return _of_family(family, method)
         if family not in FAMILIES and is_reference(name):
-            from fide_plugins.baselines.own import own
+            from fide_lab.baselines.own import own
 
             return own(name)
     return _REGISTRY.resolve(name)
@@ -164,6 +146,6 @@ def _resolve(name: str) -> Any:
 @cache
 def _of_family(family: str, method: str) -> Any:
     """Class of the optimizer `method` of a framework; always the same one."""
-    from fide_plugins.baselines import frameworks
+    from fide_lab.baselines import frameworks
 
     return getattr(frameworks, family)(method)

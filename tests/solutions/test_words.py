@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Solution, Space
-from fide_plugins.experiments.solutions import rows
+from fide_plugins.solutions import rows
 from fide_plugins.types import Estimated
 
 

@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.called_back import CalledBack
-from fide_plugins.baselines.cma import library_settings
-from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.reverse_communication import Search
+from fide_lab.baselines.called_back import CalledBack
+from fide_lab.baselines.cma import library, library_settings
+from fide_lab.baselines.global_random import GlobalRandom
+from fide_lab.baselines.reverse_communication import Search
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["BIPOP", "minimize", "start_points"]
@@ -42,6 +42,7 @@ class BIPOP(CalledBack):
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
         super().__init__(dim, target, **options)
+        library()
         self._first_popsize = self.popsize
         self._global_random = GlobalRandom(self.seed)
         self._results: dict[bytes, float] = {}  # of the generation, by candidate
@@ -88,9 +89,7 @@ def minimize(
     function: Any, x0: Callable[[], Float64], sigma0: float, settings: dict[str, Any]
 ) -> None:
     """All searches of the library in the unit box; `function` takes points (k, d)."""
-    import cma  # takes half a second
-
-    cma.fmin2(
+    library().fmin2(
         None, x0, sigma0, settings, parallel_objective=function, bipop=True, restarts=RESTARTS
     )
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.baselines.penalty import Penalty, quietly
-from fide_plugins.baselines.replay import Replayed
-from fide_plugins.baselines.reverse_communication import ReverseCommunication, Search
+from fide_lab.baselines.penalty import Penalty, quietly
+from fide_lab.baselines.replay import Replayed
+from fide_lab.baselines.reverse_communication import ReverseCommunication, Search
 from fide_plugins.errors import ProtocolError
 from fide_plugins.types import Float64
 

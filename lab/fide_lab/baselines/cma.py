@@ -11,12 +11,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.penalty import quietly, worse_than
-from fide_plugins.baselines.replay import Replayed
+from fide_lab.baselines.penalty import quietly, worse_than
+from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
+from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["CMA", "library_settings"]
+__all__ = ["CMA", "library", "library_settings"]
 
 RESTARTS = ("same", "ipop", "none")
 
@@ -59,8 +60,7 @@ class CMA(Replayed):
         return float(self._es.best.f), np.clip(mean, 0.0, 1.0)
 
     def _start(self, x0: Float64) -> None:
-        import cma  # takes half a second
-
+        cma = library()
         settings = {
             **library_settings(self.dim),
             "popsize": self.popsize,
@@ -91,6 +91,15 @@ class CMA(Replayed):
 
     def _own_settings(self) -> dict[str, Any]:
         return {"restarts": self.restarts, "popsize": self._first_popsize}
+
+
+def library() -> Any:
+    """The package `cma`, which takes half a second to import; DependencyError without it."""
+    try:
+        import cma
+    except ImportError as error:
+        raise missing("lab", "this optimizer needs the package cma") from error
+    return cma
 
 
 def library_settings(dim: int) -> dict[str, Any]:

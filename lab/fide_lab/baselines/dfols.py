@@ -17,10 +17,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.image_features import ImageBased
-from fide_plugins.baselines.reverse_communication import Search
-from fide_plugins.baselines.sequential import Sequential
+from fide_lab.baselines.global_random import GlobalRandom
+from fide_lab.baselines.image_features import ImageBased
+from fide_lab.baselines.reverse_communication import Search
+from fide_lab.baselines.sequential import Sequential
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64

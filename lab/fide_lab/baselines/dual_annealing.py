@@ -17,8 +17,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.reverse_communication import Search
-from fide_plugins.baselines.sequential import Sequential
+from fide_lab.baselines.reverse_communication import Search
+from fide_lab.baselines.sequential import Sequential
 from fide_plugins.types import Float64
 from fide_plugins.validation.option_rules import positive
 

@@ -31,8 +31,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.image_features import ImageBased
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab.baselines.image_features import ImageBased
+from fide_lab.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, real, row, whole
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.dual_annealing import anneal, descent
-from fide_plugins.baselines.image_features import ImageBased
-from fide_plugins.baselines.reverse_communication import Search
-from fide_plugins.baselines.sequential import Sequential
+from fide_lab.baselines.dual_annealing import anneal, descent
+from fide_lab.baselines.image_features import ImageBased
+from fide_lab.baselines.reverse_communication import Search
+from fide_lab.baselines.sequential import Sequential
 from fide_plugins.runtime.schema import Schema, anything, array, check
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.option_rules import positive

@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.penalty import Penalty, quietly
-from fide_plugins.baselines.replay import Replayed
+from fide_lab.baselines.global_random import GlobalRandom
+from fide_lab.baselines.penalty import Penalty, quietly
+from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptimizerError, UnknownNameError
 from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64

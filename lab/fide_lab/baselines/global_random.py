@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from fide_plugins.baselines.penalty import quietly
+from fide_lab.baselines.penalty import quietly
 
 __all__ = ["GlobalRandom"]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.baselines.base import Baseline
-from fide_plugins.baselines.images_needed import needed_images, needed_target
+from fide_lab.baselines.base import Baseline
+from fide_lab.baselines.images_needed import needed_images, needed_target
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.schema import Sides

@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.image_features import ImageBased
-from fide_plugins.baselines.posterior_sampler import PosteriorSampler
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab.baselines.image_features import ImageBased
+from fide_lab.baselines.posterior_sampler import PosteriorSampler
+from fide_lab.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, flag
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.option_rules import positive_fraction

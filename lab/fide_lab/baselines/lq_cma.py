@@ -19,11 +19,11 @@ from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any, ClassVar
 
-from fide_plugins.baselines.bipop import RESTARTS, start_points
-from fide_plugins.baselines.cma import library_settings
-from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.reverse_communication import Search
-from fide_plugins.baselines.sequential import Sequential
+from fide_lab.baselines.bipop import RESTARTS, start_points
+from fide_lab.baselines.cma import library, library_settings
+from fide_lab.baselines.global_random import GlobalRandom
+from fide_lab.baselines.reverse_communication import Search
+from fide_lab.baselines.sequential import Sequential
 from fide_plugins.types import Float64
 
 __all__ = ["LQCMA", "minimize"]
@@ -42,6 +42,7 @@ class LQCMA(Sequential):
 
     def __init__(self, dim: int, target: object = None, **options: Any) -> None:
         super().__init__(dim, target, **options)
+        library()
         self._global_random = GlobalRandom(self.seed)
 
     def _search(self) -> Search:
@@ -56,6 +57,4 @@ def minimize(
     function: Any, x0: Callable[[], Float64], sigma0: float, settings: dict[str, Any]
 ) -> None:
     """All searches of the library in the unit box."""
-    import cma  # takes half a second
-
-    cma.fmin_lq_surr2(function, x0, sigma0, settings, restarts=RESTARTS)
+    library().fmin_lq_surr2(function, x0, sigma0, settings, restarts=RESTARTS)

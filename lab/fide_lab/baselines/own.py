@@ -24,9 +24,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.global_random import GlobalRandom
-from fide_plugins.baselines.images_needed import needed_images
-from fide_plugins.baselines.replay import Replayed
+from fide_lab.baselines.global_random import GlobalRandom
+from fide_lab.baselines.images_needed import needed_images
+from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import CheckpointError, OptionError, PointsError
 from fide_plugins.runtime.reference import (
     Referent,

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.replay import Replayed
+from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.option_rules import fraction, positive

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.replay import Replayed
+from fide_lab.baselines.replay import Replayed
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Random"]

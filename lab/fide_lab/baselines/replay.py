@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.base import Baseline
+from fide_lab.baselines.base import Baseline
 from fide_plugins.population import Candidate
 from fide_plugins.runtime.schema import Schema, array, check, maybe
 from fide_plugins.types import Float32, Float64

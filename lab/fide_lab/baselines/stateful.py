@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_plugins.baselines.base import Baseline
+from fide_lab.baselines.base import Baseline
 from fide_plugins.population import Population
 from fide_plugins.runtime.schema import Schema, anything, array, check, maybe
 

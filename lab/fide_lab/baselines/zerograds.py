@@ -31,8 +31,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fide_plugins.baselines.networks import load_weights, make
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab.baselines.networks import load_weights, make
+from fide_lab.baselines.stateful import Stateful
 from fide_plugins.denoiser.training import adam_state, load_adam_state
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import (

@@ -21,17 +21,12 @@ import argparse
 import time
 from typing import Any
 
-from fide_plugins.cli.arguments import (
-    add_grid_arguments,
-    names,
-    setting,
-    thresholds,
-    whole,
-)
+from fide_lab.cli.grid_arguments import add_grid_arguments, thresholds
+from fide_lab.cli.own_task import add_own_task, options_of, task_of
+from fide_lab.cli.running import execute_comparisons, execute_each
+from fide_lab.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
+from fide_plugins.cli.arguments import names, setting, whole
 from fide_plugins.cli.messages import note, number, plain
-from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
-from fide_plugins.cli.running import execute_comparisons, execute_each
-from fide_plugins.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -75,8 +70,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
-    from fide_plugins.experiments.compare import Plan
-    from fide_plugins.experiments.compare.driver import prepare
+    from fide_lab.compare import Plan
+    from fide_lab.compare.driver import prepare
 
     if args.suite is not None:
         plan: Plan = suite_plan(args)
@@ -84,7 +79,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
         check_no_suite(args)
         plan = _plan(args)
         if args.threshold:
-            from fide_plugins.experiments.report.panel import check_thresholds
+            from fide_lab.report.panel import check_thresholds
 
             check_thresholds(dict(args.threshold), plan.runs())
     return prepare(
@@ -93,7 +88,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
 
 
 def _plan(args: argparse.Namespace) -> Any:
-    from fide_plugins.experiments.compare import Configuration, Plan
+    from fide_lab.compare import Configuration, Plan
 
     losses = args.losses or ["mse"]
     metrics = args.metrics or list(dict.fromkeys([*losses, *_METRICS]))
@@ -149,6 +144,6 @@ class _Heartbeat:
 
 def _report(args: argparse.Namespace) -> int:
     """Write the report of the finished runs; returns the exit code."""
-    from fide_plugins.cli import report_command
+    from fide_lab.cli import report_command
 
     return report_command.make(args.out, None, dict(args.threshold), "fide compare")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.cli.arguments import free_directory, optimizer_options
+from fide_plugins.cli.fit_command import MODELS
 from fide_plugins.cli.live import page_of
 from fide_plugins.cli.messages import complain
 from fide_plugins.errors import OptionError
@@ -15,20 +16,16 @@ from fide_plugins.errors import OptionError
 if TYPE_CHECKING:
     from fide_tasks.base import Task
 
-__all__ = ["COUNTS", "OWN", "execute"]
+__all__ = ["execute"]
 
-COUNTS = {"voronoi": "cells", "spline": "control_points"}
-"""Models, and the option of each that sets its number of elements."""
-OWN = ("cells", "control_points", "model_set", "optimizer", "start")
-"""Arguments that no renderer of a user has."""
 _BUDGET, _SIDE = 5000, 224
 _SIGMA0 = 0.03  # around a start that was read off the picture: right but for its details
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import execute_run
-    from fide_plugins.experiments import run as harness
+    from fide_lab import run as harness
+    from fide_lab.cli.running import execute_run
 
     if len(args.targets) > 1:
         return complain("fide fit", f"--model draws one picture, not {len(args.targets)}")
@@ -93,7 +90,7 @@ def _start_options(args: argparse.Namespace, task: Task) -> dict[str, Any]:
 def _model_options(args: argparse.Namespace) -> dict[str, Any]:
     """Options of the model; OptionError for an option of another model."""
     options = dict(args.model_set or ())
-    for model, option in COUNTS.items():
+    for model, option in MODELS.items():
         value = getattr(args, option)
         if value is not None:
             if model != args.model:

@@ -15,8 +15,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from fide_plugins.cli.arguments import names, path, thresholds
-from fide_plugins.cli.messages import complain, note, plain, warnings_as_notes
+from fide_lab.cli.grid_arguments import thresholds
+from fide_plugins.cli.arguments import names, path
+from fide_plugins.cli.messages import USAGE_ERRORS, complain, note, plain, warnings_as_notes
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute", "make"]
@@ -50,11 +51,10 @@ def make(
 
     optimizers: that are shown; None: all.
     """
-    from fide_plugins.cli.running import USAGE_ERRORS
-    from fide_plugins.experiments.compare.results import AllFailedError
+    from fide_lab.compare.results import AllFailedError
 
     try:
-        from fide_plugins.experiments import compare, report
+        from fide_lab import compare, report
 
         with warnings_as_notes(who):
             results = compare.read(directory)
@@ -65,7 +65,7 @@ def make(
                 note(f"{stored.key} is damaged and left out: {plain(stored.why)}")
         path = page or directory / "report.html"
         if "suite" in results.settings["task_options"]:
-            from fide_plugins.experiments.suite import page as suite_page
+            from fide_lab.suite import page as suite_page
 
             if threshold:
                 raise OptionError("a suite has its own thresholds; leave --threshold out")

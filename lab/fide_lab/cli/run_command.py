@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from fide_lab.cli.own_task import add_own_task, options_of, task_of
 from fide_plugins.cli.arguments import (
     add_run_arguments,
     free_directory,
@@ -28,7 +29,6 @@ from fide_plugins.cli.arguments import (
     whole,
 )
 from fide_plugins.cli.messages import complain, note
-from fide_plugins.cli.own_renderer import add_own_task, options_of, task_of
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import execute_run
-    from fide_plugins.experiments import run as harness
+    from fide_lab import run as harness
+    from fide_lab.cli.running import execute_run
 
     try:
         task = _task(args)

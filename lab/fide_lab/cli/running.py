@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from fide_plugins.cli.messages import (
-    as_typed,
+    USAGE_ERRORS,
     complain,
+    continuation,
     duration,
     note,
     notices,
@@ -23,10 +24,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.errors import FideError, RenderError
 
-__all__ = ["USAGE_ERRORS", "continuation", "execute_comparisons", "execute_each", "execute_run"]
-
-USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
-"""Errors of the arguments or the installation, raised before anything is rendered."""
+__all__ = ["execute_comparisons", "execute_each", "execute_run"]
 
 
 def execute_run(
@@ -40,8 +38,8 @@ def execute_run(
 
     more: further totals of a run and its result, for --json.
     """
+    from fide_lab.run import Interrupted
     from fide_plugins.cli.progress import reporting
-    from fide_plugins.experiments.run import Interrupted
 
     def execute(run: Any) -> int:
         out, done = plain(run.out), run.progress.evaluations
@@ -137,7 +135,7 @@ def _execute(
     stopped: what is saved where, and the command that continues, after an interrupt; none if empty.
     failed: begins the message where rendering or saving fails.
     """
-    from fide_plugins.experiments.run import Interrupted
+    from fide_lab.run import Interrupted
 
     who = f"fide {command[1]}"
     try:
@@ -185,11 +183,3 @@ def _report(result: Any, out: str) -> None:
     print(f"look at {out}/summary.png")
     if result.status is not None:
         print(plain(result.status))
-
-
-def continuation(command: list[str], out: str | None = None) -> str:
-    """The same command line, made to resume; in `out`, if it names no --out itself."""
-    words = [word for word in command if word != "--resume"]
-    if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
-        words += ["--out", out]
-    return as_typed([*words, "--resume"])

@@ -41,8 +41,8 @@ def suite_plan(args: argparse.Namespace) -> Any:
 
     Raises OptionError for arguments that a suite does not leave open, and if no scene is left.
     """
-    from fide_plugins.experiments.compare import Configuration
-    from fide_plugins.experiments.suite import problems, read
+    from fide_lab.compare import Configuration
+    from fide_lab.suite import problems, read
 
     for name in _FIXED:
         if getattr(args, name):

@@ -1,13 +1,13 @@
 """Compare optimizers with the same targets, budgets and seeds.
 
-    >>> from fide_plugins.experiments.compare import Configuration, Plan
+    >>> from fide_lab.compare import Configuration, Plan
     >>> configurations = Configuration.parse("cma"), Configuration.parse("random")
     >>> plan = Plan(("voronoi",), configurations, seeds=2, budget=100)
     >>> [str(key) for key in plan.runs()][:2]
     ['voronoi mse cma seed 0', 'voronoi mse random seed 0']
 
 `run` executes the missing runs of a plan in a directory, and `read` reads the directory back.
-The package `fide_plugins.experiments.report` reports the results.
+The package `fide_lab.report` reports the results.
 
 ================  ===============================================================
 `configuration`   an optimizer with its options, written as one word
@@ -24,11 +24,11 @@ The package `fide_plugins.experiments.report` reports the results.
 
 from __future__ import annotations
 
-from fide_plugins.experiments.compare.configuration import Configuration
-from fide_plugins.experiments.compare.driver import run
-from fide_plugins.experiments.compare.one_run import Outcome
-from fide_plugins.experiments.compare.plan import Plan, RunKey
-from fide_plugins.experiments.compare.results import Results, StoredRun, read
+from fide_lab.compare.configuration import Configuration
+from fide_lab.compare.driver import run
+from fide_lab.compare.one_run import Outcome
+from fide_lab.compare.plan import Plan, RunKey
+from fide_lab.compare.results import Results, StoredRun, read
 
 __all__ = ["Configuration", "Outcome", "Plan", "Results", "RunKey", "StoredRun", "read", "run"]
 

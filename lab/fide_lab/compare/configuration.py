@@ -25,7 +25,7 @@ class Configuration:
     """An optimizer with its options.
 
     label: the word itself, with its options in alphabetical order; the name in tables and plots.
-    name: name of the optimizer in `fide_plugins.optimizers`.
+    name: name of the optimizer in `fide_lab.optimizers`.
     options: options of this configuration only, such as popsize.
     budget: number of renders; None for the budget of the comparison.
     """

@@ -17,9 +17,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.experiments.compare.one_run import State, examine, is_busy
-from fide_plugins.experiments.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
-from fide_plugins.experiments.compare.versions import check_versions
+from fide_lab.compare.one_run import State, examine, is_busy
+from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
+from fide_lab.compare.versions import check_versions
 from fide_plugins.recording import kept_target
 from fide_plugins.recording.figures import as_png
 from fide_plugins.recording.json_record import (

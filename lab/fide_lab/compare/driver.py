@@ -9,13 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fide_lab.compare import processes
+from fide_lab.compare.cluster import on_dask
+from fide_lab.compare.directory import ComparisonDirectory
+from fide_lab.compare.one_run import ERROR, Outcome, State, run_one
+from fide_lab.compare.plan import Checked, Plan, RunKey
+from fide_lab.run import Interrupted, Progress
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare import processes
-from fide_plugins.experiments.compare.cluster import on_dask
-from fide_plugins.experiments.compare.directory import ComparisonDirectory
-from fide_plugins.experiments.compare.one_run import ERROR, Outcome, State, run_one
-from fide_plugins.experiments.compare.plan import Checked, Plan, RunKey
-from fide_plugins.experiments.run import Interrupted, Progress
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.runtime import files, machine
 from fide_plugins.validation.points import whole_number

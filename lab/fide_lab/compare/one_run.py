@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from fide_lab.compare.plan import Plan, RunKey, target_file
+from fide_lab.run import Interrupted, Progress, Run, prepare
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments.compare.plan import Plan, RunKey, target_file
-from fide_plugins.experiments.run import Interrupted, Progress, Run, prepare
 from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import TABLES, results_in
 from fide_plugins.recording.json_record import RunDirectoryError, check_settings, checksum, read_run

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fide_plugins import losses as losses_module, optimizers
+from fide_lab import optimizers
+from fide_lab.compare.configuration import Configuration, as_file_name
+from fide_lab.run import Keep, renderer_task
+from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
+from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare.configuration import Configuration, as_file_name
-from fide_plugins.experiments.run import Keep, renderer_task
-from fide_plugins.experiments.run.prepare import kept_of, make_task, settings_of, target_of
 from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights

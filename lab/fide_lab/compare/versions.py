@@ -13,9 +13,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.experiments.compare.configuration import as_file_name
-from fide_plugins.experiments.compare.one_run import State
-from fide_plugins.experiments.compare.plan import RunKey
+from fide_lab.compare.configuration import as_file_name
+from fide_lab.compare.one_run import State
+from fide_lab.compare.plan import RunKey
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.sources import edited, file_of, loss_reference, versions_there
 from fide_plugins.runtime.warn import warn_user

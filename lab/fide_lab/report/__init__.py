@@ -1,7 +1,7 @@
 """The report of a comparison: one page, tables, figures.
 
-    from fide_plugins.experiments import compare
-    from fide_plugins.experiments import report
+    from fide_lab import compare
+    from fide_lab import report
     report.write(compare.read("runs/first"), "runs/first/report.html")
 
 =============  ====================================================================
@@ -26,17 +26,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare.configuration import as_file_name
-from fide_plugins.experiments.compare.plan import target_file
-from fide_plugins.experiments.compare.results import (
+from fide_lab.compare.configuration import as_file_name
+from fide_lab.compare.plan import target_file
+from fide_lab.compare.results import (
     AXES,
     AllFailedError,
     NoResultsError,
     Results,
 )
-from fide_plugins.experiments.report import export, pictures, plots, sentences, svg, tables
-from fide_plugins.experiments.report.panel import Panel, check_thresholds, panels
+from fide_lab.report import export, pictures, plots, sentences, svg, tables
+from fide_lab.report.panel import Panel, check_thresholds, panels
+from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def write(
     for a page without the suffix .html or a threshold of a loss that was not compared,
     DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
     """
-    from fide_plugins.experiments.report import page as page_module
+    from fide_lab.report import page as page_module
 
     path = page_path(page)
     check_thresholds(thresholds or {}, [run.key for run in results.runs])

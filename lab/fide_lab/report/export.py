@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.compare.results import AXES, Results
+from fide_lab.compare.results import AXES, Results
 from fide_plugins.recording.record import PARTS
 
 __all__ = ["curves_csv", "results_csv"]

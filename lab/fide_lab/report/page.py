@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.compare.plan import target_file
-from fide_plugins.experiments.compare.results import AXES, Results, StoredRun
-from fide_plugins.experiments.report import pictures, plots, sentences, svg, tables
-from fide_plugins.experiments.report.panel import Panel
+from fide_lab.compare.plan import target_file
+from fide_lab.compare.results import AXES, Results, StoredRun
+from fide_lab.report import pictures, plots, sentences, svg, tables
+from fide_lab.report.panel import Panel
 from fide_plugins.runtime.extras import missing
 
 __all__ = ["environment", "render"]
@@ -73,7 +73,7 @@ def environment() -> Any:
         raise missing("report", "a report needs Jinja2") from error
     from markupsafe import Markup
 
-    folder = resources.files("fide_plugins.experiments.report") / "templates"
+    folder = resources.files("fide_lab.report") / "templates"
     env = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text("utf-8")),
         autoescape=True,

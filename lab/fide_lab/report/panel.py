@@ -12,12 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
+from fide_lab.compare.plan import RunKey
+from fide_lab.compare.results import Results, StoredRun
+from fide_lab.report import statistics
+from fide_lab.report.labels import short_names
+from fide_lab.report.statistics import Paired, Success
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare.plan import RunKey
-from fide_plugins.experiments.compare.results import Results, StoredRun
-from fide_plugins.experiments.report import statistics
-from fide_plugins.experiments.report.labels import short_names
-from fide_plugins.experiments.report.statistics import Paired, Success
 from fide_plugins.recording.record import PARTS
 
 __all__ = ["SIGNIFICANT", "Panel", "Row", "check_thresholds", "panels"]

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.experiments.compare.results import StoredRun
-from fide_plugins.experiments.report.labels import fitted
-from fide_plugins.experiments.report.panel import Panel, Row
-from fide_plugins.experiments.report.plots import INK, MUTED
+from fide_lab.compare.results import StoredRun
+from fide_lab.report.labels import fitted
+from fide_lab.report.panel import Panel, Row
+from fide_lab.report.plots import INK, MUTED
 from fide_plugins.recording.figures import THUMBNAIL, plain, thumbnail
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import load

@@ -1,7 +1,7 @@
 """The charts of a report, as matplotlib figures; no window, no global state.
 
 The same figure serves a paper (PNG, SVG) and the page, where a style sheet sets the colors: see
-`fide_plugins.experiments.report.svg`.
+`fide_lab.report.svg`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.experiments.report import statistics
-from fide_plugins.experiments.report.labels import fitted
-from fide_plugins.experiments.report.panel import Panel, Row
-from fide_plugins.experiments.report.tables import number
+from fide_lab.report import statistics
+from fide_lab.report.labels import fitted
+from fide_lab.report.panel import Panel, Row
+from fide_lab.report.tables import number
 from fide_plugins.recording.figures import plain
 from fide_plugins.recording.record import PARTS
 from fide_plugins.types import Float64

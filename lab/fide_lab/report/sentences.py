@@ -7,9 +7,9 @@ import shlex
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from fide_plugins.experiments.compare.results import Results, StoredRun
-from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
-from fide_plugins.experiments.report.tables import number
+from fide_lab.compare.results import Results, StoredRun
+from fide_lab.report.panel import SIGNIFICANT, Panel, Row
+from fide_lab.report.tables import number
 from fide_plugins.runtime.wording import counted
 
 __all__ = [

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from fide_plugins.experiments.compare.results import Curve
+from fide_lab.compare.results import Curve
 from fide_plugins.types import Float64
 
 __all__ = ["QUANTILES", "Bands", "Paired", "Success", "adjusted", "bands", "paired", "quantiles"]

@@ -11,7 +11,7 @@ import re
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
-from fide_plugins.experiments.report.plots import INK, MUTED, PALETTE, PART_COLORS, RULE
+from fide_lab.report.plots import INK, MUTED, PALETTE, PART_COLORS, RULE
 
 if TYPE_CHECKING:
     from markupsafe import Markup

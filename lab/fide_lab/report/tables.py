@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from fide_plugins.experiments.report.panel import SIGNIFICANT, Panel, Row
+from fide_lab.report.panel import SIGNIFICANT, Panel, Row
 from fide_plugins.recording.parallel import WORKERS
 from fide_plugins.recording.record import PARTS
 
@@ -217,7 +217,7 @@ def _runs(row: Row) -> Entry:
 
 
 def _range(row: Row) -> Entry:
-    from fide_plugins.experiments.report.statistics import quantiles
+    from fide_lab.report.statistics import quantiles
 
     low, high = quantiles(row.finals)[[1, 3]].tolist()
     if not math.isfinite(low):

@@ -1,6 +1,6 @@
 """One run: ask, render, evaluate, tell, for every optimizer; timed, recorded, resumable.
 
-    >>> from fide_plugins.experiments import run as harness
+    >>> from fide_lab import run as harness
     >>> result = harness.run("voronoi", "cma", budget=30, size=32, seed=0)
     >>> result.evaluations
     30
@@ -26,8 +26,8 @@ What a run records, and its directory, are in `recording`.
 
 from __future__ import annotations
 
-from fide_plugins.experiments.run.loop import Run
-from fide_plugins.experiments.run.prepare import prepare, run
+from fide_lab.run.loop import Run
+from fide_lab.run.prepare import prepare, run
 from fide_plugins.recording.record import Keep, Progress, RunResult
 from fide_plugins.recording.signals import Interrupted
 

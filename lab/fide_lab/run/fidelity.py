@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fide_lab.run.pixel_samples import PixelSamples
+from fide_lab.run.task import TaskInfo
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.pixel_samples import PixelSamples
-from fide_plugins.experiments.run.task import TaskInfo
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:

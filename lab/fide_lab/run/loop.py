@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
+from fide_lab.run import film
+from fide_lab.run.fidelity import Fidelity
+from fide_lab.run.judge import judge
+from fide_lab.run.task import Task, TaskInfo
 from fide_plugins.errors import FideError, PointsError, RenderError
-from fide_plugins.experiments.run import film
-from fide_plugins.experiments.run.fidelity import Fidelity
-from fide_plugins.experiments.run.judge import judge
-from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.learning.rounds import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved

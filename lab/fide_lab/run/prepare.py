@@ -9,14 +9,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from fide_plugins import losses as losses_module, optimizers
+from fide_lab import optimizers
+from fide_lab.run import renderer_task
+from fide_lab.run.fidelity import Fidelity
+from fide_lab.run.loop import Run
+from fide_lab.run.task import Task, TaskInfo
+from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_lab.suite import read as read_suite
+from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
-from fide_plugins.experiments.run import renderer_task
-from fide_plugins.experiments.run.fidelity import Fidelity
-from fide_plugins.experiments.run.loop import Run
-from fide_plugins.experiments.run.task import Task, TaskInfo
-from fide_plugins.experiments.run.user_optimizer import AskTell, UserOptimizer, complete
-from fide_plugins.experiments.suite import read as read_suite
 from fide_plugins.learning.hypotheses import with_model
 from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
 from fide_plugins.losses.base import ImageLoss
@@ -86,7 +87,7 @@ def prepare(
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
         `pixel_samples`.
     optimizer
-        name in `fide_plugins.optimizers`; ``FILE.py:NAME`` for a user's class, see
+        name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
         `baselines.own`; or a callable that is called as a class of one would be:
         ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
         else is optional, see `user_optimizer.UserOptimizer`.
@@ -210,7 +211,7 @@ def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer)
     if not isinstance(optimizer, str):
         raise OptionError(
             "a run with a directory needs its optimizer by name, to load it again; "
-            "see fide_plugins.optimizers.register"
+            "see fide_lab.optimizers.register"
         )
     if isinstance(searcher, UserOptimizer):
         searcher.check_saves()
@@ -238,7 +239,8 @@ def _restored(
     directory: RunDirectory, record: Record, searcher: Optimizer, fidelity: Fidelity | None
 ) -> tuple[Record, Optimizer]:
     """Record and optimizer that the directory holds; those given, where it holds none."""
-    saved = directory.restore()
+    name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
+    saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
     if saved is not None:
         dim = searcher.dim
         record = saved[0]

@@ -14,6 +14,6 @@
 ============  ====================================================================
 """
 
-from fide_plugins.experiments.suite.definition import Scene, Suite, names, read
+from fide_lab.suite.definition import Scene, Suite, names, read
 
 __all__ = ["Scene", "Suite", "names", "read"]

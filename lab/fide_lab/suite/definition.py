@@ -16,7 +16,7 @@ from fide_plugins.errors import OptionError, UnknownNameError
 
 __all__ = ["Scene", "Suite", "names", "read"]
 
-_FOLDER = Path(str(resources.files("fide_plugins.experiments.suite")))
+_FOLDER = Path(str(resources.files("fide_lab.suite")))
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Scene:
 
     group: such as "folding"; loss: that is minimized; solved: the loss from which on it is solved.
     task: name in `fide_tasks`, made with `size` in pixels and `options`; or None for a program,
-        whose task has the `options` of `experiments.run.renderer_task.make`.
+        whose task has the `options` of `run.renderer_task.make`.
     """
 
     name: str

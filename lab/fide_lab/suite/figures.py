@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fide_plugins.experiments.report import plots
-from fide_plugins.experiments.suite import profiles
+from fide_lab.report import plots
+from fide_lab.suite import profiles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from fide_plugins.experiments.suite.scores import Scores
+    from fide_lab.suite.scores import Scores
 
 __all__ = ["data_profile", "performance_profile"]
 

@@ -12,8 +12,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from fide_plugins.experiments.compare.results import Results
-from fide_plugins.experiments.report import (
+from fide_lab.compare.results import Results
+from fide_lab.report import (
     Written,
     companion,
     page as report_page,
@@ -21,11 +21,11 @@ from fide_plugins.experiments.report import (
     sentences,
     svg,
 )
-from fide_plugins.experiments.report.tables import Entry, Table, escaped, markdown, number, plain
-from fide_plugins.experiments.suite import figures
-from fide_plugins.experiments.suite.remarks import remarks
-from fide_plugins.experiments.suite.scores import Scores, scores
-from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
+from fide_lab.report.tables import Entry, Table, escaped, markdown, number, plain
+from fide_lab.suite import figures
+from fide_lab.suite.remarks import remarks
+from fide_lab.suite.scores import Scores, scores
+from fide_lab.suite.tables import by_scene, lowest, totals
 from fide_plugins.runtime import files
 from fide_plugins.runtime.wording import counted
 

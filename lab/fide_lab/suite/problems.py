@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from fide_lab.compare.configuration import Configuration
+from fide_lab.compare.plan import Plan, RunKey
+from fide_lab.run import Keep
+from fide_lab.run.prepare import make_task, target_of
+from fide_lab.suite.definition import Suite
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare.configuration import Configuration
-from fide_plugins.experiments.compare.plan import Plan, RunKey
-from fide_plugins.experiments.run import Keep
-from fide_plugins.experiments.run.prepare import make_task, target_of
-from fide_plugins.experiments.suite.definition import Suite
 
 __all__ = ["SuitePlan", "check_budgets", "plan", "unavailable"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from fide_plugins.experiments.report import sentences
-from fide_plugins.experiments.suite.scores import Scores
+from fide_lab.report import sentences
+from fide_lab.suite.scores import Scores
 from fide_plugins.runtime.wording import counted
 
 __all__ = ["remarks"]

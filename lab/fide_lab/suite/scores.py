@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fide_plugins.experiments.compare.results import (
+from fide_lab.compare.results import (
     AllFailedError,
     NoResultsError,
     Results,
     StoredRun,
 )
-from fide_plugins.experiments.suite.definition import Suite, read
-from fide_plugins.experiments.suite.profiles import within
+from fide_lab.suite.definition import Suite, read
+from fide_lab.suite.profiles import within
 from fide_plugins.types import Float64
 
 __all__ = ["Scores", "scores"]

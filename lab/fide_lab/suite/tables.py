@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_plugins.experiments.report import statistics
-from fide_plugins.experiments.report.tables import Entry, Table, number
-from fide_plugins.experiments.suite.scores import Scores
+from fide_lab.report import statistics
+from fide_lab.report.tables import Entry, Table, number
+from fide_lab.suite.scores import Scores
 from fide_plugins.types import Float64
 
 __all__ = ["by_scene", "lowest", "sign_test", "totals"]

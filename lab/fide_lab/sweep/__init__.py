@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from fide_plugins.experiments.sweep.front import Combination, best_within, front, read
-from fide_plugins.experiments.sweep.grid import Grid
+from fide_lab.sweep.front import Combination, best_within, front, read
+from fide_lab.sweep.grid import Grid
 
 __all__ = ["Combination", "Grid", "best_within", "front", "read"]

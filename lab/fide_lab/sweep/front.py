@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fide_lab.compare import Results, StoredRun, read as read_comparison
+from fide_lab.compare.configuration import split
+from fide_lab.compare.plan import target_file
+from fide_lab.compare.results import NoResultsError
+from fide_lab.run.prepare import make_task, target_of
+from fide_lab.run.renderer_task import is_own
+from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
-from fide_plugins.experiments.compare import Results, StoredRun, read as read_comparison
-from fide_plugins.experiments.compare.configuration import split
-from fide_plugins.experiments.compare.plan import target_file
-from fide_plugins.experiments.compare.results import NoResultsError
-from fide_plugins.experiments.run.prepare import make_task, target_of
-from fide_plugins.experiments.run.renderer_task import is_own
-from fide_plugins.experiments.run.task import Task, TaskInfo
 from fide_plugins.recording import kept_target
 from fide_plugins.types import Float32
 

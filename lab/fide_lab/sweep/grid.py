@@ -13,10 +13,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from fide_lab.compare import Configuration, Plan
+from fide_lab.compare.directory import read_record
+from fide_lab.run.renderer_task import is_own
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.experiments.compare import Configuration, Plan
-from fide_plugins.experiments.compare.directory import read_record
-from fide_plugins.experiments.run.renderer_task import is_own
 from fide_plugins.options import PRESETS
 from fide_plugins.recording.json_record import check_settings
 

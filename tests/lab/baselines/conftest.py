@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.base import Baseline
+from fide_lab import optimizers
+from fide_lab.baselines.base import Baseline
 from fide_plugins.types import Float32, Float64
 
 from .small import OPTIONS

@@ -6,7 +6,7 @@ import cma
 import numpy as np
 import pytest
 
-from fide_plugins.baselines.cma import CMA
+from fide_lab.baselines.cma import CMA
 from fide_plugins.types import Float64
 
 

@@ -9,8 +9,8 @@ import dfols
 import numpy as np
 import pytest
 
+from fide_lab.baselines.dfols import DFOLS
 from fide_plugins import encoders
-from fide_plugins.baselines.dfols import DFOLS
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.types import Float32, Float64
 

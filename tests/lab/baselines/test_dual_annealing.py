@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import dual_annealing
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.base import Baseline
-from fide_plugins.baselines.dual_annealing import DualAnnealing
-from fide_plugins.baselines.fide_annealing import FIDEAnnealing, Visits
+from fide_lab import optimizers
+from fide_lab.baselines.base import Baseline
+from fide_lab.baselines.dual_annealing import DualAnnealing
+from fide_lab.baselines.fide_annealing import FIDEAnnealing, Visits
 from fide_plugins.errors import OptionError, ProtocolError
 from fide_plugins.types import Float64
 

@@ -10,9 +10,8 @@ import numpy as np
 import optuna
 import pytest
 
-from fide_plugins import optimizers
+from fide_lab import optimizers, run as harness
 from fide_plugins.errors import DependencyError, OptimizerError, UnknownNameError
-from fide_plugins.experiments import run as harness
 from fide_plugins.types import Float64
 
 from .conftest import sphere

@@ -12,12 +12,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.npe.canonical import canonical
-from fide_plugins.baselines.npe.flow import Flow, seeded
-from fide_plugins.baselines.npe.search import NPE
-from fide_plugins.baselines.npe.truncated import draw_truncated
-from fide_plugins.baselines.penalty import quietly
+from fide_lab import optimizers
+from fide_lab.baselines.npe.canonical import canonical
+from fide_lab.baselines.npe.flow import Flow, seeded
+from fide_lab.baselines.npe.search import NPE
+from fide_lab.baselines.npe.truncated import draw_truncated
+from fide_lab.baselines.penalty import quietly
 from fide_plugins.errors import DependencyError, ImageError, OptionError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.space import Float, Group, Space

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.cma import CMA
+from fide_lab import optimizers
+from fide_lab.baselines.cma import CMA
 from fide_plugins.errors import CheckpointError, ImageError, OptionError, PointsError
 
 TARGET = np.full((4, 4, 3), 0.3, np.float32)
 MINE = """
 import numpy as np
-from fide_plugins.baselines.cma import CMA
+from fide_lab.baselines.cma import CMA
 
 
 class Least:

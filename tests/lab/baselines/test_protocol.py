@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import baselines, optimizers
-from fide_plugins.baselines.random import Random
+from fide_lab import baselines, optimizers
+from fide_lab.baselines.random import Random
 from fide_plugins.errors import (
     ImageError,
     LossError,

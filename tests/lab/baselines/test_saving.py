@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import losses as losses_module, optimizers
-from fide_plugins.baselines.base import Baseline
-from fide_plugins.baselines.random import Random
-from fide_plugins.baselines.replay import Replayed
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab import optimizers
+from fide_lab.baselines.base import Baseline
+from fide_lab.baselines.random import Random
+from fide_lab.baselines.replay import Replayed
+from fide_lab.baselines.stateful import Stateful
+from fide_plugins import losses as losses_module
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError, DeviceError, LossError, UnknownNameError
 from fide_plugins.losses.mse import MeanSquaredError

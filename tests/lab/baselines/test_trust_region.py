@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.baselines.penalty import quietly
-from fide_plugins.baselines.trust_region.composite import (
+from fide_lab.baselines.penalty import quietly
+from fide_lab.baselines.trust_region.composite import (
     CompositeBO,
     ImageModel,
     principal_components,
 )
-from fide_plugins.baselines.trust_region.region import FIRST, SMALLEST, Region, candidates
-from fide_plugins.baselines.trust_region.turbo import LossModel, TuRBO
+from fide_lab.baselines.trust_region.region import FIRST, SMALLEST, Region, candidates
+from fide_lab.baselines.trust_region.turbo import LossModel, TuRBO
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32, Float64

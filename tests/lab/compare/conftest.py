@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.random import Random
-from fide_plugins.experiments.compare import Configuration, Plan
+from fide_lab import optimizers
+from fide_lab.baselines.random import Random
+from fide_lab.compare import Configuration, Plan
 
 SMALL = Plan(
     ("voronoi",),

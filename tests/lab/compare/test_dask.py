@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from fide_lab import compare
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import compare
 
 from .conftest import small
 

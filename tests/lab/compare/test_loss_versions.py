@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from fide_lab import compare, run as harness
+from fide_lab.compare.driver import prepare
 from fide_plugins import losses
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments import compare, run as harness
-from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.losses.mse import MeanSquaredError
 from fide_plugins.recording.json_record import RunDirectoryError
 

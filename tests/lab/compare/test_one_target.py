@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from fide_plugins.experiments import compare
-from fide_plugins.experiments.compare import Outcome, Plan
-from fide_plugins.experiments.compare.driver import prepare
-from fide_plugins.experiments.report.sentences import METHOD
+from fide_lab import compare
+from fide_lab.compare import Outcome, Plan
+from fide_lab.compare.driver import prepare
+from fide_lab.report.sentences import METHOD
 from fide_plugins.recording.json_record import RunDirectoryError
 
 from .conftest import small
@@ -119,7 +119,7 @@ def test_a_call_that_is_killed_before_its_record_leaves_the_target_for_the_next(
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("fide_plugins.experiments.compare.directory.files.write_text", killed)
+        patch.setattr("fide_lab.compare.directory.files.write_text", killed)
         compare.run(plan_of(scene, "cma"), out)
     (kept,) = (out / "targets").iterdir()
     before = kept.read_bytes()

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
+from fide_lab.compare import Configuration, Plan, RunKey
+from fide_lab.compare.configuration import as_file_name
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.experiments.compare import Configuration, Plan, RunKey
-from fide_plugins.experiments.compare.configuration import as_file_name
 
 from .conftest import small
 

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.random import Random
-from fide_plugins.experiments import compare, run as harness
-from fide_plugins.experiments.compare import Outcome, RunKey, processes
-from fide_plugins.experiments.compare.driver import prepare
+from fide_lab import compare, optimizers, run as harness
+from fide_lab.baselines.random import Random
+from fide_lab.compare import Outcome, RunKey, processes
+from fide_lab.compare.driver import prepare
 from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.runtime import files, machine
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
+from fide_lab import compare
+from fide_lab.compare import Configuration, Plan
+from fide_lab.compare.configuration import as_file_name
+from fide_lab.compare.driver import prepare
 from fide_plugins.cli import main
-from fide_plugins.experiments import compare
-from fide_plugins.experiments.compare import Configuration, Plan
-from fide_plugins.experiments.compare.configuration import as_file_name
-from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.learning import learn
 from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer

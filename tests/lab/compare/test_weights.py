@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
+from fide_lab import compare, run as harness
+from fide_lab.compare import Plan
+from fide_lab.compare.driver import prepare
 from fide_plugins import encoders
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments import compare, run as harness
-from fide_plugins.experiments.compare import Plan
-from fide_plugins.experiments.compare.driver import prepare
 from fide_plugins.recording.json_record import RunDirectoryError
 
 from .conftest import contents, small

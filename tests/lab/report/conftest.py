@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import losses, optimizers
-from fide_plugins.baselines.random import Random
-from fide_plugins.experiments import compare, report
-from fide_plugins.experiments.compare import Configuration, Plan, Results, RunKey, StoredRun
-from fide_plugins.experiments.compare.results import Curve
+from fide_lab import compare, optimizers, report
+from fide_lab.baselines.random import Random
+from fide_lab.compare import Configuration, Plan, Results, RunKey, StoredRun
+from fide_lab.compare.results import Curve
+from fide_plugins import losses
 from fide_plugins.losses.mse import MeanSquaredError
 
 NASTY = {

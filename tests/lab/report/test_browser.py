@@ -129,7 +129,7 @@ def test_a_phone_shows_it_without_scrolling_sideways(
 
 @pytest.mark.thorough
 def test_many_optimizers_with_long_names_fit_a_phone_too(browser: Any, tmp_path: Path) -> None:
-    from fide_plugins.experiments import report
+    from fide_lab import report
 
     from .conftest import results
     from .test_report import LONG, many

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab import compare, report
+from fide_lab.compare import Configuration, Plan, StoredRun
+from fide_lab.compare.results import NoResultsError
+from fide_lab.report import pictures, plots, sentences, svg, tables
+from fide_lab.report.labels import short_names
+from fide_lab.report.panel import panels
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import compare, report
-from fide_plugins.experiments.compare import Configuration, Plan, StoredRun
-from fide_plugins.experiments.compare.results import NoResultsError
-from fide_plugins.experiments.report import pictures, plots, sentences, svg, tables
-from fide_plugins.experiments.report.labels import short_names
-from fide_plugins.experiments.report.panel import panels
 
 from .conftest import NASTY, failed, missing, result, results
 

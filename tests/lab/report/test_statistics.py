@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
-from fide_plugins.experiments.report import statistics
-from fide_plugins.experiments.report.panel import panels
-from fide_plugins.experiments.report.statistics import Success, adjusted, bands, paired, quantiles
+from fide_lab.report import statistics
+from fide_lab.report.panel import panels
+from fide_lab.report.statistics import Success, adjusted, bands, paired, quantiles
 
 from .conftest import curve, failed, missing, result, results
 

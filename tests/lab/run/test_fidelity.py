@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
+from fide_lab.run.fidelity import Fidelity
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.fidelity import Fidelity
 from fide_plugins.recording.record import Record
 from fide_plugins.types import Float64
 

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import losses, optimizers
-from fide_plugins.baselines.random import Random
+from fide_lab import optimizers, run as harness
+from fide_lab.baselines.random import Random
+from fide_lab.run.loop import PIECE
+from fide_plugins import losses
 from fide_plugins.errors import (
     PointsError,
     RenderError,
 )
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.loop import PIECE
 from fide_plugins.types import Float64
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same

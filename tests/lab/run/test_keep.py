@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import losses, optimizers
-from fide_plugins.baselines.random import Random
+from fide_lab import optimizers, run as harness
+from fide_lab.baselines.random import Random
+from fide_lab.run import Keep, film
+from fide_plugins import losses
 from fide_plugins.errors import PointsError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run import Keep, film
 from fide_plugins.recording.parallel import rounds
 from fide_plugins.types import Float64
 

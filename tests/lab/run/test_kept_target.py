@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from fide_lab import run as harness
+from fide_lab.run.prepare import make_task
+from fide_lab.run.renderer_task import source_of_target
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.prepare import make_task
-from fide_plugins.experiments.run.renderer_task import source_of_target
 from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.recording.kept_target import agree
 

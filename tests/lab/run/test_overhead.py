@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import losses, optimizers
-from fide_plugins.experiments import run as harness
+from fide_lab import optimizers, run as harness
+from fide_plugins import losses
 from fide_plugins.types import Float64
 
 LIMIT_CALLS, LIMIT_MS = 20, 0.2  # for one render; 14 calls and 0.045 ms in November 2026

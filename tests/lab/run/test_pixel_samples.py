@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from fide_lab.run.pixel_samples import PixelSamples
 from fide_plugins.errors import LossError, OptionError
-from fide_plugins.experiments.run.pixel_samples import PixelSamples
 
 K = 12  # candidates a generation
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
+from fide_lab.run.renderer_task import RendererTask
 from fide_plugins import Float, Space
 from fide_plugins.errors import RenderError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.renderer_task import RendererTask
 
 from .tint import raise_interrupt, same
 

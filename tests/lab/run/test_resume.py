@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from fide_plugins import losses, optimizers
-from fide_plugins.baselines.random import Random
+from fide_lab import optimizers, run as harness
+from fide_lab.baselines.random import Random
+from fide_plugins import losses
 from fide_plugins.errors import (
     CheckpointError,
     OptionError,
     RenderError,
 )
-from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.recording.checkpointing import CheckpointTimer
 from fide_plugins.recording.directory import RunDirectory

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins.baselines.cma import CMA
-from fide_plugins.baselines.random import Random
+from fide_lab import run as harness
+from fide_lab.baselines.cma import CMA
+from fide_lab.baselines.random import Random
+from fide_lab.run.loop import PIECE
 from fide_plugins.errors import (
     ImageError,
     OptionError,
     UnknownNameError,
 )
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.loop import PIECE
 from fide_plugins.types import Float64
 
 from .tint import TARGET, Tint

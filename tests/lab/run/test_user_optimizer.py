@@ -9,12 +9,11 @@ from typing import Any, Self, cast
 import numpy as np
 import pytest
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.cma import CMA
+from fide_lab import optimizers, run as harness
+from fide_lab.baselines.cma import CMA
+from fide_lab.run.task import TaskInfo
+from fide_lab.run.user_optimizer import UserOptimizer, complete
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.task import TaskInfo
-from fide_plugins.experiments.run.user_optimizer import UserOptimizer, complete
 from fide_plugins.types import Float64
 
 TARGET = np.full((4, 4, 3), 0.3, np.float32)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.experiments.run import RunResult
+from fide_lab.run import RunResult
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)

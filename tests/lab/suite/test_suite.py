@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import suite as suites
+from fide_lab.run.prepare import make_task
+from fide_lab.suite import definition, page, problems
+from fide_lab.suite.remarks import remarks
+from fide_lab.suite.scores import Scores
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import suite as suites
-from fide_plugins.experiments.run.prepare import make_task
-from fide_plugins.experiments.suite import definition, page, problems
-from fide_plugins.experiments.suite.remarks import remarks
-from fide_plugins.experiments.suite.scores import Scores
 from fide_plugins.renderers.template import Template
 
 pytestmark = pytest.mark.figures

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import fide_tasks
+from fide_lab.compare import RunKey, StoredRun
+from fide_lab.compare.results import Curve
+from fide_lab.sweep import Combination, Grid, best_within, front, read
+from fide_lab.sweep.front import AXES
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.compare import RunKey, StoredRun
-from fide_plugins.experiments.compare.results import Curve
-from fide_plugins.experiments.sweep import Combination, Grid, best_within, front, read
-from fide_plugins.experiments.sweep.front import AXES
 
 SMALL = ["--budget", "60", "--task-set", "cells=2", "--popsize", "6"]
 

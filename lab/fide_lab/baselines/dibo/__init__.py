@@ -37,9 +37,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.dibo.diffusion import Diffusion
-from fide_plugins.baselines.dibo.round import Round, RoundOptions
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab.baselines.dibo.diffusion import Diffusion
+from fide_lab.baselines.dibo.round import Round, RoundOptions
+from fide_lab.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64

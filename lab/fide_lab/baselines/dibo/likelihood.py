@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.dibo.diffusion import program_betas
+from fide_lab.baselines.dibo.diffusion import program_betas
 
 if TYPE_CHECKING:
-    from fide_plugins.baselines.dibo.diffusion import Predict
+    from fide_lab.baselines.dibo.diffusion import Predict
 
 __all__ = ["program_likelihood", "program_sigmas"]
 

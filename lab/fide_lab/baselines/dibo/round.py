@@ -12,16 +12,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from fide_plugins.baselines.dibo.diffusion import (
+from fide_lab.baselines.dibo.diffusion import (
     Diffusion,
     Predict,
     draw_normal,
     paper_betas,
     program_betas,
 )
-from fide_plugins.baselines.dibo.likelihood import program_likelihood
-from fide_plugins.baselines.dibo.networks import Ensemble, NoisePredictor
-from fide_plugins.baselines.networks import make
+from fide_lab.baselines.dibo.likelihood import program_likelihood
+from fide_lab.baselines.dibo.networks import Ensemble, NoisePredictor
+from fide_lab.baselines.networks import make
 from fide_plugins.validation.option_rules import Rule, one_of, positive, whole
 
 __all__ = ["Round", "RoundOptions", "trajectory_balance"]

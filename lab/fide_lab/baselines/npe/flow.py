@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fide_plugins.baselines.penalty import quietly
+from fide_lab.baselines.penalty import quietly
 from fide_plugins.runtime.extras import missing
 from fide_plugins.types import Float32, Float64
 

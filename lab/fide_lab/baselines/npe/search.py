@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.baselines.images_needed import needed_images, needed_target
-from fide_plugins.baselines.npe.canonical import canonical
-from fide_plugins.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
-from fide_plugins.baselines.npe.truncated import draw_truncated
-from fide_plugins.baselines.stateful import Stateful
+from fide_lab.baselines.images_needed import needed_images, needed_target
+from fide_lab.baselines.npe.canonical import canonical
+from fide_lab.baselines.npe.flow import Flow, Trainer, import_sbi, seeded
+from fide_lab.baselines.npe.truncated import draw_truncated
+from fide_lab.baselines.stateful import Stateful
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import (

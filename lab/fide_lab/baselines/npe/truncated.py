@@ -16,7 +16,7 @@ from collections.abc import Callable
 from torch import Tensor
 from torch.distributions import Distribution
 
-from fide_plugins.baselines.npe.flow import Flow
+from fide_lab.baselines.npe.flow import Flow
 
 __all__ = ["draw_truncated"]
 

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.penalty import quietly
-from fide_plugins.baselines.stateful import Stateful
-from fide_plugins.baselines.trust_region.region import FIRST, REGION, SMALLEST, Region, candidates
+from fide_lab.baselines.penalty import quietly
+from fide_lab.baselines.stateful import Stateful
+from fide_lab.baselines.trust_region.region import FIRST, REGION, SMALLEST, Region, candidates
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.extras import missing
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, whole

@@ -22,8 +22,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.image_features import ImageBased
-from fide_plugins.baselines.trust_region.base import Surrogate, TrustRegion
+from fide_lab.baselines.image_features import ImageBased
+from fide_lab.baselines.trust_region.base import Surrogate, TrustRegion
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from fide_plugins.baselines.trust_region.base import Surrogate, TrustRegion
+from fide_lab.baselines.trust_region.base import Surrogate, TrustRegion
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["LossModel", "TuRBO"]
