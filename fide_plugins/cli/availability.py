@@ -58,7 +58,7 @@ def _try_task(name: str) -> None:
 
 
 def _try_optimizer(name: str) -> None:
-    from fide_plugins import FIDE
+    from fide_plugins.fide import FIDE
 
     optimizer = FIDE if name == "fide" else partial(laboratory.module("optimizers").make, name)
     optimizer(2, _image(), seed=0).ask()
