@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+
 import cma
 import numpy as np
 import pytest
 
+from fide_lab import baselines
 from fide_lab.baselines.cma import CMA
+from fide_plugins.errors import DependencyError
 from fide_plugins.types import Float64
 
 
@@ -132,3 +136,10 @@ def test_the_recommendation_is_of_the_search_that_found_the_best() -> None:
         opt.tell(X, losses=basins(X))
     assert opt.best is not None and opt.best.loss < 1e-9
     np.testing.assert_allclose(opt.recommend(), 0.15, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["CMA", "BIPOP", "LQCMA"])
+def test_without_the_package_it_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(DependencyError, match=r"pip install cma .*extra lab"):
+        getattr(baselines, name)(3)
