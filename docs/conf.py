@@ -47,7 +47,8 @@ suppress_warnings = [
 
 # -- notebooks: executed, and again when they, FIDE or the versions of packages have changed -------
 _code = hashlib.sha256()
-for _file in (ROOT / "constraints.txt", *sorted((ROOT / "fide_plugins").rglob("*.py"))):
+_sources = [path for name in ("fide_plugins", "lab") for path in (ROOT / name).rglob("*.py")]
+for _file in (ROOT / "constraints.txt", *sorted(_sources)):
     _code.update(_file.read_bytes())
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "build" / "notebooks" / _code.hexdigest()[:16])
