@@ -289,5 +289,5 @@ class Loop:
         self.failures.note(failed, self._renderer.params(x))
         self.failures.check()
 
-    def _state(self) -> tuple[int, float, float]:
-        return self.record.evaluations, self.record.wall_s, self.record.best_loss
+    def _state(self) -> tuple[list[float], float, float]:
+        return self.record.losses, self.record.wall_s, self.record.best_loss
