@@ -316,9 +316,9 @@ def test_a_result_is_short_to_read() -> None:
 
 @pytest.mark.thorough
 def test_writing_is_no_time_of_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def slow_write(self: Fitting, status: str) -> None:
+    def slow_write(self: Fitting, status: str, stopped: str) -> None:
         time.sleep(2)
-        write(self, status)
+        write(self, status, stopped)
 
     write = Fitting._write
     monkeypatch.setattr(Fitting, "_write", slow_write)

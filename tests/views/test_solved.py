@@ -24,7 +24,7 @@ def test_two_antialiased_pixels_do_not_count() -> None:
     views = Views.read(TARGET)
     assert is_solved(views, off(10, (10, 10), (40, 41)))
     assert is_solved(views, off(10, (10, 10), (10, 11)))
-    assert is_solved(views, off(0.99, *np.argwhere(np.eye(72) > 0).tolist()))
+    assert is_solved(views, off(0.99, *[(i, i) for i in range(72)]))
 
 
 @pytest.mark.parametrize(
