@@ -153,7 +153,7 @@ class Retargeting(Readings):
 
     @abstractmethod
     def draw_generation(self, first: Float64 | None = None) -> None:
-        """Queue the candidates of the next generation; those at points `first` (m, d) come first."""
+        """Queue the candidates of the next generation; points `first` (m, d) come first."""
 
 
 def _teach(proposer: Proposer, samples: list[TrainingSample], std: Float64, popsize: int) -> None:
