@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab.run import Progress
 from fide_plugins import fit
 from fide_plugins.cli import progress
-from fide_plugins.experiments.run import Progress
 from fide_plugins.fitting.failures import FitError
 
 NO_TIME = dict.fromkeys(("render", "encode", "train", "search"), 0.0)
@@ -113,7 +113,7 @@ def test_the_time_that_is_left(
 
 def test_a_fit_tells_its_time_limit_and_where_its_speed_counts_from() -> None:
     seen: list[Progress] = []
-    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, until="budget", workers=0, seed=0,
-        progress=seen.append)  # fmt: skip
+    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, until="budget",
+        workers=0, seed=0, progress=seen.append)  # fmt: skip
     assert seen[0].evaluations == 0 and seen[-1].evaluations == 20
     assert {at.time for at in seen} == {60.0}
