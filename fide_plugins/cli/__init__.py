@@ -36,6 +36,7 @@ __all__ = ["main"]
 COMMANDS = {
     "run": "fit a built-in task, or a test of your renderer",
     "fit": "fit a picture of your own, with your renderer or a model",
+    "check": "look at your renderer before a fit",
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
     "compare": "compare optimizers on tasks",
