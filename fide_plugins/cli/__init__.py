@@ -16,6 +16,7 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 `running`            executes runs and comparisons, with messages and exit codes
 `progress`           progress of a run: a bar in a terminal, lines elsewhere
 `availability`       which tasks, optimizers, encoders and losses can be used here
+`suggestions`        what was meant by a flag or a name that is not known
 `messages`           text for a terminal
 ===================  ===================================================================
 """
@@ -30,6 +31,7 @@ from typing import NoReturn
 
 from fide_plugins import __version__
 from fide_plugins.cli.messages import complain
+from fide_plugins.cli.suggestions import flags_of, suggestion
 
 __all__ = ["main"]
 
@@ -102,7 +104,9 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        raise _Usage(self.prog, message)
+        own = [flag for action in self._actions for flag in action.option_strings]
+        hint = suggestion(message, own, lambda: flags_of(COMMANDS))
+        raise _Usage(self.prog, message + hint)
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)
