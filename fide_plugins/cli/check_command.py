@@ -23,7 +23,14 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.cli.arguments import add_space_argument, path, whole
-from fide_plugins.cli.messages import note, paragraph, plain, warnings_as_notes
+from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
+    note,
+    notices,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
@@ -49,7 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import USAGE_ERRORS
     from fide_plugins.fitting.checking import check
     from fide_plugins.fitting.checking.figure import figure
     from fide_plugins.fitting.checking.report import as_data, lines
@@ -106,7 +112,8 @@ def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], A
         raise OptionError("--space is for a renderer of your own; a built-in task has its own")
     import fide_tasks
 
-    task = fide_tasks.make(args.renderer, _SIDE)
+    with notices("fide_tasks"):
+        task = fide_tasks.make(args.renderer, _SIDE)
     return args.renderer, _Frames(task), task.space, args.timeout
 
 

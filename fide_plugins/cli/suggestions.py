@@ -4,46 +4,40 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Iterable
-from importlib import import_module
+from collections.abc import Callable, Mapping
 
 from fide_plugins.errors import did_you_mean
 
-__all__ = ["flags_of", "suggestion"]
+__all__ = ["suggestion"]
 
 _UNKNOWN = "unrecognized arguments: "
 _CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
 
 
 def suggestion(
-    message: str, flags: Iterable[str], others: Callable[[], dict[str, Iterable[str]]]
+    message: str,
+    parser: argparse.ArgumentParser,
+    others: Callable[[], Mapping[str, argparse.ArgumentParser]],
 ) -> str:
     """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
 
-    flags: that the command has.  others: gives those of other commands, by command.
+    parser: of the command.  others: gives those of all commands, by name.
     """
     choice = _CHOICE.search(message)
     if choice is not None:
         return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
     if not message.startswith(_UNKNOWN):
         return ""
-    known = list(flags)
     for word in message.removeprefix(_UNKNOWN).split():
         flag = word.partition("=")[0]
         if not flag.startswith("--"):
             continue
-        if where := [name for name, those in others().items() if flag in those]:
+        if where := [name for name, other in others().items() if flag in _flags(other)]:
             return f"; {flag} is of {' and '.join(f'fide {name}' for name in where[:3])}"
-        if close := did_you_mean(flag, known):
+        if close := did_you_mean(flag, _flags(parser)):
             return close.replace("'", "")
     return ""
 
 
-def flags_of(commands: Iterable[str]) -> dict[str, Iterable[str]]:
-    """Flags of each command, by its name."""
-    found: dict[str, Iterable[str]] = {}
-    for name in commands:
-        parser = argparse.ArgumentParser(add_help=False)
-        import_module(f"fide_plugins.cli.{name}_command").add_arguments(parser)
-        found[name] = [flag for action in parser._actions for flag in action.option_strings]
-    return found
+def _flags(parser: argparse.ArgumentParser) -> list[str]:
+    return [flag for action in parser._actions for flag in action.option_strings]

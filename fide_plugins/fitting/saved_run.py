@@ -79,7 +79,7 @@ class SavedRun:
                 f"{self.path} holds a run with another encoder: its features of the target differ; "
                 "give the same one, or name another directory"
             )
-        restored = self._directory.restore(optimizer)
+        restored = self._directory.restore(optimizer.continue_from)
         if restored is None:
             return None
         record, _ = restored
