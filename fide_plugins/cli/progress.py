@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from fide_plugins.cli.messages import note, number
 from fide_plugins.recording.record import PARTS, Progress, Report
 
-__all__ = ["lines", "reporting", "shares"]
+__all__ = ["interval", "lines", "reporting", "shares"]
 
 _FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
 _FEW = 8  # renders that an estimate of the time left needs
@@ -25,6 +25,11 @@ def reporting(what: str) -> Iterator[Report]:
             yield report
     else:
         yield _Lines(what)
+
+
+def interval(in_terminal: float) -> float:
+    """Seconds between lines: `in_terminal` where somebody looks on, a minute elsewhere."""
+    return in_terminal if sys.stderr.isatty() else _EVERY
 
 
 def lines(what: str) -> Report:
