@@ -95,7 +95,7 @@ def never(x: Any) -> bool:
     return False
 
 
-@pytest.mark.filterwarnings("ignore:Clipping very high value")
+@pytest.mark.filterwarnings("ignore:Clipping very high value", "ignore:Could not bypass")
 @pytest.mark.parametrize("how", ["failed", "violation", "constraint"])
 def test_invalid_candidates_have_no_image_and_are_no_reason_to_warn(how: str) -> None:
     """The first ones, more than a generation, are all invalid; each valid one has its image."""
