@@ -148,7 +148,7 @@ def settings_of(
     target = optimizer.evaluator.target
     space = optimizer.space
     made = {
-        "x0": optimizer.x0.tolist(),
+        "x0": None if optimizer.guess is None else optimizer.guess.tolist(),
         "sigma0": np.asarray(optimizer.sigma0).tolist(),
         "groups": optimizer.options.groups,
     }
