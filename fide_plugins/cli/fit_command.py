@@ -28,7 +28,7 @@ import argparse
 
 from fide_plugins.cli import fit_renderer
 from fide_plugins.cli.arguments import add_run_arguments, add_space_argument, setting, whole
-from fide_plugins.cli.messages import complain
+from fide_plugins.cli.messages import as_typed, complain
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime import laboratory
 
@@ -117,4 +117,15 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
     for name in names:
         if getattr(args, name) is not None:
             flag = "--" + name.replace("_", "-")
-            raise OptionError(f"{flag} has no meaning with {given}; leave it out")
+            remedy = _by_run(args) if name == "optimizer" else "leave it out"
+            raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
+
+
+def _by_run(args: argparse.Namespace) -> str:
+    """The command that fits the same picture with another optimizer."""
+    if len(args.targets) > 1 or args.optimizer == "fide" or not laboratory.is_here():
+        return "leave it out, since fide fit searches with fide"
+    what = [args.renderer] if args.renderer else ["--command", args.templates[0]]
+    space = [] if args.space is None else ["--space", args.space]
+    words = ["fide", "run", *what, *space, "--target", args.targets[0]]
+    return f"to search with another one: {as_typed([*words, '--optimizer', args.optimizer])}"
