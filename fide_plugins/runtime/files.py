@@ -25,8 +25,10 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
+    "MOST_BYTES",
     "RefusedFileError",
     "atomic_writer",
+    "check_regular",
     "check_writable",
     "is_locked",
     "locked",
@@ -106,7 +108,7 @@ def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> IO[byte
     """
     flags = os.O_RDONLY | _O_BINARY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
     flags |= 0 if links else _NO_LINKS
-    _check_regular(path, os.stat(path, follow_symlinks=links))  # some devices act when opened
+    check_regular(path, links=links)  # some devices act when they are opened
     file = os.fdopen(os.open(path, flags), "rb")
     try:
         _check_regular(path, os.fstat(file.fileno()))  # it may be another one by now
@@ -114,6 +116,11 @@ def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> IO[byte
         file.close()
         raise
     return file
+
+
+def check_regular(path: str | os.PathLike[str], *, links: bool = True) -> None:
+    """Raise what `open_regular` raises, for what opens the file by itself."""
+    _check_regular(path, os.stat(path, follow_symlinks=links))
 
 
 def _check_regular(path: str | os.PathLike[str], about: os.stat_result) -> None:
