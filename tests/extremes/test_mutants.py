@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import random
 import re
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,11 @@ import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import CheckpointError, ImageError, SpaceError
+from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning.judging.report import Report
+from fide_plugins.learning.model import Model
+from fide_plugins.learning.networks.emulator import Emulator
+from fide_plugins.learning.networks.network import Network
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
@@ -58,13 +64,44 @@ def mutant(sound: bytes, seed: int) -> bytes:
     return data
 
 
+def mutant_of_json(sound: bytes, seed: int) -> bytes:
+    """Valid JSON with one to three changes: something in it replaced, or left out."""
+    rng, tree = random.Random(seed), [json.loads(sound)]
+    for _ in range(rng.randint(1, 3)):
+        places = list(inside(tree))
+        at, key = rng.choice(places)
+        if rng.random() < 0.2 and at is not tree:
+            del at[key]
+        else:
+            there = rng.choice([*ODD, *(holder[name] for holder, name in places)])
+            at[key] = json.loads(json.dumps(there))
+    return json.dumps(tree[0]).encode()
+
+
+ODD = [None, True, -1, 0, 7, 2**70, 0.5, math.nan, -math.inf, "", "x", "a", [], [1], {}, {"a": 1}]
+
+
+def inside(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Holder and key of everything in a tree."""
+    keys = list(node) if isinstance(node, dict) else range(len(node))
+    for key in keys:
+        yield node, key
+        if isinstance(node[key], dict | list):
+            yield from inside(node[key])
+
+
 def refused(
-    path: Path, sound: bytes, read: Callable[[Path], Any], error: type[Exception], **how: Any
+    path: Path,
+    sound: bytes,
+    read: Callable[[Path], Any],
+    error: type[Exception],
+    change: Callable[[bytes, int], bytes] = mutant,
+    whole: Callable[[bytes], bytes] = bytes,
 ) -> int:
     """Number of mutants that are refused by the error; any other error is raised, with its seed."""
     count = 0
     for seed in range(NUMBER):
-        path.write_bytes(how.get("whole", bytes)(mutant(sound, seed)))
+        path.write_bytes(whole(change(sound, seed)))
         try:
             read(path)
         except error:
@@ -103,7 +140,8 @@ def test_a_space_without_end_is_not_read_to_its_end() -> None:
         Space.read("/dev/zero")
 
 
-def test_records_of_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("change", [mutant, mutant_of_json])
+def test_records_of_runs(change: Callable[[bytes, int], bytes], tmp_path: Path) -> None:
     run = {
         "format": 2, "status": "running", "settings": {"dim": 2, "size": [4, 4], "seed": 0},
         "resumed": ["2026-01-01T00:00:00+00:00"], "limits": {"budget": 60, "time": None},
@@ -114,7 +152,7 @@ def test_records_of_runs(tmp_path: Path) -> None:
     def read(path: Path) -> None:
         assert isinstance(read_run(path.parent), dict)
 
-    assert refused(tmp_path / "run.json", sound, read, RunDirectoryError) > NUMBER / 2
+    assert refused(tmp_path / "run.json", sound, read, RunDirectoryError, change) > NUMBER / 10
 
 
 def checked(body: bytes) -> bytes:
@@ -123,28 +161,96 @@ def checked(body: bytes) -> bytes:
     return b"\x89FIDE\r\n\x1a" + struct.pack("<IQ", checkpoint.VERSION, len(body)) + digest + body
 
 
+def parts(path: Path) -> tuple[bytes, Callable[[bytes], bytes]]:
+    """JSON of a checkpoint, and what makes a file of such JSON and the same arrays."""
+    body = path.read_bytes()[52:]
+    (length,) = struct.unpack("<Q", body[:8])
+    arrays = body[8 + length + -(8 + length) % 64 :]
+
+    def whole(text: bytes) -> bytes:
+        return checked(struct.pack("<Q", len(text)) + text + bytes(-(8 + len(text)) % 64) + arrays)
+
+    return body[8 : 8 + length], whole
+
+
 STATE: dict[str, Any] = {
     "x": np.arange(6.0).reshape(2, 3), "big": 2**100, "real": 0.1, "none": None, "name": "mse",
     "list": [1, [2, {"deep": np.zeros(0)}], True], "dict": {"a": {"b": {"c": -0.5}}},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("table_has_its_length", [False, True])
-def test_checkpoints_with_a_valid_checksum(table_has_its_length: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("change", [mutant, mutant_of_json])
+def test_checkpoints_with_a_valid_checksum(
+    change: Callable[[bytes, int], bytes], tmp_path: Path
+) -> None:
     checkpoint.write(tmp_path / "sound", "test", STATE)
-    body = (tmp_path / "sound").read_bytes()[52:]
-    (length,) = struct.unpack("<Q", body[:8])
-    text, arrays = body[8 : 8 + length], body[8 + length :].lstrip(b"\0")
-
-    def whole(text: bytes) -> bytes:
-        n = len(text) if table_has_its_length else length
-        return checked(struct.pack("<Q", n) + text + bytes(-(8 + len(text)) % 64) + arrays)
+    text, whole = parts(tmp_path / "sound")
 
     def read(path: Path) -> None:
         assert isinstance(checkpoint.read(path, "test"), dict)
 
-    count = refused(tmp_path / "mutant", text, read, CheckpointError, whole=whole)
-    assert count > NUMBER / 2
+    count = refused(tmp_path / "mutant", text, read, CheckpointError, change, whole)
+    assert NUMBER / 2 < count < NUMBER
+
+
+@pytest.mark.thorough
+def test_models(tmp_path: Path) -> None:
+    """What is loaded gives hypotheses in the box."""
+    untrained().save(tmp_path / "sound")
+    text, whole = parts(tmp_path / "sound")
+
+    def read(path: Path) -> None:
+        model = Model.load(path)
+        X = model.sample(np.zeros((*model.size, 3)), 2)
+        assert X.shape == (2, model.dim) and (X >= 0).all() and (X <= 1).all()
+        assert repr(model) and str(model.report)
+
+    count = refused(tmp_path / "mutant", text, read, CheckpointError, mutant_of_json, whole)
+    assert NUMBER / 3 < count < NUMBER
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
+@pytest.mark.parametrize("part", ["weights", "emulator"])
+def test_weights_that_are_not_finite_are_refused_by_name(
+    part: str, value: float, tmp_path: Path
+) -> None:
+    """1e300 is finite in double precision, but not in that of the network."""
+    untrained(emulator=True).save(tmp_path / "sound")
+    state = checkpoint.read(tmp_path / "sound", "learned model")
+    name = [*state[part]][-1]
+    weight = np.array(state[part][name], np.float64)
+    weight.flat[0] = value
+    state[part][name] = weight
+    checkpoint.write(tmp_path / "odd", "learned model", state)
+    with pytest.raises(CheckpointError, match=re.escape(repr(name))):
+        Model.load(tmp_path / "odd")
+
+
+def test_weights_so_large_that_nothing_is_computed(tmp_path: Path) -> None:
+    untrained().save(tmp_path / "sound")
+    state = checkpoint.read(tmp_path / "sound", "learned model")
+    for weight in state["weights"].values():
+        weight[...] = 3e38
+    checkpoint.write(tmp_path / "odd", "learned model", state)
+    with pytest.raises(CheckpointError, match="impossible contents"):
+        Model.load(tmp_path / "odd")
+
+
+def untrained(emulator: bool = False) -> Model:
+    """A model of two blocks of two parameters, as it is before any training."""
+    blocks, periodic = ((0, 1), (2, 3)), (False,) * 4
+    report = Report(
+        renders=90, failed=0, held_out=10, seconds=1.5, nll=-2.5, within=(0.5, 1.0), coverage=0.9,
+        ranks=(0.9, math.nan, 0.9, 0.9), unseen=("b.x",), curve=((90.0, -1.0, -0.5),),
+        augment="none", scale=1.0, fitted=0, parameters=2, emulated=0.95,
+    )  # fmt: skip
+    return Model(
+        Network((4, 4), periodic, "set", blocks),
+        Space(b=2 * Group(x=Float(0, 1), y=Float(0, 1))),
+        (8, 8), "scene.py:render", None, "set", periodic, blocks,
+        Familiarity(np.zeros(256), np.eye(256), 1.0), report,
+        emulator=Emulator((4, 4), periodic, blocks) if emulator else None,
+    )  # fmt: skip
 
 
 # -- what is no file -------------------------------------------------------------------------------

@@ -192,7 +192,8 @@ def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
                 raise ValueError(f"it holds a run with other settings: {run['settings']}")
             return StoredRun(key, folder, "finished", "", run, _curve(folder, run))
         if error.exists():
-            return StoredRun(key, folder, "failed", read_regular(error).decode("utf-8", "replace"), run)
+            text = read_regular(error).decode("utf-8", "replace")
+            return StoredRun(key, folder, "failed", text, run)
     except (RunDirectoryError, OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         return StoredRun(key, folder, "damaged", str(problem) or repr(problem))
     if state.kind == "damaged":
