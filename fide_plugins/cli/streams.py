@@ -26,7 +26,7 @@ def standard_streams() -> Iterator[None]:
     before = sys.stdin, sys.stdout, sys.stderr
     with open(os.devnull) as nothing, open(os.devnull, "w") as nowhere:
         sys.stdin, sys.stderr = before[0] or nothing, before[2] or nowhere
-        sys.stdout = _Output(before[1] or nowhere)  # type: ignore[assignment]
+        sys.stdout = _Output(before[1] or nowhere)
         try:
             yield
             sys.stdout.flush()

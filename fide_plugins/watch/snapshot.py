@@ -190,7 +190,8 @@ def _is_picture(data: bytes) -> bool:
     """Whether it begins as a PNG that may be decoded: a few bytes may say billions of pixels."""
     if not data.startswith(_PNG) or len(data) < len(_PNG) + _SIZE.size:
         return False
-    return math.prod(_SIZE.unpack_from(data, len(_PNG))) <= MAX_PIXELS
+    width, height = _SIZE.unpack_from(data, len(_PNG))
+    return bool(width * height <= MAX_PIXELS)
 
 
 def _text(value: Any) -> str:
