@@ -271,8 +271,13 @@ class RunDirectory:
 
         files.write_bytes(self.path / "summary.png", summary(result, target))
 
-    def write_run(self, status: str = "running", result: RunResult | None = None) -> None:
-        """Write `run.json`."""
+    def write_run(
+        self,
+        status: str = "running",
+        result: RunResult | None = None,
+        stopped: str | None = None,
+    ) -> None:
+        """Write `run.json`; stopped: the rule by which the run has ended, where it has several."""
         self._run |= {
             "status": status,
             "saved": is_saved(self.path),  # so that one which is removed is missed
@@ -281,6 +286,9 @@ class RunDirectory:
             "load": machine.load(),
             "written": now(),
         }
+        self._run.pop("stopped", None)
+        if stopped is not None:
+            self._run["stopped"] = stopped
         if result is not None:
             self._run["totals"] = {**result.summary(), **result.details()}
         if status == "finished":
