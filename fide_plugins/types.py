@@ -106,9 +106,12 @@ class Solution:
         """(dim,), standard deviation of each parameter, in units of the unit cube.
 
         It says how far the truth may be from here: by the noise of the images, by what the search
-        has left, and by what the images do not show (at most 0.29, that of any value).  It is
-        local: of other basins it knows nothing.  NaN on the axes of integers and choices; None
-        where too few images are known.  It is that of the time at which this solution was read of
+        has left, and by what the images do not show (at most 0.29, that of any value).  It is an
+        estimate by a linear model, no measurement, and local: of other basins it knows nothing.
+        That of `fit`'s `Result.best` is by renders around the answer, and counts what the renderer
+        cannot draw (`uncertainty.at_answer`); others are by samples of the search, and depend on
+        its path.  NaN on the axes of integers and choices; None where too few images are known.  It
+        is that of the time at which this solution was read of
         the optimizer, whenever it is asked for.  Until then the solution keeps what the optimizer
         remembered (`memory_mb`): of solutions that are collected over a run, read it at once.
         """

@@ -249,6 +249,11 @@ def _report(result: Any, out: Path) -> None:
         return
     print(f"look at {plain(out)}/best.png, or: {as_typed(['fide', 'solutions', str(out)])}")
     print(plain(result.status))
+    if result.std_renders:
+        print(
+            f"{result.std_renders} more renders around the answer: fide solutions prints how sure "
+            "it is"
+        )
 
 
 def _without_best(result: Any) -> str:

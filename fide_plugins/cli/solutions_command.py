@@ -76,6 +76,11 @@ def _table(found: Any, rows: Any) -> list[str]:
             f"{found.elsewhere:.0%} of the model's hypotheses are near none of these: "
             "probabilities are relative"
         )
+    if any("±" in value for row in rows for value in row.values):
+        lines.append(
+            "± one standard deviation: how far the truth may be from this answer, by noise and by "
+            "what the renderer cannot draw; of other answers it knows nothing"
+        )
     open_ones = [plain(row.name) for row in rows if not row.determined]
     if open_ones:
         lines.append(f"not determined by the picture: {', '.join(open_ones)}")

@@ -10,6 +10,7 @@
 `workers/`       where renders happen
 `rendering`      one render: an image, or what went wrong
 `failures`       renders that gave no image, and when to give up
+`around_answer`  renders around the answer, which say how sure it is
 `stopping`       when a fit is over
 `durations`      "10m"
 `result`         what it has found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fide_plugins.fitting.around_answer import numbers, std_around
 from fide_plugins.fitting.callbacks import Callbacks, Run
 from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
@@ -21,6 +23,7 @@ from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report, best_so_far
 from fide_plugins.recording.signals import Interrupted, Interrupts
+from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FitInterrupted", "Fitting"]
 
+_MORE = 20  # one part in so many: renders beyond the budget
 _SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
 
 
@@ -66,6 +70,8 @@ class Fitting:
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
         self._checkpoint_every = checkpoint_every
         self._shown_at = 0.0
+        self._std: Float64 | None = None
+        self._std_renders = 0
 
     def execute(self) -> Result:
         """Fit until a rule says stop.
@@ -93,6 +99,7 @@ class Fitting:
             self._checkpoints = CheckpointTimer(self._checkpoint_every)
             try:
                 stopped = self._run(interrupts, report)
+                self._std, self._std_renders = self._deviations(stopped, interrupts)
             except BaseException as error:
                 stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
                 return self._end(stopped, interrupts, error)  # which raises it
@@ -138,6 +145,26 @@ class Fitting:
         if self.saved is not None:
             self._save(self.saved)
 
+    def _deviations(self, stopped: str, interrupts: Interrupts) -> tuple[Float64 | None, int]:
+        """Standard deviations (dim,) from renders around the answer, and how many these were.
+
+        None without them: they are made where the budget has room, or where they add at most a
+        twentieth, and where the time has room.
+        """
+        best, done = self.optimizer.state.best, self.record.evaluations
+        if best is None or best.solution.image is None or stopped in ("time", "callback"):
+            return None, 0
+        if self.optimizer.state.grain.variance:
+            return None, 0
+        rules, need = self._stopping, 1 + 2 * len(numbers(self.optimizer))
+        room = math.inf if rules.budget is None else max(rules.budget - done, done // _MORE)
+        each = self._loop.render_seconds / max(1, done) / max(1, self._workers.number)
+        left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
+        if need == 1 or need > room or need * each > left:
+            return None, 0
+        with interrupts.stoppable():
+            return std_around(self.optimizer, self._workers, self._timeout)
+
     # -- ending ------------------------------------------------------------------------------------
 
     def _end(self, stopped: str, interrupts: Interrupts, error: BaseException | None) -> Result:
@@ -176,9 +203,9 @@ class Fitting:
         except Exception:
             with suppress(Exception):
                 left = "failed" if status == "finished" else status
-                saved.leave(left, record, optimizer, stopped)
+                saved.leave(left, record, optimizer, stopped, self._std)
             raise
-        saved.leave(status, record, optimizer, stopped)
+        saved.leave(status, record, optimizer, stopped, self._std)
 
     def _stop_workers(self, interrupts: Interrupts) -> None:
         """Stop them; a second signal does not wait for that."""
@@ -187,12 +214,16 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
+        solutions = self.optimizer.solutions()
+        if best is not None and self._std is not None:
+            best = replace(best, estimate=AtAnswer(self._std, best.estimate))
+            solutions[:1] = [best]
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
             best=best,
             params=None if best is None else self._renderer.params(best.x),
-            solutions=self.optimizer.solutions(),
+            solutions=solutions,
             status=self.optimizer.status,
             curve=_curve(r),
             evaluations=r.evaluations,
@@ -203,6 +234,7 @@ class Fitting:
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
             optimizer=self.optimizer,
+            std_renders=self._std_renders,
         )
 
     # -- meanwhile ---------------------------------------------------------------------------------

@@ -36,6 +36,8 @@ class Result:
         "callback", "interrupted" or "failed".
     out: run directory; None without.
     optimizer: goes on where the fit has ended, by ask and tell.
+    std_renders: renders around the answer at the end, beside the evaluations, from which
+        `best.std` is computed; 0: it is from samples of the search.
     """
 
     best: Solution | None
@@ -51,6 +53,7 @@ class Result:
     stopped: str
     out: Path | None
     optimizer: FIDE
+    std_renders: int = 0
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""

@@ -24,6 +24,7 @@ from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.runtime.callables import own_name
+from fide_plugins.types import Float64
 
 __all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]
 
@@ -119,8 +120,18 @@ class SavedRun:
         best = None if record.image is None else picture(optimizer, record.image)
         self._directory.write_tables(record, best)
 
-    def leave(self, status: str, record: Record, optimizer: FIDE, stopped: str) -> None:
-        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`."""
+    def leave(
+        self,
+        status: str,
+        record: Record,
+        optimizer: FIDE,
+        stopped: str,
+        std: Float64 | None,
+    ) -> None:
+        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`.
+
+        std: (dim,) of the best candidate, by renders around it; None without these.
+        """
         target = optimizer.evaluator.target
         result = result_of(
             self._directory.settings,
@@ -129,7 +140,11 @@ class SavedRun:
             budget=self._budget or record.evaluations,
             status=str(optimizer.status),
         )
-        writes = [lambda: self._directory.write_run(status, result, stopped)]
+        ending = {
+            "stopped": stopped,
+            "std": None if std is None else [None if np.isnan(s) else s for s in std.tolist()],
+        }
+        writes = [lambda: self._directory.write_run(status, result, ending)]
         if status == "finished" and not isinstance(optimizer.target, list):
             writes.insert(0, lambda: self._directory.write_summary(result, target))
         try_each(*writes)

@@ -115,11 +115,11 @@ def _is_settled(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
     """Whether the search knows the answer as well as noise of the target allows.
 
     By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
-    parameters and n pixels, on average (the chi-squared law).  So many candidates as a generation
-    has must be as good: then the best of them is far nearer to the lowest loss.  Where renders have
-    noise of their own, their losses scatter by more, and that is rarely so.
+    parameters and n values of pixels, on average (the chi-squared law).  So many candidates as a
+    generation has must be as good: then the best of them is far nearer to the lowest loss.  Where
+    renders have noise of their own, their losses scatter by more, and that is rarely so.
     """
-    within = best + abs(best) * optimizer.dim / optimizer.views.counted
+    within = best + abs(best) * optimizer.dim / optimizer.views.numbers
     return int(np.count_nonzero(np.asarray(losses) <= within)) >= optimizer.popsize
 
 

@@ -275,9 +275,9 @@ class RunDirectory:
         self,
         status: str = "running",
         result: RunResult | None = None,
-        stopped: str | None = None,
+        ending: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `run.json`; stopped: the rule by which the run has ended, where it has several."""
+        """Write `run.json`; ending: what else is known of a run that has ended."""
         self._run |= {
             "status": status,
             "saved": is_saved(self.path),  # so that one which is removed is missed
@@ -286,9 +286,9 @@ class RunDirectory:
             "load": machine.load(),
             "written": now(),
         }
-        self._run.pop("stopped", None)
-        if stopped is not None:
-            self._run["stopped"] = stopped
+        self._run.pop("ending", None)
+        if ending is not None:
+            self._run["ending"] = dict(ending)
         if result is not None:
             self._run["totals"] = {**result.summary(), **result.details()}
         if status == "finished":

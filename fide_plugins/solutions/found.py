@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from fide_plugins.recording.run_checkpoint import is_saved, read_checkpoint
 from fide_plugins.runtime import checkpoint
 from fide_plugins.solutions import pictures
 from fide_plugins.types import Float32, Solution
+from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -66,6 +67,7 @@ def read(
         )
     optimizer = _optimizer(path, encoder)
     solutions = optimizer.solutions(k)
+    solutions[:1] = [_with_std(one, run) for one in solutions[:1]]
     known = pictures.read(path)
     images = [pictures.of(known, one.x) for one in solutions]
     if solutions and images[0] is None and solutions[0].image is not None:
@@ -77,6 +79,24 @@ def read(
         images,
         optimizer.elsewhere(solutions),
     )
+
+
+def _with_std(best: Solution, run: dict[str, Any]) -> Solution:
+    """The best solution with the standard deviations that its fit has computed at the end.
+
+    Without them, or where they are of another candidate, they are of samples of the search.
+    """
+    totals, ending = run.get("totals"), run.get("ending")
+    if not isinstance(totals, dict) or not isinstance(ending, dict):
+        return best
+    try:
+        std = np.array(ending.get("std"), np.float64)  # None is NaN
+        same = np.array_equal(np.array(totals.get("x_best"), np.float64), best.x)
+    except (TypeError, ValueError):
+        return best
+    if not same or std.shape != best.x.shape or (std < 0).any() or np.isinf(std).any():
+        return best
+    return replace(best, estimate=AtAnswer(std, best.estimate))
 
 
 def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:

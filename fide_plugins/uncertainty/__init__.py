@@ -1,4 +1,7 @@
-"""How sure the parameters of a solution are: a standard deviation for each, from what was rendered.
+"""How sure the parameters of a solution are: a standard deviation for each.
+
+At the end of a fit, by renders around the answer (`at_answer`); elsewhere from samples of the
+search, which depend on its path:
 
 =============  =======================================================================
 `estimate`     the estimate of a solution in four steps, computed when it is read
@@ -10,9 +13,10 @@
 `covariance`   noise of the target, error of the search, what nothing determines
 `as_good`      which samples explain the target as well, and how far away these are
 `values`       whether the picture tells one value of an integer or a choice from another
+`at_answer`    by renders around the answer
 =============  =======================================================================
 
-Nothing here is called before somebody reads `Solution.std`.
+Nothing of these is called before somebody reads `Solution.std`.
 """
 
 from __future__ import annotations

@@ -206,6 +206,12 @@ class Views:
         """How many pixels count, of all views."""
         return sum(view.counted for view in self.views)
 
+    @cached_property
+    def numbers(self) -> int:
+        """How many values of pixels count: three a pixel where the target has colors, else one."""
+        gray = all((view.target == view.target[..., :1]).all() for view in self.views)
+        return self.counted * (1 if gray else 3)
+
     def _packed(self, pictures: Sequence[Float32], leading: tuple[int, ...]) -> Float32:
         """One array of pictures (..., H, W, 3), one for each view."""
         if not self.listed:

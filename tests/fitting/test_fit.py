@@ -299,7 +299,7 @@ def test_a_fit_is_stalled_after_many_moves(
     )
     optimizer: Any = SimpleNamespace(
         popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),
-        views=SimpleNamespace(counted=256),
+        views=SimpleNamespace(numbers=256),
     )  # fmt: skip
     losses = [1.0] * (evaluations - 1) + [0.1]
     assert Stopping(None, until="stalled").reached(losses, 1.0, 0.1, True, optimizer) == over

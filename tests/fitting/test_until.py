@@ -39,14 +39,17 @@ def test_a_fit_ends_within_a_generation_when_it_is_solved() -> None:
 def test_a_solved_fit_goes_on_until_the_budget_if_told(tmp_path: Path) -> None:
     solved = fit(draw, draw(TRUTH), SPACE, budget=600, out=tmp_path, **HERE)
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["stopped"] == solved.stopped == "solved" and run["limits"]["until"] == "solved"
+    assert (
+        run["ending"]["stopped"] == solved.stopped == "solved"
+        and run["limits"]["until"] == "solved"
+    )
     n = solved.evaluations
     same = fit(draw, draw(TRUTH), SPACE, budget=600, out=tmp_path, resume=True, **HERE)
     assert same.evaluations == n and same.stopped == "solved"
     more: dict[str, Any] = {"budget": n + 60, "until": "budget"}
     on = fit(draw, draw(TRUTH), SPACE, **more, out=tmp_path, resume=True, **HERE)
     assert (on.evaluations, on.stopped) == (n + 60, "budget")
-    assert json.loads((tmp_path / "run.json").read_text())["stopped"] == "budget"
+    assert json.loads((tmp_path / "run.json").read_text())["ending"]["stopped"] == "budget"
     whole = fit(draw, draw(TRUTH), SPACE, **more, **HERE)
     np.testing.assert_array_equal(on.curve, whole.curve)
 

@@ -1,0 +1,169 @@
+"""How sure an answer is, by renders around it: `std` that does not depend on the search's path.
+
+Notation: x (p,), numbers of the answer; I (M,), its image; J (p, M), how the image changes with
+each parameter, by central differences; r (M,), what the target has and I has not; all weighted as
+in the loss.  Images of several views, and their colors, are joined in M.
+
+The parameters are those of least squares: an error e (M,) of the picture moves them by A^-1 J e,
+with A = J J^T.  So far the truth may be away:
+
+1. *Noise, and what the renderer cannot draw.*  The residual stands for e: had it the same
+   correlations elsewhere in the picture, the covariance would be A^-1 B A^-1, B = J E[e e^T] J^T,
+   from the spectrum of r (a sandwich covariance, White 1982).  With independent pixels that is
+   sigma^2 A^-1; what covers many pixels counts as few.
+2. *Brightness, and what the search has left.*  If the light were free, each color with its own
+   gain and offset, both planes over the picture, the parameters would be elsewhere by D (p,).  The
+   square of D is added, as far as it exceeds what noise explains, and no less than the square of
+   the Gauss-Newton step A^-1 J r, which a search has left.
+3. *What nothing shows.*  The prior is uniform in the cube, variance 1 / 12.  Less than rounding to
+   8 bits is never claimed of the picture.
+
+It is a standard deviation by a linear model: half as far and twice as far are likely errors of it.
+It knows nothing of other answers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fide_plugins.types import Estimate, Float64, Mask
+
+__all__ = ["AtAnswer", "deviations_at"]
+
+_ROUNDING = (1 / 255) ** 2 / 12
+_PRIOR = 1 / 12  # variance of the uniform law on [0, 1]
+_NUMBERS = 2_000_000  # of J, above which pictures are made smaller
+_RIDGE = 1e-9
+_MOST = 0.9  # of the residual's energy, which the parameters may have taken away
+_TINY = 1e-150
+
+
+@dataclass(frozen=True, eq=False)
+class AtAnswer:
+    """An estimate from renders around an answer.
+
+    std: (dim,), NaN for integers and choices.  by_samples: of samples of the search; None: unknown.
+    """
+
+    std: Float64
+    by_samples: Estimate | None = None
+
+    @property
+    def ambiguous(self) -> Mask | None:
+        """(dim,), integers and choices of which another value may be the true one."""
+        return None if self.by_samples is None else self.by_samples.ambiguous
+
+
+def deviations_at(
+    slopes: Sequence[Float64],
+    residuals: Sequence[Float64],
+    images: Sequence[Float64],
+    weights: Sequence[Float64],
+) -> Float64:
+    """Standard deviations (p,), in units of the unit cube.
+
+    slopes: (p, H, W, C) of each view, change of its image with a parameter over the unit cube.
+    residuals: (H, W, C) of each view, target minus image.  Both are weighted.
+    images: (H, W, C) of each view, not weighted; weights: (H, W, C), by which differences are.
+    """
+    views = [_small(*one) for one in zip(slopes, residuals, images, weights, strict=True)]
+    p = len(slopes[0])
+    J = np.concatenate([view.slopes.reshape(p, -1) for view in views], axis=1)
+    r = np.concatenate([view.residual.ravel() for view in views])
+    energy = float(r @ r)
+    variance = max(energy / len(r), min(view.rounding for view in views))
+    A, prior = J @ J.T, variance / _PRIOR * np.eye(p)
+    K = np.linalg.inv(A + prior)
+    B = sum((_correlated(view) for view in views), np.zeros((p, p)))
+    taken = min(float(np.trace(K @ B)) / max(energy, _TINY), _MOST)
+    B = B / (1 - taken) + max(0.0, variance - energy / len(r)) * A
+    spread = np.diag(K @ (B + variance * prior) @ K)
+    left = np.square(K @ (J @ r))
+    std: Float64 = np.sqrt(np.minimum(spread + np.maximum(_by_light(views, J, r, K), left), _PRIOR))
+    return std
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Arguments of `deviations_at` for one view; rounding: variance of a number by 8 bits."""
+
+    slopes: Float64
+    residual: Float64
+    image: Float64
+    weights: Float64
+    rounding: float
+
+
+def _small(slopes: Float64, residual: Float64, image: Float64, weights: Float64) -> _View:
+    """The same in means of k x k pixels, and in one color where all are equal."""
+    arrays = [slopes, residual, image, weights]
+    if all((one == one[..., :1]).all() for one in arrays):
+        arrays = [one[..., :1] for one in arrays]
+    height, width, colors = arrays[1].shape
+    numbers = len(slopes) * height * width * colors
+    k = min(max(1, int(np.ceil((numbers / _NUMBERS) ** 0.5))), height, width)
+    if k > 1:
+        arrays = [_means(one, k) for one in arrays]
+    return _View(arrays[0], arrays[1], arrays[2], arrays[3], _ROUNDING / k**2)
+
+
+def _means(pixels: Float64, k: int) -> Float64:
+    """Means of k x k pixels (..., H, W, C); what is left at the lower and right edge is dropped."""
+    *leading, height, width, colors = pixels.shape
+    h, w = height // k, width // k
+    blocks = pixels[..., : h * k, : w * k, :].reshape(*leading, h, k, w, k, colors)
+    means: Float64 = blocks.mean(axis=(-4, -2))
+    return means
+
+
+def _correlated(view: _View) -> Float64:
+    """J E[e e^T] J^T (p, p) of a view, with the correlations of its residual over all distances."""
+    height, width, _ = view.residual.shape
+    size = (2 * height, 2 * width)  # no pixel is a neighbor of one at the other edge
+    of_residual = np.fft.rfft2(view.residual, size, axes=(0, 1))  # (2H, W + 1, C)
+    of_slopes = np.fft.rfft2(view.slopes, size, axes=(1, 2))
+    both = (of_slopes * of_residual.conj()).sum(axis=-1)  # (p, 2H, W + 1)
+    twice = np.full(both.shape[-1], 2.0)
+    twice[[0, -1]] = 1.0  # the others stand for their conjugates, too
+    energy = np.einsum("ahw,bhw,w->ab", both, both.conj(), twice, optimize=True).real
+    counted = float(view.weights.any(axis=-1).sum())
+    B: Float64 = energy / (4 * height * width * max(counted, 1.0))
+    return B
+
+
+def _light(view: _View) -> list[Float64]:
+    """Changes (H, W, C) of a view by gain and offset of each color, planes over the picture."""
+    height, width, colors = view.image.shape
+    v, u = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    changes = []
+    for color in range(colors):
+        for plane in (np.ones_like(u), u, v):
+            for brightness in (1.0, view.image[..., color]):
+                change = np.zeros_like(view.image)
+                change[..., color] = plane * brightness
+                changes.append(change * view.weights)
+    return changes
+
+
+def _by_light(views: Sequence[_View], J: Float64, r: Float64, K: Float64) -> Float64:
+    """(p,), squared, how far the parameters would move with free light, by more than noise."""
+    light, at = [], 0
+    for view in views:
+        for change in _light(view):
+            light.append(np.zeros(len(r)))
+            light[-1][at : at + change.size] = change.ravel()
+        at += view.residual.size
+    p, every = len(J), np.vstack([J, *light])
+    normal = every @ every.T
+    normal[:p, :p] += np.linalg.inv(K) - J @ J.T  # the prior
+    scale = np.sqrt(np.maximum(np.diag(normal), _TINY))
+    inverse = np.linalg.inv(normal / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)))
+    inverse /= np.outer(scale, scale)
+    moved = inverse @ (every @ r)
+    rest = r - moved @ every
+    by_noise = float(rest @ rest) / len(r) * (np.diag(inverse)[:p] - np.diag(K))
+    beyond: Float64 = np.square(moved[:p]) - np.maximum(by_noise, 0.0)
+    return beyond

@@ -1,0 +1,116 @@
+"""`fit` says how sure its answer is, by a few renders around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import Choice, Float, Space, fit, solutions
+from fide_plugins.fitting.result import Result
+from fide_plugins.types import Float64
+
+V, U = np.mgrid[0:32, 0:32] / 31
+SPACE = Space(x=Float(0, 1), angle=Float(0, 1, periodic=True), kind=Choice("disk", "square"))
+TRUTH = {"x": 0.6, "angle": 0.98, "kind": "disk"}
+
+
+def draw(p: Mapping[str, Any]) -> Float64:
+    """A soft disk or square (32, 32); the angle moves it up and down."""
+    u, v = U - p["x"], V - 0.5 - 0.2 * np.sin(2 * np.pi * p["angle"])
+    distance = np.hypot(u, v) if p["kind"] == "disk" else np.maximum(abs(u), abs(v))
+    return np.asarray(0.1 + 0.8 / (1 + np.exp(30 * (distance - 0.2))), np.float64)
+
+
+GAP = np.maximum(draw(TRUTH), 0.3) * (0.8 + 0.15 * V)
+
+
+def fitted(target: Float64, seed: int, **options: Any) -> Result:
+    return fit(draw, target, SPACE, workers=0, seed=seed, **{"budget": 160, **options})
+
+
+def deviations(result: Result) -> Float64:
+    assert result.best is not None and result.best.std is not None
+    return result.best.std
+
+
+def by_samples(result: Result) -> Float64:
+    assert result.optimizer.best is not None and result.optimizer.best.std is not None
+    return result.optimizer.best.std
+
+
+def test_they_do_not_depend_on_the_path_of_the_search() -> None:
+    """Also of a picture that cannot be drawn."""
+    results = [fitted(GAP, seed) for seed in range(3)]
+    found = np.array([deviations(one)[0] for one in results])
+    assert np.ptp(found) < 0.1 * found.min()
+    assert np.isnan(deviations(results[0])[2:]).all()
+    for one in results:
+        assert one.stopped == "budget" and one.std_renders >= 5 and one.evaluations == 160
+        assert one.solutions[0] is one.best
+
+
+def test_a_solved_fit_knows_its_answer_well() -> None:
+    """Its few samples would say 0.01 to 0.1."""
+    for seed in range(3):
+        result = fitted(draw(TRUTH), seed)
+        assert result.stopped == "solved"
+        error = SPACE.encode(result.params)[0] - SPACE.encode(TRUTH)[0]
+        assert abs(error) < 4 * deviations(result)[0] < 0.02
+
+
+def test_no_more_than_a_twentieth_of_the_budget_and_none_of_a_renderer_with_noise() -> None:
+    assert fitted(GAP, 0, budget=60).std_renders == 0
+    rng = np.random.default_rng(0)
+
+    def noisy(p: Mapping[str, Any]) -> Float64:
+        return np.clip(draw(p) + 0.03 * rng.standard_normal((32, 32)), 0, 1)
+
+    result = fit(noisy, GAP, SPACE, budget=120, workers=0, seed=0)
+    assert result.std_renders <= 1
+    np.testing.assert_array_equal(deviations(result), by_samples(result))
+
+
+def test_a_run_directory_keeps_them(tmp_path: Path) -> None:
+    result = fitted(GAP, 0, out=tmp_path)
+    np.testing.assert_array_equal(
+        np.array(solutions.read(tmp_path).solutions[0].std), deviations(result)
+    )
+    run = tmp_path / "run.json"
+    text = run.read_text()
+    assert text.count('"std": [') == 1
+    run.write_text(text.replace('"std": [', '"std": ["odd", '))
+    np.testing.assert_array_equal(
+        np.array(solutions.read(tmp_path).solutions[0].std), by_samples(result)
+    )
+
+
+@pytest.mark.parametrize("wrong", ["raises", "size"])
+def test_where_a_render_around_the_answer_fails_samples_say_it(wrong: str) -> None:
+    calls = 0
+
+    def render(p: Mapping[str, Any]) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls <= 162:
+            return draw(p)
+        if wrong == "raises":
+            raise ValueError("no more")
+        return np.zeros((3, 3))
+
+    result = fit(render, GAP, SPACE, budget=160, workers=0, seed=0)
+    assert result.std_renders == 3 and result.failures == 0
+    np.testing.assert_array_equal(deviations(result), by_samples(result))
+
+
+def test_of_an_image_that_changes_in_jumps_no_more_is_claimed_than_a_step_tells() -> None:
+    def hard(p: Mapping[str, Any]) -> Float64:
+        return (draw(p) > 0.5) * 0.8
+
+    result = fit(hard, hard(TRUTH), SPACE, budget=300, workers=0, seed=0)
+    error = abs(SPACE.encode(result.params)[0] - SPACE.encode(TRUTH)[0])
+    assert result.std_renders == 9 and deviations(result)[0] >= 0.001
+    assert result.stopped == "solved" and error < 0.5 / 31
