@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from .errors import WeightsNotFoundError as WeightsNotFoundError
     from .experiments import compare as compare, report as report, run as harness
     from .fide import FIDE as FIDE
+    from .fitting.load import load_run as load_run
     from .fitting.one_call import fit as fit
+    from .fitting.result import Result as Result
     from .learning import learn as learn
     from .runtime import checkpoint as checkpoint
     from .space import (
@@ -58,11 +60,13 @@ _ATTRIBUTES = {
     "Float": ".space",
     "Group": ".space",
     "Int": ".space",
+    "Result": ".fitting.result",
     "Solution": ".types",
     "Space": ".space",
     "WeightsNotFoundError": ".errors",
     "fit": ".fitting.one_call",
     "learn": ".learning",
+    "load_run": ".fitting.load",
 }
 
 __all__ = [
@@ -71,6 +75,7 @@ __all__ = [
     "Float",
     "Group",
     "Int",
+    "Result",
     "Solution",
     "Space",
     "WeightsNotFoundError",
@@ -84,6 +89,7 @@ __all__ = [
     "harness",
     "images",
     "learn",
+    "load_run",
     "losses",
     "optimizers",
     "report",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.space import Space
+from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Verdict", "result_of"]
@@ -45,10 +46,11 @@ def result_of(
     *,
     budget: int,
     samples: int | None = None,
-    status: str | None = None,
+    status: Status | None = None,
 ) -> RunResult:
     """Result of a run with these `settings`, as its directory records them."""
     r, s = record, settings
+    space = None if s.get("space") is None else Space.from_dict(s["space"])
     return RunResult(
         task=s["task"],
         optimizer=s["optimizer"],
@@ -56,7 +58,7 @@ def result_of(
         seed=s["seed"],
         task_seed=s["task_seed"],
         dim=s["dim"],
-        parameters=_parameters(s),
+        parameters=int(s["dim"]) if space is None else len(space.names),  # else of each coordinate
         budget=budget,
         evaluations=r.evaluations,
         best_loss=r.best_loss,
@@ -81,13 +83,8 @@ def result_of(
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         samples=samples,
         status=status,
+        params=None if space is None or r.x_best is None else space.decode(r.x_best),
     )
-
-
-def _parameters(settings: Mapping[str, Any]) -> int:
-    """Number of parameters; without a space each coordinate is one."""
-    dim, space = int(settings["dim"]), settings.get("space")
-    return dim if space is None else len(Space.from_dict(space).names)
 
 
 def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:

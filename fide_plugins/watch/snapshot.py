@@ -55,25 +55,25 @@ class RunFiles:
         settings = run.get("settings")
         settings = settings if isinstance(settings, dict) else {}
         shown: dict[str, Any] = {
-            "status": _text(run.get("status", "not begun")),
+            "state": _text(run.get("state", run.get("status", "not begun"))),  # its old name
             "task": _text(settings.get("task", self.path.name)),
             "optimizer": _text(settings.get("optimizer", "")),
             "loss": _text(settings.get("loss", "loss")),
             "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
         }
         totals = run.get("totals")
-        under_way = shown["status"] == "running"  # then totals are those of an earlier call
-        if isinstance(totals, dict) and isinstance(totals.get("status"), str) and not under_way:
-            shown["sentence"] = _text(totals["status"])
+        under_way = shown["state"] == "running"  # then totals are those of an earlier call
+        if isinstance(totals, dict) and not under_way:
+            shown["sentence"] = _text(totals.get("sentence", totals.get("status", "")))
         live = self._json(LIVE)
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
         shown["improvements"] = _joined(curve, newest)
         shown["parameters"] = _rows(live.get("parameters")) or self._parameters(settings)
-        if shown["status"] == "running" and self._has_stopped():
-            shown["status"] = "stopped without an end; continue with --resume"
-        if shown["status"] != "running":
+        if shown["state"] == "running" and self._has_stopped():
+            shown["state"] = "stopped without an end; continue with --resume"
+        if shown["state"] != "running":
             shown.pop("busy", None)
         return shown
 
@@ -134,7 +134,7 @@ class RunFiles:
         import numpy as np
         from PIL import Image
 
-        from fide_plugins.recording.figures import as_png
+        from fide_plugins.recording.figures import as_png, difference
 
         arrays = []
         for data in (self.picture(name) for name in PICTURES[:2]):
@@ -145,7 +145,7 @@ class RunFiles:
                 return None
         if arrays[0].shape != arrays[1].shape:
             return None
-        return as_png(np.clip(4 * np.abs(arrays[0] - arrays[1]), 0, 1))
+        return as_png(difference(arrays[0], arrays[1]))
 
     def _curve(self) -> dict[str, Any]:
         """From `curve.csv`: evaluations, best loss, seconds, and when the best loss fell."""

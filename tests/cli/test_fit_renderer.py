@@ -228,7 +228,7 @@ def test_live_shows_the_fit_while_it_goes_on(
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen
-    assert page["status"] == "running" and page["url"] in captured.err
+    assert page["state"] == "running" and page["url"] in captured.err
     assert json.loads(captured.out)["evaluations"] == 20
     assert Path("out/live.json").exists() == ("--renderer" in what)
     with pytest.raises(OSError, match="refused"):

@@ -351,5 +351,5 @@ class Run:
             verdict,
             budget=self._budget,
             samples=None if self._fidelity is None else self._fidelity.total,
-            status=None if self.optimizer.status is None else str(self.optimizer.status),
+            status=self.optimizer.status,
         )
