@@ -65,7 +65,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     best = _best(record, known.solutions, space, views)
     return Result(
         best=best,
-        params=None if best is None else best.params or best.x.copy(),
+        params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
         target=_cut(images.load(path / "target.png"), views),

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import FideError
+from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.parameters import described
 from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.validation.points import as_points
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -101,6 +102,27 @@ class Result:
             self._panels(), self.losses, self.loss, self.improved_at, self.path, self.best
         )
 
+    def plot_pairs(self, samples: object = None) -> Figure:
+        """Figure of matplotlib: points by every two of their parameters, the best one marked.
+
+        samples: (n, dim) in [0, 1], such as `model.sample(picture, n)` of a learned model; None:
+            the solutions, with their numbers.
+
+        Of more than six parameters those are drawn in which the points differ most.
+
+        Raises PointsError (a ValueError) for impossible samples, OptionError without any point.
+        """
+        from fide_plugins.recording.pairs_figure import pairs_figure
+
+        best = self.best
+        found = np.array([one.x for one in self.solutions]).reshape(-1, self._dim)
+        points = as_points(found if samples is None else samples, self._dim)
+        if not len(points):
+            raise OptionError("there is nothing to draw: give samples (n, dim), n >= 1")
+        space = None if best is None else best.space
+        marked = None if best is None or samples is None else best.x
+        return pairs_figure(points, space, marked, numbered=samples is None)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the run directory that `out` would have written: of this moment of the fit.
 
@@ -120,8 +142,9 @@ class Result:
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
-        named = self.best is not None and self.best.space is not None
-        params = shorten(described(self.best), 400) if named else f"dim={self.path.shape[1]}"
+        params = f"dim={self._dim}"
+        if self.best is not None and self.best.space is not None:
+            params = shorten(described(self.best), 400)
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
             f"{self.seconds:.1f} s{failed}; stopped by {self.stopped}",
@@ -135,6 +158,10 @@ class Result:
         from fide_plugins.fitting.result_page import page
 
         return page(self, self._panels())
+
+    @property
+    def _dim(self) -> int:
+        return int(self.path.shape[1])
 
     def _panels(self) -> list[Panel]:
         """Target, best image and difference; views side by side."""

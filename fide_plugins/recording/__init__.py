@@ -17,5 +17,7 @@
 `parallel`       rounds that parallel renderers would need
 `figures`        PNG files: images, film frames, summary.png
 `result_figure`  what `Result.plot` draws
+`pairs_figure`   what `Result.plot_pairs` draws
+`drawn`          parameters as numbers on axes
 ===============  ============================================================
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from fide_plugins.runtime.wording import counted
 from fide_plugins.types import Float32, Float64
 
 __all__ = [
+    "ACCENT",
     "GAIN",
     "INK",
     "MUTED",
@@ -34,7 +36,7 @@ THUMBNAIL = 160
 
 GAIN = 4
 """By how much a picture of a difference is stronger than the difference."""
-INK, MUTED, _ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
+INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
 _WIDTH, _BELOW, _TITLE = 9.0, 3.45, 0.3  # inches: a summary, all below its pictures, a title
 _PART_COLORS = {"render": "#64748b", "encode": "#0e7490", "train": "#c2410c", "search": "#a16207"}
 
@@ -74,19 +76,21 @@ def difference(target: Float32, image: Float32, counts: Float32 | None = None) -
 
     counts: (H, W), where it is 0 no difference is shown.
     """
-    apart = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
-    return apart if counts is None else apart * (np.asarray(counts)[..., None] > 0)
+    apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
+    if counts is not None:
+        apart[np.asarray(counts) == 0] = 0
+    return apart
 
 
 def arrangement(panels: Sequence[Panel], width: float, most: float) -> tuple[int, int, float]:
-    """Rows and columns of panels of one size that make them largest, and their height in inches.
+    """Full rows and columns of panels of one size that make them largest, and the height of all.
 
     width: inches; most: inches of height.
     """
     height, breadth = panels[0].image.shape[:2]
     best = (0.0, 1, 1, 0.0)
-    for columns in range(1, len(panels) + 1):
-        rows = -(-len(panels) // columns)
+    for columns in (n for n in range(1, len(panels) + 1) if len(panels) % n == 0):
+        rows = len(panels) // columns
         scale = min(width / columns / breadth, (most / rows - _TITLE) / height)
         best = max(best, (scale, rows, columns, rows * (scale * height + _TITLE)))
     return best[1:]
@@ -95,13 +99,13 @@ def arrangement(panels: Sequence[Panel], width: float, most: float) -> tuple[int
 def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -> bytes:
     """PNG with the target, the first render, the best image, what is left, the losses, the times.
 
-    counts: (H, W), where it is 0 no pixel of the target counts.
+    counts: (H, W), weights of the pixels; None: all are alike.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     panels = _panels(result, target, counts)
-    rows, columns, pictures = arrangement(panels, 0.945 * _WIDTH, 4.5)
+    rows, columns, pictures = arrangement(panels, 0.945 * _WIDTH, 3.2)
     height = pictures + _BELOW
     figure = Figure(figsize=(_WIDTH, height), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
@@ -132,10 +136,12 @@ def noisy(result: RunResult) -> bool:
 def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
     blank = np.zeros_like(target)
     start, best = result.first_image, result.image
+    of_image = not noisy(result) and math.isfinite(result.mse)  # then views count alike
+    found = f"MSE {result.mse:.3g}" if of_image else _mse(best, target, counts)
     panels = [
         Panel("target", target),
-        Panel("first render", blank if start is None else start, _mse(start, target)),
-        Panel("best", blank if best is None else best, _mse(best, target)),
+        Panel("first render", blank if start is None else start, _mse(start, target, counts)),
+        Panel("best", blank if best is None else best, found),
     ]
     if best is not None:
         panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
@@ -182,7 +188,7 @@ def draw_curve(axes: Any, losses: Float64, loss: str) -> None:
         axes.scatter(index[shown], np.maximum(losses[shown], least), s=3, color=MUTED, alpha=0.35,
                      linewidths=0, label="each render", rasterized=True)  # fmt: skip
         axes.step(index, np.where(np.isfinite(best), np.maximum(best, least), np.nan), where="post",
-                  color=_ACCENT, linewidth=2, label="best so far")  # fmt: skip
+                  color=ACCENT, linewidth=2, label="best so far")  # fmt: skip
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncol=2, borderpad=0.2,
                     fontsize=8, frameon=False, markerscale=3)  # fmt: skip
     axes.set_xlim(0, max(2, len(losses)))
@@ -225,8 +231,12 @@ def _time_bar(axes: Any, result: RunResult) -> None:
         axes.text(0.13 * i, -0.5, label, fontsize=9, color=color, ha="left", va="top")
 
 
-def _mse(image: Float32 | None, target: Float32) -> str:
-    return "" if image is None else f"MSE {np.square(image.astype(np.float64) - target).mean():.3g}"
+def _mse(image: Float32 | None, target: Float32, counts: Float32 | None) -> str:
+    """Mean squared error of an image, weighted by the weights (H, W) of its pixels, as a text."""
+    if image is None:
+        return ""
+    squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
+    return f"MSE {np.average(squared, weights=counts):.3g}"
 
 
 def plain(text: str) -> str:

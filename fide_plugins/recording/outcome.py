@@ -47,10 +47,14 @@ def result_of(
     budget: int,
     samples: int | None = None,
     status: Status | None = None,
+    space: object = None,
 ) -> RunResult:
-    """Result of a run with these `settings`, as its directory records them."""
+    """Result of a run with these `settings`, as its directory records them.
+
+    space: names of the parameters, where the settings do not have it.
+    """
     r, s = record, settings
-    space = None if s.get("space") is None else Space.from_dict(s["space"])
+    there = None if s.get("space") is None else Space.from_dict(s["space"])
     return RunResult(
         task=s["task"],
         optimizer=s["optimizer"],
@@ -58,7 +62,7 @@ def result_of(
         seed=s["seed"],
         task_seed=s["task_seed"],
         dim=s["dim"],
-        parameters=int(s["dim"]) if space is None else len(space.names),  # else of each coordinate
+        parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
         budget=budget,
         evaluations=r.evaluations,
         best_loss=r.best_loss,
@@ -83,8 +87,12 @@ def result_of(
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         samples=samples,
         status=status,
-        params=None if space is None or r.x_best is None else space.decode(r.x_best),
+        params=_params(there or space, r.x_best),
     )
+
+
+def _params(space: object, x: Float64 | None) -> dict[str, Any] | None:
+    return None if x is None or not isinstance(space, Space) else space.decode(x)
 
 
 def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:

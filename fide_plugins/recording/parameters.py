@@ -13,7 +13,7 @@ from fide_plugins.renderers.naming import flat
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Solution
 
-__all__ = ["Row", "described", "rows"]
+__all__ = ["Row", "described", "lines", "rows"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,15 @@ def described(solution: Solution) -> str:
     """Parameters of a solution in one line of text: ``azimuth=12.30 ± 0.05 deg, rows=3``."""
     pairs = [(f"{row.name}={row.values[0]}", row.unit) for row in rows([solution])]
     return ", ".join(f"{text} {unit}" if unit else text for text, unit in pairs)
+
+
+def lines(solution: Solution, most: int) -> list[str]:
+    """The same, a line for each parameter in columns, at most so many: ``azimuth  12.3 deg``."""
+    table = rows([solution])
+    width = max((len(row.name) for row in table[:most]), default=0)
+    shown = [f"{row.name:{width}}  {row.values[0]} {row.unit}".rstrip() for row in table[:most]]
+    more = len(table) - most
+    return [*shown, f"... {more} more"] if more > 0 else shown
 
 
 def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:

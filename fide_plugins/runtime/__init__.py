@@ -13,6 +13,7 @@
 `timing`                seconds by part
 `cluster`               a Dask cluster by the address of its scheduler
 `extras`                what each extra installs, and the error where it is missing
+`laboratory`            the only place that looks for `fide_lab`, and loads of it by name
 `files`                 atomic writes and file locks
 `checkpoint`            file format of a state, without pickle
 `schema`                checks of a state that was read from a file

@@ -136,7 +136,7 @@ class RunFiles:
 
         from fide_plugins.recording.figures import as_png, difference
 
-        arrays = []
+        arrays: list[Any] = []
         for data in (self.picture(name) for name in PICTURES[:2]):
             try:
                 with Image.open(io.BytesIO(data or b""), formats=["PNG"]) as image:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Int, Result, Space, fit, load_run
-from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError
+from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError, PointsError
 from fide_plugins.recording.json_record import RunDirectoryError
 
 V, U = np.mgrid[0:12, 0:12] / 11
@@ -247,3 +247,21 @@ def test_without_an_image_there_is_something_to_show() -> None:
 
 def test_it_can_be_pickled(kept: Result) -> None:
     assert same(pickle.loads(pickle.dumps(kept)), kept)
+
+
+def test_points_are_drawn_by_every_two_of_their_parameters(kept: Result) -> None:
+    samples = np.random.default_rng(0).random((50, NAMED.dim))
+    figure = kept.plot_pairs(samples)
+    drawn = [one for one in figure.axes if one.axison]
+    assert len(figure.axes) == 16 and len(drawn) == 10
+    (points, best) = drawn[1].collections  # size over angle
+    angles = [NAMED.decode(x)["angle"] for x in samples]
+    np.testing.assert_allclose(np.asarray(points.get_offsets())[:, 0], angles)
+    np.testing.assert_allclose(np.asarray(best.get_offsets())[0, 0], kept.params["angle"])
+    assert drawn[1].get_ylabel() == "size" and drawn[-4].get_xlabel() == "angle [deg]"
+    numbers = [text.get_text() for text in kept.plot_pairs().axes[4].texts]
+    assert numbers == [str(i + 1) for i in range(len(kept.solutions))]
+    with pytest.raises(PointsError):
+        kept.plot_pairs(samples[:, :2])
+    with pytest.raises(OptionError, match="nothing to draw"):
+        kept.plot_pairs(samples[:0])

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab.run.renderer_task import RendererTask
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run.renderer_task import RendererTask
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.renderers.fingerprint import fingerprint_of, version_of
 
