@@ -13,6 +13,7 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 `live`               the page of a run in the browser, while the command goes on
 `progress`           progress of a run: a bar in a terminal, lines elsewhere
 `availability`       which tasks, optimizers, encoders and losses can be used here
+`suggestions`        what was meant by a flag or a name that is not known
 `messages`           text for a terminal
 ===================  ===================================================================
 """
@@ -27,6 +28,7 @@ from typing import Any, NoReturn
 
 from fide_plugins import __version__
 from fide_plugins.cli.messages import complain
+from fide_plugins.cli.suggestions import suggestion
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime import laboratory
 
@@ -34,6 +36,7 @@ __all__ = ["commands", "main", "module_of"]
 
 COMMANDS = {
     "fit": "fit a picture of your own, with your renderer or a model",
+    "check": "look at your renderer before a fit",
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
     "watch": "show a run in the browser while it goes on",
@@ -112,10 +115,19 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        raise _Usage(self.prog, message)
+        raise _Usage(self.prog, message + suggestion(message, self, _parsers))
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)
+
+
+def _parsers() -> dict[str, argparse.ArgumentParser]:
+    """The arguments of each command, by its name."""
+    parsers: dict[str, argparse.ArgumentParser] = {}
+    for name in commands():
+        parsers[name] = argparse.ArgumentParser(add_help=False)
+        module_of(name).add_arguments(parsers[name])
+    return parsers
 
 
 def _parser() -> _Parser:

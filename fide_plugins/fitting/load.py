@@ -74,7 +74,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         failures=record.failures,
         first_failure=None,
         busy=math.nan,
-        stopped=str(totals.get("stopped", run.get("state"))),
+        stopped=str((totals and run.get("stopped")) or run.get("state")),
         out=path,
         **histories(record, dim),
     )

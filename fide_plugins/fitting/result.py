@@ -49,8 +49,8 @@ class Result:
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
         search.  NaN of a result that was read.
-    stopped: why it ended: "budget", "time", "stop_at", "until_stalled", "callback", "interrupted"
-        or "failed"; "running" of a run that was read before its end.
+    stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
+        "callback", "interrupted" or "failed"; "running" of a run that was read before its end.
     out: run directory; None without.
     unsaved: what `save` writes, of a fit that has just ended.
     """
@@ -147,7 +147,7 @@ class Result:
             params = shorten(described(self.best), 400)
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
-            f"{self.seconds:.1f} s{failed}; stopped by {self.stopped}",
+            f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
             f"  params: {params}",
             f"  solutions: {len(self.solutions)}",
             f"  {self.status}" + ("" if self.out is None else f"\n  out: {self.out}"),

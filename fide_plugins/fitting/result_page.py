@@ -25,7 +25,7 @@ def page(result: Result, panels: Sequence[Panel]) -> str:
     failed = f", {result.failures:,} renders failed" if result.failures else ""
     facts = (
         f"{result.evaluations:,} renders in {result.seconds:.1f} s, "
-        f"stopped by {result.stopped}{failed}"
+        f"stopped: {result.stopped}{failed}"
     )
     pictures = "".join(map(_picture, panels))
     if len(result.losses):
@@ -39,13 +39,14 @@ def page(result: Result, panels: Sequence[Panel]) -> str:
 
 
 def _picture(panel: Panel) -> str:
-    several = panel.image.shape[1] > 2 * panel.image.shape[0]
-    side = _WIDE if several else _SIDE
+    height, breadth = panel.image.shape[:2]
+    side = _WIDE if breadth > 2 * height else _SIDE
+    shown = round(side * breadth / max(height, breadth))
     source = _inline(as_png(thumbnail(panel.image, side)))
     name = escape(panel.name)
     return (
         f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
-        f'src="{source}" style="width:{side}px;image-rendering:pixelated"></figure>'
+        f'src="{source}" style="width:{shown}px;image-rendering:pixelated"></figure>'
     )
 
 

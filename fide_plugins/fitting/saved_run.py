@@ -132,13 +132,12 @@ class SavedRun:
             status=optimizer.status,
         )
         more = {
-            "stopped": stopped,
             "failures": record.failures,
             "solutions": kept_solutions.written(optimizer.solutions()),
         }
         writes = [
             lambda: self._write_summary(result, optimizer),
-            lambda: self._directory.write_run(state, result, more),
+            lambda: self._directory.write_run(state, result, stopped, more),
         ]
         if not record.evaluations:
             del writes[0]

@@ -261,11 +261,13 @@ class RunDirectory:
         self,
         state: str = "running",
         result: RunResult | None = None,
+        stopped: str | None = None,
         more: Mapping[str, Any] | None = None,
     ) -> None:
         """Write `run.json`.
 
-        state: "running", "finished", "interrupted" or "failed".  more: further totals.
+        state: "running", "finished", "interrupted" or "failed".
+        stopped: the rule by which the run has ended, where it has several.  more: further totals.
         """
         self._run |= {
             "state": state,
@@ -274,6 +276,9 @@ class RunDirectory:
             "load": machine.load(),
             "written": now(),
         }
+        self._run.pop("stopped", None)
+        if stopped is not None:
+            self._run["stopped"] = stopped
         if result is not None:
             self._run["totals"] = {**result.summary(), **result.details(), **(more or {})}
         if state == "finished":
