@@ -2,7 +2,7 @@ r"""Fit your own picture: with a renderer of your own, or with a model that draw
 
     fide fit target.png --renderer scene.py:render --space space.toml --workers 8 --out runs/scene
     fide fit target.png --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
-    fide fit front.png side.png --renderer scene.py:render --time 10m --until-stalled
+    fide fit front.png side.png --renderer scene.py:render --time 10m --until stalled
     fide fit photo.jpg --model voronoi --cells 60
 
 --renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         size="longer side of the picture, at most (as it is; with --model 224)",
         optimizer=None,
         budget=None,
-        renders="number of renders (2000; with --model 5000; with --time or --until-stalled: any)",
+        renders="number of renders (2000; with --model 5000; with --time or --until stalled: any)",
         side=None,
     )
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     own = parser.add_argument_group("your renderer")
     add_space_argument(own)
     add = own.add_argument
-    add("--workers", type=whole(0), metavar="N", help="renders at a time (8)")
+    add("--workers", type=whole(0), metavar="N", help="renders at a time (one a core, at most 8)")
     add(
         "--timeout",
         metavar="TIME",
@@ -73,8 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     add("--stop-at", type=float, metavar="LOSS", help="loss at which to stop")
-    add("--until-stalled", action="store_true", default=None,
-        help="stop when nothing more is to be expected")  # fmt: skip
+    until = own.add_mutually_exclusive_group()
+    until.add_argument("--until", choices=("solved", "stalled", "budget"),
+        help="stop also when solved, or when nothing more is to be expected; budget: by other "
+        "limits alone (solved)")  # fmt: skip
+    until.add_argument("--until-stalled", action="store_true", default=None,
+        help="former name of --until stalled")  # fmt: skip
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
 

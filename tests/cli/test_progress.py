@@ -131,7 +131,7 @@ def test_the_time_that_is_left(
 
 def test_a_fit_tells_its_time_limit_and_where_its_speed_counts_from() -> None:
     seen: list[Progress] = []
-    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, workers=0, seed=0,
-        progress=seen.append)  # fmt: skip
+    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, until="budget",
+        workers=0, seed=0, progress=seen.append)  # fmt: skip
     assert seen[0].evaluations == 0 and seen[-1].evaluations == 20
     assert {at.time for at in seen} == {60.0}
