@@ -16,7 +16,7 @@ from fide_plugins.evaluation import Evaluator
 from fide_plugins.learning.hypotheses import as_model, posterior_of
 from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer, make_proposer
-from fide_plugins.proposers.remembered import MOST, for_jacobian
+from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread

@@ -119,8 +119,8 @@ class SavedRun:
         best = None if record.image is None else picture(optimizer, record.image)
         self._directory.write_tables(record, best)
 
-    def leave(self, status: str, record: Record, optimizer: FIDE) -> None:
-        """Write totals; status: "finished", "interrupted" or "failed"."""
+    def leave(self, status: str, record: Record, optimizer: FIDE, stopped: str) -> None:
+        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`."""
         target = optimizer.evaluator.target
         result = result_of(
             self._directory.settings,
@@ -129,7 +129,7 @@ class SavedRun:
             budget=self._budget or record.evaluations,
             status=str(optimizer.status),
         )
-        writes = [lambda: self._directory.write_run(status, result)]
+        writes = [lambda: self._directory.write_run(status, result, stopped)]
         if status == "finished" and not isinstance(optimizer.target, list):
             writes.insert(0, lambda: self._directory.write_summary(result, target))
         try_each(*writes)

@@ -5,7 +5,7 @@
 `batch_size`            batch sizes that shrink if a device runs out of memory
 `fixed_batches`         networks in batches of a fixed size
 `digest`                which weights a network has, in a few digits
-`fingerprints`          whether a file or a function of the user has changed
+`fingerprints`          whether a file, a function or a renderer of the user has changed
 `background`            work in a background thread
 `locks`                 locks for objects that are copied, pickled and forked
 `threads`               one thread for what is small, those of the user for networks
