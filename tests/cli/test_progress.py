@@ -69,7 +69,7 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
 ) -> None:
     monkeypatch.undo()  # of the fixture above
     now = 1000.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    monkeypatch.setattr("fide_plugins.cli.progress.time.monotonic", lambda: now)
     report = progress.lines("x")
     told = []
     for second in range(0, 601):
