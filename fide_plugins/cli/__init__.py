@@ -1,7 +1,7 @@
 """The command ``fide``.
 
-Exit codes: 0 done; 1 a run failed; 2 wrong usage, with one line on standard error; 130 and 143
-stopped by Ctrl-C and SIGTERM, with everything saved.
+Exit codes: 0 done; 1 a run failed, or its output could not be written; 2 wrong usage, with one line
+on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything saved.
 
 ===================  ===================================================================
 `NAME_command`       one module for each command: its arguments and its execution
@@ -15,6 +15,7 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 `availability`       which tasks, optimizers, encoders and losses can be used here
 `suggestions`        what was meant by a flag or a name that is not known
 `messages`           text for a terminal
+`streams`            standard streams that are closed or full
 ===================  ===================================================================
 """
 
@@ -28,6 +29,7 @@ from typing import Any, NoReturn
 
 from fide_plugins import __version__
 from fide_plugins.cli.messages import complain
+from fide_plugins.cli.streams import OutputError, lose, standard_streams
 from fide_plugins.cli.suggestions import suggestion
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime import laboratory
@@ -60,7 +62,19 @@ def module_of(command: str) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own) and return its exit code."""
-    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        with standard_streams():
+            return _main(sys.argv[1:] if argv is None else list(argv))
+    except BrokenPipeError:  # such as: fide list tasks | head -1
+        lose(sys.stdout)
+        return 0
+    except OutputError as error:  # such as: fide list tasks > /dev/full
+        lose(sys.stdout)
+        complain("fide", f"cannot write to standard output: {error}")
+        return 1
+
+
+def _main(argv: list[str]) -> int:
     parser = _parser()
     try:
         if not argv:
@@ -87,9 +101,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("fide", "stopped")
         return 130
-    except BrokenPipeError:  # such as: fide list tasks | head -1
-        sys.stderr.close()
-        return 0
 
 
 class _Usage(Exception):

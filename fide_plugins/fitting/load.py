@@ -16,6 +16,7 @@ from fide_plugins.recording import kept_solutions
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.run_checkpoint import is_saved, read_record
+from fide_plugins.runtime import files
 from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.space import Space
 from fide_plugins.status import Status
@@ -68,7 +69,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
-        target=_cut(images.load(path / "target.png"), views),
+        target=_cut(_picture(path / "target.png"), views),
         weights=known.weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
@@ -147,6 +148,12 @@ def unpacked(image: Float32, views: Any) -> Any:
     ends = np.cumsum([height * width for height, width in views])
     parts = np.split(image, ends[:-1])
     return [part.reshape(*size, 3) for part, size in zip(parts, views, strict=True)]
+
+
+def _picture(path: Path) -> Float32:
+    if path.exists():
+        files.check_regular(path)  # Pillow would wait for a pipe
+    return images.load(path)
 
 
 def _cut(picture: Float32, views: Any) -> Any:

@@ -15,6 +15,7 @@ from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.parameters import described
 from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.renderers import naming
 from fide_plugins.validation.points import as_points
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ class Result:
         counts renders that gave an image, and nothing of what `preset="global"` does before the
         search.  NaN of a result that was read.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
-        "callback", "interrupted" or "failed"; "running" of a run that was read before its end.
+        "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
+        where it has one rule only.
     out: run directory; None without.
     unsaved: what `save` writes, of a fit that has just ended.
     """
@@ -143,8 +145,10 @@ class Result:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self._dim}"
-        if self.best is not None and self.best.space is not None:
-            params = shorten(described(self.best), 400)
+        if isinstance(self.params, dict) and self.best is not None:
+            unnamed = self.best.space is None  # a task of a run that was read
+            text = naming.described(self.params) if unnamed else described(self.best)
+            params = shorten(text, 400)
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
             f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",

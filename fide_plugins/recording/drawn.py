@@ -35,6 +35,12 @@ class Drawn:
         unit = "" if self.kind is None or self.kind.unit is None else f" [{self.kind.unit}]"
         return plain(shorten(self.name, 24, placeholder="...") + unit)
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of an axis with every value that it may have."""
+        low, high, step, log = (0.0, 1.0, 0.0, False) if self.kind is None else self.kind.scale
+        return (low, high) if log else (low - step / 2, high + step / 2)
+
     def mark(self, axes: Any, axis: Literal["x", "y"]) -> None:
         """Make an axis logarithmic where the parameter is, or name the values of a choice on it."""
         if isinstance(self.kind, Choice):

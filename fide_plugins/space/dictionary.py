@@ -80,7 +80,10 @@ def from_dict(data: object) -> dict[str, Member]:
             "Space needs at least one parameter; write a table for each, such as [x] with low = 0, "
             "high = 1"
         )
-    return _members(data, "")
+    try:
+        return _members(data, "")
+    except RecursionError:
+        raise SpaceError("tables are nested too deeply; write fewer groups in each other") from None
 
 
 def _members(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
