@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins.fitting.around_answer import numbers, std_around
 from fide_plugins.fitting.callbacks import Callbacks, Run
@@ -16,20 +15,20 @@ from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.progress import reporting
 from fide_plugins.fitting.rendering import Renderer
-from fide_plugins.fitting.result import Result
+from fide_plugins.fitting.result import Result, histories
+from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.recording.record import Record, Report, best_so_far
+from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.fitting.saved_run import SavedRun
     from fide_plugins.learning.rounds import Rounds
-    from fide_plugins.types import Float64
+    from fide_plugins.types import Float64, Solution
 
 __all__ = ["FitInterrupted", "Fitting"]
 
@@ -47,7 +46,10 @@ class FitInterrupted(Interrupted):
 
 
 class Fitting:
-    """A fit; made by `one_call.prepare`."""
+    """A fit; made by `one_call.prepare`.
+
+    plan: arguments of a `SavedRun`, with which its result can be saved.
+    """
 
     def __init__(
         self,
@@ -63,8 +65,9 @@ class Fitting:
         progress: object = None,
         checkpoint_every: float = 5.0,
         rounds: Rounds | None = None,
+        plan: Mapping[str, Any] | None = None,
     ) -> None:
-        self._rounds = rounds
+        self._rounds, self._plan = rounds, plan or {}
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
@@ -189,7 +192,7 @@ class Fitting:
             raise _with_result(error, result)
         return result
 
-    def _write(self, status: str, stopped: str) -> None:
+    def _write(self, state: str, stopped: str) -> None:
         """Write everything, each file also where another fails; raises the first error of them."""
         saved, record, optimizer = self.saved, self.record, self.optimizer
         if saved is None:
@@ -202,22 +205,29 @@ class Fitting:
                 saved.write_tables(record, optimizer)
         except Exception:
             with suppress(Exception):
-                left = "failed" if status == "finished" else status
-                saved.leave(left, record, optimizer, stopped, self._std)
+                failed = "failed" if state == "finished" else state
+                saved.leave(failed, stopped, record, optimizer, self._solutions())
             raise
-        saved.leave(status, record, optimizer, stopped, self._std)
+        saved.leave(state, stopped, record, optimizer, self._solutions())
 
     def _stop_workers(self, interrupts: Interrupts) -> None:
         """Stop them; a second signal does not wait for that."""
         with suppress(Interrupted), interrupts.let_go():
             self._workers.close()
 
-    def _result(self, stopped: str) -> Result:
-        r, best, loop = self.record, self.optimizer.best, self._loop
+    def _solutions(self) -> list[Solution]:
+        """Those of the optimizer, the best one with standard deviations by renders around it."""
         solutions = self.optimizer.solutions()
-        if best is not None and self._std is not None:
-            best = replace(best, estimate=AtAnswer(self._std, best.estimate))
-            solutions[:1] = [best]
+        if self._std is not None:
+            best = solutions[0]
+            solutions[0] = replace(best, estimate=AtAnswer(self._std, best.estimate))
+        return solutions
+
+    def _result(self, stopped: str) -> Result:
+        r, loop = self.record, self._loop
+        solutions = self._solutions()
+        best = solutions[0] if solutions else None
+        loop.note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
@@ -225,16 +235,19 @@ class Fitting:
             params=None if best is None else self._renderer.params(best.x),
             solutions=solutions,
             status=self.optimizer.status,
-            curve=_curve(r),
-            evaluations=r.evaluations,
+            target=self.optimizer.target,
+            weights=self.optimizer.weights,
+            loss=self.optimizer.evaluator.loss.name,
             failures=loop.failures.count,
             first_failure=loop.failures.first,
-            seconds=r.wall_s,
             busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
-            optimizer=self.optimizer,
             std_renders=self._std_renders,
+            unsaved=Unsaved(
+                self.optimizer, r if loop.whole else None, self._plan, stopped, solutions
+            ),
+            **histories(r, self.optimizer.dim),
         )
 
     # -- meanwhile ---------------------------------------------------------------------------------
@@ -278,9 +291,3 @@ def _with_result(error: BaseException, result: Result) -> BaseException:
         if not isinstance(error, FitError):
             error.add_note("what was found until then is the attribute `result` of this error")
     return error
-
-
-def _curve(record: Record) -> Float64:
-    """(n, 2), number of evaluations and best loss by then."""
-    losses = np.array(record.losses, np.float64)
-    return np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1)

@@ -13,12 +13,12 @@ import numpy as np
 from fide_plugins import encoders
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.pictures import side_by_side
+from fide_plugins.recording import kept_solutions
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.run_checkpoint import is_saved, read_checkpoint
+from fide_plugins.recording.run_checkpoint import is_saved, with_optimizer
 from fide_plugins.runtime import checkpoint
 from fide_plugins.solutions import pictures
 from fide_plugins.types import Float32, Solution
-from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -86,17 +86,13 @@ def _with_std(best: Solution, run: dict[str, Any]) -> Solution:
 
     Without them, or where they are of another candidate, they are of samples of the search.
     """
-    totals, ending = run.get("totals"), run.get("ending")
-    if not isinstance(totals, dict) or not isinstance(ending, dict):
-        return best
+    totals = run.get("totals")
     try:
-        std = np.array(ending.get("std"), np.float64)  # None is NaN
-        same = np.array_equal(np.array(totals.get("x_best"), np.float64), best.x)
-    except (TypeError, ValueError):
+        kept = kept_solutions.read((totals or {}).get("solutions", []), len(best.x), best.space)
+    except (AttributeError, TypeError, ValueError, OverflowError):
         return best
-    if not same or std.shape != best.x.shape or (std < 0).any() or np.isinf(std).any():
-        return best
-    return replace(best, estimate=AtAnswer(std, best.estimate))
+    same = [one.estimate for one in kept if np.array_equal(one.x, best.x)]
+    return replace(best, estimate=same[0]) if same else best
 
 
 def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
@@ -106,19 +102,13 @@ def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
         raise RunDirectoryError(
             f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
         )
-    name = read_checkpoint(path).optimizer
-    while True:
-        try:
-            if encoder is None:
-                _check_encoder(path / name)
-            loaded = FIDE.load(path / name, loss=_no_loss, encoder=encoder)
-        except FileNotFoundError:
-            newer = read_checkpoint(path).optimizer
-            if newer == name:
-                raise
-            name = newer  # the fit goes on, and has replaced its checkpoint
-        else:
-            return loaded
+
+    def load(file: Path) -> FIDE:
+        if encoder is None:
+            _check_encoder(file)
+        return FIDE.load(file, loss=_no_loss, encoder=encoder)
+
+    return with_optimizer(path, load)
 
 
 def _check_encoder(path: Path) -> None:

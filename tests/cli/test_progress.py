@@ -69,7 +69,7 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
 ) -> None:
     monkeypatch.undo()  # of the fixture above
     now = 1000.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now)
+    monkeypatch.setattr("fide_plugins.cli.progress.time.monotonic", lambda: now)
     report = progress.lines("x")
     told = []
     for second in range(0, 601):
@@ -80,6 +80,13 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
     assert told == [5, *range(65, 601, 60)]
     report(Progress(10_000, 10_000, 0.5, 601.0, NO_TIME))
     assert "10000/10000" in capsys.readouterr().err  # the end is always told
+
+
+def test_other_commands_write_into_a_log_as_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    assert progress.interval(5.0) == 60.0
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert progress.interval(5.0) == 5.0
 
 
 def test_a_loss_that_is_infinite_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,6 +93,22 @@ def test_parameters_that_change_nothing_here_or_anywhere() -> None:
     assert facts.noise == Difference(0, 0) and not facts.drifts and not facts.failures
 
 
+def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
+    """With all of them at the middle, only the last one would be seen."""
+    space = Space(dots=3 * Group(x=Float(0, 1), gray=Float(0.2, 1)), light=Float(0, 1))
+
+    def render(p: dict[str, Any]) -> Any:
+        v, u = grid()
+        image = np.zeros(u.shape)
+        for dot in p["dots"]:
+            image = np.where(np.hypot(u - 2 * dot["x"] + 1, v) < 0.2, dot["gray"], image)
+        return image * (0.5 + p["light"] / 2)
+
+    facts = check(render, space, workers=1)
+    assert {one.where for one in facts.effects} == {"center"} and facts.repeated
+    assert isinstance(facts.center, dict) and facts.center["light"] == 0.5 and facts.centered
+
+
 def test_ends_of_an_angle_that_are_alike() -> None:
     def render(p: dict[str, Any]) -> Any:
         v, u = grid()

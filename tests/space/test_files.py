@@ -131,9 +131,8 @@ BAD = [
 def test_without_a_type_it_is_a_float_or_what_its_values_say() -> None:
     text = '[a]\nlow = 0\nhigh = 1\n[b]\nvalues = ["x", "y"]\n'
     text += "[c]\nrepeat = 2\n[c.low]\nlow = 1\nhigh = 2\n"
-    members = {"a": Float(0, 1), "b": Choice("x", "y"), "c": 2 * Group(low=Float(1, 2))}
     space = Space.from_toml(text)
-    assert space == Space(members)
+    assert space == Space(a=Float(0, 1), b=Choice("x", "y"), c=2 * Group(low=Float(1, 2)))
     assert Space.from_toml(space.to_toml()) == space and 'type = "float"' in space.to_toml()
 
 

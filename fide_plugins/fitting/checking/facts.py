@@ -58,6 +58,7 @@ class Facts:
     """What a check has found.
 
     dim: axes of the search.  parameters: that can vary.  renders: how many were made.
+    repeated: whether some are of things of one kind, which then have random values at the center.
     images: how many of them gave an image.
     center: parameters of the point around which the others vary; `centered`: it is the middle.
     shapes: those that occurred, each of all views, in the order in which they were seen.
@@ -75,6 +76,7 @@ class Facts:
 
     dim: int
     parameters: int
+    repeated: bool = False
     renders: int = 0
     images: int = 0
     center: dict[str, Any] | str = ""

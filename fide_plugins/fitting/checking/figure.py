@@ -1,9 +1,9 @@
-"""The picture of a check: one row a parameter, its values from low to high."""
+"""The picture of a check: a strip for each parameter, its values from low to high."""
 
 from __future__ import annotations
 
 import io
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,15 +12,21 @@ from fide_plugins.fitting.checking.report import change_text
 from fide_plugins.recording.figures import plain
 from fide_plugins.types import Float32
 
-__all__ = ["MOST_ROWS", "figure"]
+__all__ = ["MOST", "figure"]
 
-MOST_ROWS = 40
+MOST = 60
 """Parameters that are shown, those that change nothing first of all."""
 _INK, _MUTED, _ALARM = "#1a1a1a", "#6b7280", "#c2410c"
 _SIDE = 1.35  # inches of the longer side of a panel
 _CAPTION = 0.2  # inches above a panel
 _NAME = 2.0  # inches of the column of names
+_GAP = 0.08  # inches between panels
+_TOP = 0.72  # inches of the title
+_STRIPS = 12  # of a column
 _DPI = 110
+
+Inches: TypeAlias = tuple[float, float]
+"""Horizontal, vertical."""
 
 
 def figure(name: str, facts: Facts) -> bytes:
@@ -34,25 +40,18 @@ def figure(name: str, facts: Facts) -> bytes:
     )
     longer = max(shape[:2])
     height, width = (max(_SIDE * side / longer, 0.3) for side in shape[:2])
-    columns = max((len(effect.pictures) for effect in effects), default=1)
-    row = height + _CAPTION + 0.08
-    size = (_NAME + columns * (width + 0.08) + 0.1, 0.75 + row * len(effects))
+    panels = max((len(effect.pictures) for effect in effects), default=1)
+    strip = (_NAME + panels * (width + _GAP) + 0.2, height + _CAPTION + _GAP)
+    columns = max(1, -(-len(effects) // _STRIPS)) if len(effects) <= 3 * _STRIPS else 3
+    rows = max(1, -(-len(effects) // columns))
+    size = (columns * strip[0], _TOP + rows * strip[1] + 0.05)
     canvas = Figure(figsize=size, dpi=_DPI, facecolor="white")
     FigureCanvasAgg(canvas)
     _write(canvas, 0.1, 0.26, plain(name), size, fontsize=12, fontweight="bold", color=_INK)
     _write(canvas, 0.1, 0.52, _subtitle(facts), size, fontsize=7.5, color=_MUTED)
     for i, effect in enumerate(effects):
-        top = 0.72 + row * i
-        _names(canvas, effect, facts, top + _CAPTION, size)
-        for k, picture in enumerate(effect.pictures):
-            left = _NAME + k * (width + 0.08)
-            _write(canvas, left, top + 0.15, plain(effect.sweep.texts[k]), size,
-                   fontsize=7, color=_MUTED)  # fmt: skip
-            box = (
-                left / size[0], 1 - (top + _CAPTION + height) / size[1],
-                width / size[0], height / size[1],
-            )  # fmt: skip
-            _panel(canvas.add_axes(box), picture, facts)
+        corner = (i // rows * strip[0], _TOP + i % rows * strip[1])
+        _strip(canvas, effect, facts, corner, (width, height), size)
     buffer = io.BytesIO()
     canvas.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -60,39 +59,55 @@ def figure(name: str, facts: Facts) -> bytes:
 
 def _shown(facts: Facts) -> list[Effect]:
     """Those that fit, in order; what changes nothing is left out last."""
-    rank = sorted(facts.effects, key=lambda one: one.where == "center")[:MOST_ROWS]
+    rank = sorted(facts.effects, key=lambda one: one.where == "center")[:MOST]
     return [one for one in facts.effects if any(one is other for other in rank)]
 
 
 def _subtitle(facts: Facts) -> str:
     others = "others at the middle" if facts.centered else "others as at the center"
-    left = len(facts.effects) - MOST_ROWS
+    if facts.centered and facts.repeated:
+        others += ", things of one kind at random values"
+    left = len(facts.effects) - MOST
     more = f"; {left} more are not shown" if left > 0 else ""
     usual = (facts.black, facts.white) == (0, 1)
     scaled = "" if usual else f"; {facts.black:.3g} is black, {facts.white:.3g} white"
     return f"{others}{more}{scaled}"
 
 
-def _names(
-    canvas: Any, effect: Effect, facts: Facts, top: float, size: tuple[float, float]
+def _strip(
+    canvas: Any, effect: Effect, facts: Facts, corner: Inches, panel: Inches, size: Inches
 ) -> None:
+    """Name of one parameter, and its pictures; corner: the upper left one of the strip."""
+    left, top = corner
+    width, height = panel
     unit = "" if effect.sweep.unit is None else f" [{effect.sweep.unit}]"
-    _write(canvas, 0.1, top + 0.12, plain(effect.sweep.name + unit)[:34], size,
-           fontsize=8.5, color=_INK)  # fmt: skip
+    name = plain(effect.sweep.name + unit)[:34]
+    _write(canvas, left + 0.1, top + _CAPTION + 0.12, name, size, fontsize=8.5, color=_INK)
     silent = effect.where in ("nowhere", "unknown")
+    color = _ALARM if silent else _MUTED
+    words = _words(effect, facts)
+    _write(canvas, left + 0.1, top + _CAPTION + 0.3, words, size, fontsize=7.5, color=color)
+    for k, picture in enumerate(effect.pictures):
+        x = left + _NAME + k * (width + _GAP)
+        _write(canvas, x, top + 0.15, plain(effect.sweep.texts[k]), size,
+               fontsize=7, color=_MUTED)  # fmt: skip
+        y = size[1] - top - _CAPTION - height
+        box = (x / size[0], y / size[1], width / size[0], height / size[1])
+        _panel(canvas.add_axes(box), picture, facts)
+
+
+def _words(effect: Effect, facts: Facts) -> str:
     text = change_text(effect, facts)
-    words = {
+    usual = "changes the size" if text == "size" else f"changes {text}"
+    others = {
         "nowhere": "changes nothing",
         "unknown": "not known",
         "elsewhere": "changes nothing here",
-    }.get(effect.where, "changes the size" if text == "size" else f"changes {text}")
-    _write(canvas, 0.1, top + 0.3, words, size, fontsize=7.5,
-           color=_ALARM if silent else _MUTED)  # fmt: skip
+    }
+    return others.get(effect.where, usual)
 
 
-def _write(
-    canvas: Any, x: float, y: float, text: str, size: tuple[float, float], **style: Any
-) -> None:
+def _write(canvas: Any, x: float, y: float, text: str, size: Inches, **style: Any) -> None:
     """Text at inches from the upper left corner."""
     canvas.text(x / size[0], 1 - y / size[1], text, va="baseline", **style)
 

@@ -1,6 +1,7 @@
 """Renders a few points, in five steps, and finds what they say of the renderer.
 
-1. The middle of the box, or, where that fails, one of some random points: the center.
+1. The middle of the box, or, where that fails, one of some random points: the center.  Things of
+   one kind would all be at one place there, so each has random values of its own.
 2. The center twice more, alone: how long a render takes, and whether two are equal.
 3. Random points, and each parameter's values around the center, several at a time.
 4. What changes nothing there, at some of the random points.
@@ -20,7 +21,7 @@ import numpy as np
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.checking.facts import Effect, Facts, Failure, Where
 from fide_plugins.fitting.checking.pixels import Difference, Image, difference, image_of, small
-from fide_plugins.fitting.checking.values import Sweep, other_values, sweeps
+from fide_plugins.fitting.checking.values import Sweep, middle_of, other_values, sweeps
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.workers.base import Workers
@@ -62,18 +63,16 @@ def check(
     begun = time.perf_counter()
     limit = None if timeout is None else seconds_of("timeout", timeout)
     renderer = Renderer(render, space if isinstance(space, Space) else None)
-    count = len(sweeps(space, np.full(_dim(space), 0.5)))
-    run = _Check(renderer, Facts(_dim(space), count), limit)
+    dim = space.dim if isinstance(space, Space) else space
+    count = len(sweeps(space, np.full(dim, 0.5)))
+    facts = Facts(dim, count, repeated=isinstance(space, Space) and bool(space.families))
+    run = _Check(renderer, facts, limit)
     try:
         run.execute(space, workers, told)
     finally:
         run.close()
     run.facts.seconds = time.perf_counter() - begun
     return run.facts
-
-
-def _dim(space: Space | int) -> int:
-    return space.dim if isinstance(space, Space) else space
 
 
 class _Check:
@@ -96,7 +95,7 @@ class _Check:
         """All steps."""
         facts = self.facts
         bases = self._rng.random((_POINTS, facts.dim))
-        found = self._center(bases)
+        found = self._center(middle_of(space, self._rng), bases)
         if found is None:
             return
         center, image = found
@@ -117,10 +116,9 @@ class _Check:
 
     # -- steps -------------------------------------------------------------------------------------
 
-    def _center(self, bases: Float64) -> tuple[Float64, Image] | None:
+    def _center(self, middle: Float64, bases: Float64) -> tuple[Float64, Image] | None:
         """The middle and its image, or the first of the other points that has one."""
-        middle = np.full((1, self.facts.dim), 0.5)
-        for x in np.concatenate([middle, bases]):
+        for x in np.concatenate([middle[None], bases]):
             ((_, outcome),) = self._rendered(x[None])
             image = self._seen(x, outcome)
             if image is not None:

@@ -11,7 +11,7 @@ from fide_plugins.renderers.naming import flat
 from fide_plugins.space import Float, Kind, Space
 from fide_plugins.types import Float64
 
-__all__ = ["Sweep", "other_values", "sweeps"]
+__all__ = ["Sweep", "middle_of", "other_values", "sweeps"]
 
 MOST = 5
 """Values of an integer or a choice, at most."""
@@ -58,6 +58,14 @@ def sweeps(space: Space | int, center: Float64) -> list[Sweep]:
         texts = [text_of(value) for value in values]
         found.append(Sweep(name, kind.unit, axes, _range(kind), X, texts, kind))
     return found
+
+
+def middle_of(space: Space | int, rng: np.random.Generator) -> Float64:
+    """The middle of the box (dim,); repeated groups have random values, so that they differ."""
+    middle = np.full(space if isinstance(space, int) else space.dim, 0.5)
+    repeated = [] if isinstance(space, int) else [axis for block in space.groups for axis in block]
+    middle[repeated] = rng.uniform(0.2, 0.8, len(repeated))
+    return middle
 
 
 def other_values(sweep: Sweep, base: Float64) -> Float64:
