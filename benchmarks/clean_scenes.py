@@ -96,6 +96,7 @@ def _disc(cell: Row, rng: np.random.Generator) -> tuple[Float64, Solution]:
     found = fit(
         render, target, _DISC, budget=cell["renders"], until="budget", workers=0, seed=cell["seed"]
     )
+    assert found.optimizer is not None
     best = found.optimizer.best  # its std is of samples, as that of ask and tell
     assert best is not None
     return _DISC.encode(truth), best

@@ -81,8 +81,9 @@ def run(cell: Row) -> Row:
     truth = rng.uniform([0.3, 0.3, 0.3, 0.25, 0.25], [0.7, 0.7, 0.7, 0.75, 0.75])
     target = changed(draw(SPACE.decode(truth)), cell["gap"], rng)
     found = fit(draw, target, SPACE, budget=BUDGET, workers=0, seed=cell["seed"])
-    assert found.best is not None and found.best.std is not None and found.optimizer.best
-    samples = found.optimizer.best.std
+    assert found.best is not None and found.best.std is not None and found.optimizer is not None
+    by_samples = found.optimizer.best
+    samples = None if by_samples is None else by_samples.std
     return {
         **cell,
         "stopped": found.stopped,
