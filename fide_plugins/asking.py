@@ -156,7 +156,7 @@ class Asking(Retargeting):
             _, z = search.sample(min(n, left), state.rng)
             v = search.stretched(z)
             x = state.steps.propose(v, target, search.mean, search.std, state.rng)
-        return state.steps.new_ones(search.place_proposals(x), state.population.is_pending)
+        return state.steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""

@@ -153,7 +153,7 @@ class Retargeting(Readings):
             state.proposer = make_proposer(
                 self.options, self.dim, self.popsize, self.seed, self.encoder, learned=True
             )
-        x = state.search.clipped(np.concatenate([remembered, state.moves.draw(state.rng)]))
+        x = np.concatenate([state.search.clipped(remembered), state.draw_moves(state.rng)])
         state.population.draw(x, x)
 
     @abstractmethod

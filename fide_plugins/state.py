@@ -243,11 +243,24 @@ class State:
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
+        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
         self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
         if self.proposer is not None:
             self.proposer.forget()
         if self.steps is not None:
             self.steps.forget()
+
+    def draw_moves(self, rng: np.random.Generator) -> Float64:
+        """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
+        validity = self.search.setting.validity
+
+        def draw() -> Float64:
+            return self.search.clipped(self.moves.draw(rng))
+
+        if validity is None:
+            return draw()
+        start = self.moves.start.mean
+        return validity.redrawn(draw, has_more=self.moves.has_more, fallback=start)
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known; None if no sample says that.

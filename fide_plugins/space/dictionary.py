@@ -5,6 +5,7 @@
      "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
 
 What has a "type" is a parameter, all else is a group.  Keys that are as by default are left out.
+Conditions on the parameters are the table "constraints", a text for each name (`expressions`).
 """
 
 from __future__ import annotations
