@@ -151,8 +151,9 @@ class FIDE(Asking):
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
         self.validity = validity_of(self.space, constraints, self.seed)
-        if x0 is not None and self.validity is not None:
-            self.validity.check(self.x0, "x0")
+        self.has_own_constraints = constraints is not None
+        if self.validity is not None:
+            self.validity.check_start(self.x0)
         self.evaluator = Evaluator(
             target,
             loss,
@@ -372,7 +373,8 @@ class FIDE(Asking):
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
         recommended: Float64 = self.state.search.render_mean(mean)
-        valid = self.validity is None or best is None or self.validity.of(recommended[None])[0]
+        validity = self.validity if self.validity is not None and self.validity.is_known else None
+        valid = validity is None or best is None or validity.of(recommended[None])[0]
         return recommended if valid else best.solution.x.copy()
 
     # -- saving ------------------------------------------------------------------------------------

@@ -223,6 +223,13 @@ class State:
         self.evaluations = evaluations
         self.improved_at = self.retargeted_at = self.over_at = evaluations
 
+    def begin_at(self, x: Float64) -> None:
+        """Begin the present search again at x (d,), before its first generation is complete."""
+        self.population.close_generation()
+        self.population.forget_pending()
+        self.moves.start = replace(self.moves.start, mean=x.copy())
+        self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
+
     def retarget(self, target: torch.Tensor, start: Start, posterior: Posterior | None) -> None:
         """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
 

@@ -34,7 +34,7 @@ __all__ = ["OWN", "execute"]
 
 OWN = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until_stalled", "encoder",
-    "learned",
+    "learned", "max_failures",
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET, _WORKERS = 2000, 8
@@ -122,6 +122,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         callbacks=_callbacks(args),
         progress=_progress(),
         check=check,
+        max_failures=1.0 if args.max_failures is None else args.max_failures,
     )
     return fitting, out, again
 
@@ -234,6 +235,8 @@ def _note_found(error: Exception) -> None:
 def _report(result: Any, out: Path) -> None:
     loss = None if result.best is None else result.best.loss
     failed = f", {result.failures} renders failed" if result.failures else ""
+    if result.rejected:
+        failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
     print(f"best loss {number(loss)} after {result.evaluations} renders{failed}")
     print(f"{duration(result.seconds)}, stopped by {result.stopped.replace('_', '-')}")
     if isinstance(result.params, dict):

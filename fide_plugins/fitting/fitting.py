@@ -59,8 +59,9 @@ class Fitting:
         progress: object = None,
         checkpoint_every: float = 5.0,
         rounds: Rounds | None = None,
+        max_failures: float = 1.0,
     ) -> None:
-        self._rounds = rounds
+        self._rounds, self._max_failures = rounds, max_failures
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
@@ -70,8 +71,8 @@ class Fitting:
     def execute(self) -> Result:
         """Fit until a rule says stop.
 
-        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if most
-        renders fail or a callback, the loss or the encoder raises, any error of the optimizer,
+        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if hardly any
+        render succeeds or a callback, the loss or the encoder raises, any error of the optimizer,
         OSError if the run directory cannot be written.  What was computed is saved before, as far
         as that can be done, and is the attribute `result` of whatever is raised.
         """
@@ -89,6 +90,7 @@ class Fitting:
                 self._callbacks,
                 self._timeout,
                 interrupts,
+                self._max_failures,
             )
             self._checkpoints = CheckpointTimer(self._checkpoint_every)
             try:
@@ -186,6 +188,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
+        validity = self.optimizer.validity
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
@@ -196,6 +199,7 @@ class Fitting:
             curve=_curve(r),
             evaluations=r.evaluations,
             failures=loop.failures.count,
+            rejected=None if validity is None else validity.share_rejected,
             first_failure=loop.failures.first,
             seconds=r.wall_s,
             busy=min(1.0, loop.render_seconds / searched / workers),

@@ -26,7 +26,7 @@ from fide_plugins.recording.sources import of_files, of_losses, of_models, of_we
 from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import check_names, switch
+from fide_plugins.validation.option_rules import check_names, positive_fraction, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
@@ -48,6 +48,8 @@ def fit(
     out: str | os.PathLike[str] | None = None,
     seed: int | None = None,
     *,
+    constraints: Callable[[Any], object] | None = None,
+    max_failures: float = 1.0,
     until_stalled: bool = False,
     timeout: float | str | None = None,
     resume: bool = False,
@@ -93,6 +95,13 @@ def fit(
     seed
         same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  With
         more the order in which renders arrive matters, too.  None draws one.
+    constraints
+        function of the parameters, as `render` gets them, that returns True where they are valid,
+        or margins: a number or several, <= 0 where they are valid.  Only valid ones are rendered;
+        what is rejected costs nothing.  Those of the space are respected, too.
+    max_failures
+        share of the last 50 renders that may fail, in (0, 1].  By default any may, as long as some
+        succeed, see `fitting.failures`.
     until_stalled
         stop also when nothing more is to be expected: the image equals the target to 8 bits, the
         loss is at the noise floor, several searches ended at the same answer, or the loss has not
@@ -122,8 +131,8 @@ def fit(
     FideError
         before the first render: an option, the target or the space is not what it must be.
     FitError
-        the first 8 renders all failed, more than half of the last 50 failed, or a callback, the
-        loss or the encoder raised an exception.
+        hardly any render succeeds (`fitting.failures`), or a callback, the loss or the encoder
+        raised an exception.
     FitInterrupted
         (a KeyboardInterrupt) Ctrl-C or SIGTERM.
     OSError
@@ -145,7 +154,8 @@ def fit(
         timeout=timeout,
         resume=resume,
         progress=progress,
-        options=_given(mask=mask, learned=learned) | options,
+        max_failures=max_failures,
+        options=_given(mask=mask, learned=learned, constraints=constraints) | options,
     ).execute()
 
 
@@ -167,6 +177,7 @@ def prepare(
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
     check: Callable[[FIDE], None] | None = None,
+    max_failures: float = 1.0,
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
@@ -182,6 +193,7 @@ def prepare(
     watchers = Callbacks(callbacks)
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
+    share = positive_fraction("max_failures", max_failures)
     number = whole_number("workers", workers, 0)
     options = dict(options or {})
     given = ("self", "dim", "target", "seed")
@@ -202,6 +214,7 @@ def prepare(
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record, saved,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
+        max_failures=share,
     )  # fmt: skip
 
 

@@ -28,6 +28,8 @@ class Result:
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
+    rejected: share of this call's candidates that constraints rejected before they were rendered,
+        in [0, 1]; None without constraints.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
@@ -45,6 +47,7 @@ class Result:
     curve: Float64
     evaluations: int
     failures: int
+    rejected: float | None
     first_failure: Failure | None
     seconds: float
     busy: float
@@ -54,6 +57,8 @@ class Result:
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
+        if self.rejected:
+            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         named = isinstance(self.params, dict)
         params = shorten(_rounded(self.params), 300) if named else f"dim={self.optimizer.dim}"

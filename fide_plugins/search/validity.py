@@ -22,7 +22,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.search.mixed import Mixed
 from fide_plugins.space import Space
-from fide_plugins.space.constraints import constraints_of
+from fide_plugins.space.constraints import constraints_not_stored, constraints_of
 from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Validity", "validity_of"]
@@ -42,7 +42,8 @@ def validity_of(space: Space | None, function: object, seed: int) -> Validity | 
     if constraints is None:
         return None
     place = Mixed(None if space is None else space.layout).clipped
-    return Validity(constraints, constraints.explain, place, seed)
+    known = function is not constraints_not_stored
+    return Validity(constraints, constraints.explain, place, seed, is_known=known)
 
 
 class Validity:
@@ -60,9 +61,13 @@ class Validity:
         explain: Callable[[Float64], str],
         place: Callable[[Float64], Float64],
         seed: int,
+        *,
+        is_known: bool = True,
     ) -> None:
         self._violation, self._explain = violation, explain
         self._place, self._seed = place, seed
+        self.is_known = is_known
+        """Whether the constraints can be computed; not before a user's function is given again."""
         self.checked = self.rejected = 0
         """Candidates that were checked, and those that were not valid."""
 
@@ -82,13 +87,17 @@ class Validity:
         self.rejected += int((~valid).sum())
         return valid
 
-    def check(self, x: Float64, what: str) -> None:
-        """Raise OptionError (a ValueError), naming the constraints, if x (d,) is not valid."""
-        if not self.of(x[None])[0]:
-            raise OptionError(
-                f"{what} is not valid: it violates {self._explain(x)}; give a valid one, or leave "
-                "it out: then the search begins at a valid point that it finds"
-            )
+    def check_start(self, x0: Float64) -> None:
+        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid.
+
+        The middle of the cube, where nobody has chosen it, may be invalid: see `start`.
+        """
+        if (x0 == 0.5).all() or not self.is_known or self.of(x0[None])[0]:
+            return
+        raise OptionError(
+            f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it out: "
+            "then the search begins at a valid point that it finds"
+        )
 
     def sample(
         self, draw: Callable[[int], tuple[Float64, Float64]], n: int
@@ -159,7 +168,7 @@ class Validity:
 
         Raises OptionError (a ValueError) if no valid point is found.
         """
-        if self.of(x[None])[0]:
+        if not self.is_known or self.of(x[None])[0]:
             return x
         rng = np.random.default_rng((self._seed, 2, number))
         tried = np.empty((0, len(x)))

@@ -10,14 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import OptionError, ProtocolError
 from fide_plugins.runtime.callables import name_of
 from fide_plugins.space.space import Space
 from fide_plugins.types import Float64
 
-__all__ = ["Constraints", "constraints_of"]
+__all__ = ["Constraints", "constraints_not_stored", "constraints_of"]
 
 _VIOLATED = 1.0  # by how much, where a function says only that
+
+
+def constraints_not_stored(params: object) -> bool:
+    """In place of a user's function, which a checkpoint cannot hold; raises ProtocolError."""
+    raise ProtocolError(
+        "this optimizer was saved with a function of constraints, which a checkpoint cannot hold; "
+        "to ask for more, give it again: load(path, constraints=function)"
+    )
 
 
 class Constraints:
@@ -56,6 +64,8 @@ class Constraints:
         assert self._function is not None
         try:
             returned = self._function(params)
+        except ProtocolError:
+            raise
         except Exception as error:
             raise OptionError(
                 f"constraints({_short(params)}) raised {error!r}; let it return False there"

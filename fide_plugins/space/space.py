@@ -221,8 +221,10 @@ class Space:
         """
         if not isinstance(data, Mapping) or _CONSTRAINTS not in data:
             return cls(dictionary.from_dict(data))
+        constraints = data[_CONSTRAINTS]
+        _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(dictionary.from_dict(members), constraints=data[_CONSTRAINTS])
+        return cls(dictionary.from_dict(members), constraints=constraints)
 
     def to_toml(self) -> str:
         """Text of a TOML file that `read` reads."""
