@@ -146,9 +146,7 @@ class Validity:
         x[which] = np.where(good > 0, self._place(anchors + good * (ends - anchors)), anchors)
         return x
 
-    def redrawn(
-        self, draw: Callable[[], Float64], *, has_more: bool, fallback: Float64
-    ) -> Float64:
+    def redrawn(self, draw: Callable[[], Float64], *, has_more: bool, fallback: Float64) -> Float64:
         """Valid points of what `draw` gives, (m, d), m >= 1.
 
         has_more: whether it gives others each time; then there are as many as of the first call, if
@@ -184,9 +182,7 @@ class Validity:
         found: Float64 = valid[np.linalg.norm(valid - middle, axis=1).argmin()]
         return found
 
-    def _repaired(
-        self, tried: Float64, violations: Float64, rng: np.random.Generator
-    ) -> Float64:
+    def _repaired(self, tried: Float64, violations: Float64, rng: np.random.Generator) -> Float64:
         """A valid point that CMA-ES finds from the best of those tried (n, d)."""
         best = tried[violations.argmin()]
         search = CMAES(best, 0.1, _POPSIZE)

@@ -120,7 +120,9 @@ def _parsed(text: object) -> ast.expr:
     if not isinstance(text, str):
         raise _WrongError('it must be a text, such as "inner < 0.6 * outer"')
     if len(text) > _LONGEST:
-        raise _WrongError(f"it has {len(text):,} characters, of {_LONGEST:,} at most; write several")
+        raise _WrongError(
+            f"it has {len(text):,} characters, of {_LONGEST:,} at most; write several"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # Python warns of some texts, such as 1or 2
@@ -133,7 +135,9 @@ def _parsed(text: object) -> ast.expr:
 
 def _check_depth(node: ast.AST, left: int) -> None:
     if left == 0:
-        raise _WrongError(f"it is nested more than {_DEEPEST} levels deep; write several conditions")
+        raise _WrongError(
+            f"it is nested more than {_DEEPEST} levels deep; write several conditions"
+        )
     for child in ast.iter_child_nodes(node):
         _check_depth(child, left - 1)
 

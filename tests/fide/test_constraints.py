@@ -136,9 +136,7 @@ def test_a_start_that_violates_a_constraint_is_refused_by_name() -> None:
         (lambda x: 1 / 0, "raised ZeroDivisionError.*return False there"),
     ],
 )
-def test_a_wrong_function_is_refused_before_anything_is_asked(
-    function: Any, message: str
-) -> None:
+def test_a_wrong_function_is_refused_before_anything_is_asked(function: Any, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         FIDE(2, TARGET, constraints=function, seed=0)
 
@@ -162,9 +160,7 @@ def test_a_checkpoint_knows_the_constraints_of_a_space_and_asks_for_a_function(
     assert loaded.best is not None and len(loaded.recommend()) == 2
     with pytest.raises(ProtocolError, match="saved with a function of constraints"):
         loaded.ask(9)
-    np.testing.assert_array_equal(
-        FIDE.load(tmp_path / "b", constraints=valid).ask(9), own.ask(9)
-    )
+    np.testing.assert_array_equal(FIDE.load(tmp_path / "b", constraints=valid).ask(9), own.ask(9))
 
 
 def test_without_images_a_new_search_begins_at_a_valid_point() -> None:

@@ -24,7 +24,9 @@ def ring(params: dict[str, float]) -> Any:
         raise ValueError("wall too thin")
     v, u = np.mgrid[0:24, 0:24] / 23
     d = np.hypot(u - params["x"], v - 0.5)
-    return 1 / (1 + np.exp(30 * (d - params["outer"]))) - 1 / (1 + np.exp(30 * (d - params["inner"])))
+    return 1 / (1 + np.exp(30 * (d - params["outer"]))) - 1 / (
+        1 + np.exp(30 * (d - params["inner"]))
+    )
 
 
 def thick(params: dict[str, float]) -> bool:
@@ -55,9 +57,7 @@ def test_a_space_of_which_five_percent_are_valid() -> None:
 
     answer = {"x": 0.9, "y": 0.85, "radius": 0.3, "gray": 0.9}
     with pytest.warns(RenderFailedWarning):
-        result = fit(
-            render, render(answer), SPACE, budget=300, stop_at=1e-6, workers=0, seed=0
-        )
+        result = fit(render, render(answer), SPACE, budget=300, stop_at=1e-6, workers=0, seed=0)
     assert result.stopped == "stop_at"
 
 

@@ -44,7 +44,7 @@ PARAMS = {
         ("not lid", 1.0),
         ("beads[1].x - beads[0].x > 0.5 and hub.w ** 2 <= 4", 0.0),
         ("max(inner, outer, -abs(-2)) == outer", 0.0),
-        ("hypot(3, 4) == 5 and atan2(0, -1) == pi and floor == \"wood\"", 0.0),
+        ('hypot(3, 4) == 5 and atan2(0, -1) == pi and floor == "wood"', 0.0),
         ("1 / 0 < 1", 1.0),  # has no value
         ("sqrt(-1) < 1", 1.0),
         ("(-1) ** 0.5 < 1", 1.0),

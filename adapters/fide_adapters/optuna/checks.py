@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
 from optuna.distributions import BaseDistribution
 from optuna.study import Study, StudyDirection
@@ -11,7 +13,34 @@ from optuna.trial import FixedTrial, FrozenTrial, Trial
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError, ProtocolError
 
-__all__ = ["refuse_several_objectives", "running_trial", "warn_of_space"]
+__all__ = [
+    "as_constraints",
+    "check_function",
+    "refuse_several_objectives",
+    "running_trial",
+    "warn_of_space",
+]
+
+
+def check_function(name: str, function: Any) -> Any:
+    """Return a function, or None; raises OptionError (a ValueError) for anything else."""
+    if function is not None and not callable(function):
+        raise OptionError(f"{name} must be a function of a trial, not {function!r}")
+    return function
+
+
+def as_constraints(values: Any) -> list[float]:
+    """What a `constraints_func` has returned, as it is stored; raises OptionError."""
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = [math.nan]
+    if any(map(math.isnan, numbers)):
+        raise OptionError(
+            "constraints_func must return a list of numbers, <= 0 where nothing is violated, not "
+            f"{values!r}"
+        )
+    return numbers
 
 
 def refuse_several_objectives(study: Study) -> None:
