@@ -373,9 +373,10 @@ class FIDE(Asking):
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
         recommended: Float64 = self.state.search.render_mean(mean)
-        validity = self.validity if self.validity is not None and self.validity.is_known else None
-        valid = validity is None or best is None or validity.of(recommended[None])[0]
-        return recommended if valid else best.solution.x.copy()
+        validity = self.validity
+        if best is None or validity is None or validity.allows(recommended):
+            return recommended
+        return best.solution.x.copy()
 
     # -- saving ------------------------------------------------------------------------------------
 

@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until-stalled", action="store_true", default=None,
         help="stop when nothing more is to be expected")  # fmt: skip
     add("--max-failures", type=float, metavar="SHARE",
-        help="of the last 50 renders that may fail, such as 0.5 (1: as long as some succeed)")  # fmt: skip
+        help="of the last 50 renders that may fail (1: any, if some succeed)")  # fmt: skip
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
 

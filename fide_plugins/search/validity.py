@@ -80,6 +80,10 @@ class Validity:
         """Which points X (n, d) are valid, (n,)."""
         return self._violation(X) <= 0.0
 
+    def allows(self, x: Float64) -> bool:
+        """Whether x (d,) may be valid, as far as the constraints are known."""
+        return not self.is_known or bool(self.of(x[None])[0])
+
     def _count(self, X: Float64) -> Mask:
         """As `of`, of candidates."""
         valid = self.of(X)
@@ -92,7 +96,7 @@ class Validity:
 
         The middle of the cube, where nobody has chosen it, may be invalid: see `start`.
         """
-        if (x0 == 0.5).all() or not self.is_known or self.of(x0[None])[0]:
+        if (x0 == 0.5).all() or self.allows(x0):
             return
         raise OptionError(
             f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it out: "
@@ -166,7 +170,7 @@ class Validity:
 
         Raises OptionError (a ValueError) if no valid point is found.
         """
-        if not self.is_known or self.of(x[None])[0]:
+        if self.allows(x):
             return x
         rng = np.random.default_rng((self._seed, 2, number))
         tried = np.empty((0, len(x)))

@@ -9,7 +9,9 @@ file               idea
 `kinds`            what one parameter is: `Float`, `Int`, `Choice`
 `group`            parameters of one thing, and several things of one kind: `Group`
 `layout`           numbers of all parameters <-> points of the cube, for many points at once
+`expressions`      conditions on parameters as a text: ``inner < 0.6 * outer``
 `space`            names: `Space`
+`constraints`      by how much a point violates conditions of a space and a function of the user's
 `dictionary`       a space <-> plain dictionaries (JSON)
 `toml_file`        a space <-> a file in TOML
 =================  =================================================================================

@@ -46,7 +46,7 @@ def test_every_candidate_is_valid_whatever_it_is_for(
 ) -> None:
     opt = FIDE(BEADS, disks(ANSWER), seed=1, groups=[], patience=1, improvement=1.0, **options)
     stages = set()
-    tested = many != 1 and not options
+    tested = many is None and not options
     while opt.evaluations < (250 if tested else 100):
         X = opt.ask(many)
         stages.add(opt.state.stage)

@@ -39,7 +39,7 @@ def test_what_is_valid_is_found(how: str, seed: int) -> None:
     wall = {"wall": "inner < 0.6 * outer"} if how == "space" else None
     space = Space(RING, constraints=wall)
     given: dict[str, Any] = {"constraints": thick} if how == "function" else {}
-    limits = {"budget": 250, "stop_at": 1e-7, "workers": 0, "seed": seed}
+    limits: dict[str, Any] = {"budget": 250, "stop_at": 1e-7, "workers": 0, "seed": seed}
     if how == "nobody says":
         with pytest.warns(RenderFailedWarning, match="wall too thin"):
             result = fit(ring, ring(ANSWER), space, **limits)

@@ -165,7 +165,7 @@ def test_point_13_a_constraints_func_is_that_of_optuna_s_own_samplers(bench: Ben
         study.optimize(objective, n_trials=40)
         assert study.best_trial.params["x0"] <= 0.5
         runs.append(bench.points(study))
-    np.testing.assert_array_equal(*runs)
+    np.testing.assert_array_equal(runs[0], runs[1])
 
 
 @pytest.mark.parametrize("returned", [None, ["much"], [float("nan")], 1.0])
