@@ -1,4 +1,4 @@
-"""Which encoder, which loss: tables of docs/measurements/encoders_quality.md, encoders_other.md.
+"""Which encoder, which loss: tables of lab/reports/encoders_quality.md, encoders_other.md.
 
     python benchmarks/encoders.py encoders voronoi spline robot
     python benchmarks/encoders.py losses voronoi spline robot
@@ -39,10 +39,10 @@ from quality import run_configurations
 from rows import Row, read
 
 import fide_tasks
+from fide_lab import run as harness
 from fide_plugins import encoders, losses
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
-from fide_plugins.experiments import run as harness
 from fide_plugins.recording.record import best_so_far
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"

@@ -14,7 +14,7 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
-from fide_plugins.runtime.schema import array, check
+from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
@@ -28,12 +28,11 @@ from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.solved import is_solved
 
 __all__ = ["Readings"]
 
 _ARGUMENTS = ("dim", "target", "weights", "x0", "sigma0", "seed")
-_ROUNDING = (1 / 255) ** 2 / 12  # MSE between a picture and itself in 8 bits
-_LEVEL = 1 / 255 + 1e-6  # one step of 8 bits, as two numbers in single precision may differ
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 
@@ -44,6 +43,8 @@ class Readings(Saved):
     popsize: int
     seed: int
     x0: Float64
+    guess: Float64 | None
+    """x0 where a user has given it."""
     sigma0: float | Float64
     options: Options
     space: Space | None
@@ -107,37 +108,31 @@ class Readings(Saved):
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
         state, best = self.state, self.state.best
         since = state.evaluations - state.retargeted_at
+        known = state.moves.known
+        others, apart = known.optima.others(known.exchangeability.distance)
         facts = Facts(
             evaluations=state.evaluations,
             best=None if best is None else best.solution.loss,
             improved_at=state.improved_at,
             horizon=max(_STALLED * state.search.popsize, since // 4),
             ended=state.moves.ended,
-            forgotten=state.moves.known.optima.forgotten,
-            grain=self._grain_left(),
+            forgotten=known.optima.forgotten,
+            others=others,
+            apart=apart,
             solved=self._is_solved(),
+            grain=self._grain_left(),
             same=self.same_images.number,
         )
         return status_of(facts)
 
     def _grain_left(self) -> float | None:
         """Standard deviation of a pixel, if only noise keeps the best image from the target."""
-        grain, best = self.state.grain, self.state.best
-        image = None if best is None else best.solution.image
-        if image is None or grain.variance is None or not grain.is_all(image, self.views.target):
-            return None
-        return float(np.sqrt(grain.variance))
+        image = None if self.state.best is None else self.state.best.solution.image
+        return None if image is None else self.state.grain.left(image, self.views.target)
 
     def _is_solved(self) -> bool:
-        """Whether the best image equals the target to 8 bits, whatever the loss is.
-
-        In a large picture the mean does not show a small object, so no pixel that counts may
-        differ by more than one step.
-        """
         image = None if self.state.best is None else self.state.best.solution.image
-        if image is None or self.views.largest_error(image) > _LEVEL:
-            return False
-        return self.views.squared_error(image) <= _ROUNDING
+        return image is not None and is_solved(self.views, image)
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:
@@ -209,7 +204,7 @@ class Readings(Saved):
 
     def settings(self) -> dict[str, Any]:
         """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
-        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        given = {name: getattr(self, name) for name in _ARGUMENTS} | {"x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
         return given | flat(self.options) | own
@@ -264,5 +259,5 @@ class Readings(Saved):
         odd = sorted((set(settings) ^ expected) - {"constraints"})  # which earlier versions lack
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
-        check(settings["x0"], array("d"), {"d": settings["dim"]}, "x0")
+        check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")
         Views.check_settings(settings)

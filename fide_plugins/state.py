@@ -147,7 +147,7 @@ class State:
                 shown = None if image is None else _copied(image)
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
                 searched = candidate is not None and self.stage is Stage.SEARCH
-                self._improve(solution, number, searched=searched)
+                self._improve(solution, number, searched=searched and not self._is_start(exact))
         self.not_finite += not finite
         self.evaluations += 1
 
@@ -155,6 +155,10 @@ class State:
         """Note a point x (d,) that is no member of a generation."""
         if self.injected is None or loss < self.injected[1]:
             self.injected = (x, loss)
+
+    def _is_start(self, x: Float64) -> bool:
+        """Whether the search began at x (d,): then x was given, or found before, not by it."""
+        return np.array_equal(x, self.search.clipped(self.moves.start.mean[None])[0])
 
     def _improve(self, solution: Solution, number: int, *, searched: bool) -> None:
         """Note the best point so far, candidate `number`; whether a search has asked it."""
@@ -259,15 +263,12 @@ class State:
 
     def draw_moves(self, rng: np.random.Generator) -> Float64:
         """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
-        validity = self.search.setting.validity
-
-        def draw() -> Float64:
-            return self.search.clipped(self.moves.draw(rng))
-
+        validity, moves = self.search.setting.validity, self.moves
         if validity is None:
-            return draw()
-        start = self.moves.start.mean
-        return validity.redrawn(draw, has_more=self.moves.has_more, fallback=start)
+            return self.search.clipped(moves.draw(rng))
+        return validity.redrawn(
+            lambda: self.search.clipped(moves.draw(rng)), moves.has_more, moves.start.mean
+        )
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known; None if no sample says that.

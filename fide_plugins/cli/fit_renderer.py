@@ -13,7 +13,9 @@ from fide_plugins.cli.arguments import free_directory, optimizer_options
 from fide_plugins.cli.fit_pictures import pictures, weights_of
 from fide_plugins.cli.live import page_of
 from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
     as_typed,
+    continuation,
     duration,
     note,
     number,
@@ -23,6 +25,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
+from fide_plugins.validation.option_rules import positive_fraction
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -33,16 +36,15 @@ if TYPE_CHECKING:
 __all__ = ["OWN", "execute"]
 
 OWN = (
-    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until_stalled", "encoder",
-    "learned", "max_failures",
+    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until", "until_stalled",
+    "encoder", "learned", "max_failures",
 )  # fmt: skip
 """Arguments that no model has."""
-_BUDGET, _WORKERS = 2000, 8
+_BUDGET = 2000
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import USAGE_ERRORS, continuation
     from fide_plugins.fitting.fitting import FitInterrupted
     from fide_plugins.recording.run_checkpoint import is_saved
 
@@ -91,13 +93,17 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.extra_renders import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
+    from fide_plugins.fitting.workers.choice import default_number
     from fide_plugins.recording.json_record import read_run
 
     render, space, timeout = _renderer(args)
     targets = pictures(args.targets, args.size)
-    endless = args.budget is None and (args.time is not None or args.until_stalled)
+    until = args.until or "solved"
+    stalled = bool(args.until_stalled)
+    share = args.max_failures
+    endless = args.budget is None and (args.time is not None or stalled or until == "stalled")
     budget = None if endless else args.budget or _BUDGET
-    workers = _WORKERS if args.workers is None else args.workers
+    workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
     def check(optimizer: FIDE) -> None:
@@ -111,7 +117,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         render,
         targets[0] if len(targets) == 1 else targets,
         space,
-        stopping=Stopping.of(budget, args.time, args.stop_at, bool(args.until_stalled)),
+        stopping=Stopping.of(budget, args.time, args.stop_at, until, stalled),
         workers=workers,
         seed=args.seed,
         timeout=timeout,
@@ -122,7 +128,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         callbacks=_callbacks(args),
         progress=_progress(),
         check=check,
-        max_failures=1.0 if args.max_failures is None else args.max_failures,
+        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
     )
     return fitting, out, again
 
@@ -174,9 +180,9 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
-    from fide_plugins.experiments.solutions import pictures as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.solutions import pictures as stored
 
     known = stored.read(out)
     points = [one.x for one in result.solutions[1:]]

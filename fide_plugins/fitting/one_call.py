@@ -18,13 +18,13 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers.choice import default_number, workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.fingerprints import fingerprint_of
 from fide_plugins.space import Space
 from fide_plugins.validation.option_rules import check_names, positive_fraction, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
@@ -39,7 +39,7 @@ def fit(
     budget: int | None = 2000,
     time: float | str | None = None,
     stop_at: float | None = None,
-    workers: int = 8,
+    workers: int | None = None,
     executor: object = None,
     views: Sequence[object] | None = None,
     mask: object = None,
@@ -50,6 +50,7 @@ def fit(
     *,
     constraints: Callable[[Any], object] | None = None,
     max_failures: float = 1.0,
+    until: str = "solved",
     until_stalled: bool = False,
     timeout: float | str | None = None,
     resume: bool = False,
@@ -77,8 +78,9 @@ def fit(
     workers
         renders at a time.  They run in as many processes of their own, which are killed and
         replaced where they hang or die.  0: in this process, one after the other, which costs
-        least where a render takes milliseconds.  Where `render` cannot be pickled, threads take
-        the place of processes, with a warning.
+        least where a render takes milliseconds.  None: one for each core that this process may use,
+        at most 8; with an `executor` of other than processes 8.  Where `render` cannot be pickled,
+        threads take the place of processes, with a warning.
     executor
         where to render instead: "threads" (for a `render` that only waits, for a program or a
         server), any executor of `concurrent.futures`, or Dask's Client; `workers` says how many
@@ -102,11 +104,16 @@ def fit(
     max_failures
         share of the last 50 renders that may fail, in (0, 1].  By default any may, as long as some
         succeed, see `fitting.failures`.
+    until
+        "solved": stop also when the image equals the target but for what no eye sees
+        (`views.solved`), or differs from it by noise of its pixels alone and the parameters are
+        known as well as that noise allows.  "stalled": stop also when nothing more is to be
+        expected: renders and target differ by noise of the renderer alone, several searches ended
+        at the same answer, or the loss has not improved by a tenth for 150 generations (1,200
+        renders of four parameters, 2,250 of 40) and half of all evaluations.  "budget": none of
+        these.
     until_stalled
-        stop also when nothing more is to be expected: the image equals the target to 8 bits, the
-        loss is at the noise floor, several searches ended at the same answer, or the loss has not
-        improved by a tenth for 150 generations (1,200 renders of four parameters, 2,250 of 40) and
-        half of all evaluations.
+        True: the former name of ``until="stalled"``.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.
@@ -145,7 +152,7 @@ def fit(
         render,
         _with_views(target, views),
         space,
-        stopping=Stopping.of(budget, time, stop_at, until_stalled),
+        stopping=Stopping.of(budget, time, stop_at, until, until_stalled),
         workers=workers,
         executor=executor,
         callbacks=callbacks,
@@ -154,7 +161,7 @@ def fit(
         timeout=timeout,
         resume=resume,
         progress=progress,
-        max_failures=max_failures,
+        max_failures=positive_fraction("max_failures", max_failures),
         options=_given(mask=mask, learned=learned, constraints=constraints) | options,
     ).execute()
 
@@ -165,7 +172,7 @@ def prepare(
     space: Space | int,
     *,
     stopping: Stopping,
-    workers: int = 8,
+    workers: int | None = None,
     executor: object = None,
     callbacks: object = (),
     out: str | os.PathLike[str] | None = None,
@@ -193,8 +200,7 @@ def prepare(
     watchers = Callbacks(callbacks)
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
-    share = positive_fraction("max_failures", max_failures)
-    number = whole_number("workers", workers, 0)
+    number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
     options = dict(options or {})
     given = ("self", "dim", "target", "seed")
     check_names(options, given, "is no option of the optimizer, but an argument of the fit")
@@ -212,9 +218,8 @@ def prepare(
         saved = _saved_run(out, render, optimizer, stopping, options, resume, command)
         record = saved.begin(optimizer)
     return Fitting(
-        optimizer, renderer, pool, stopping, watchers, record, saved,
+        optimizer, renderer, pool, stopping, watchers, record, saved, max_failures=max_failures,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
-        max_failures=share,
     )  # fmt: skip
 
 

@@ -79,7 +79,7 @@ class SavedRun:
                 f"{self.path} holds a run with another encoder: its features of the target differ; "
                 "give the same one, or name another directory"
             )
-        restored = self._directory.restore(optimizer)
+        restored = self._directory.restore(optimizer.continue_from)
         if restored is None:
             return None
         record, _ = restored
@@ -119,8 +119,8 @@ class SavedRun:
         best = None if record.image is None else picture(optimizer, record.image)
         self._directory.write_tables(record, best)
 
-    def leave(self, status: str, record: Record, optimizer: FIDE) -> None:
-        """Write totals; status: "finished", "interrupted" or "failed"."""
+    def leave(self, status: str, record: Record, optimizer: FIDE, stopped: str) -> None:
+        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`."""
         target = optimizer.evaluator.target
         result = result_of(
             self._directory.settings,
@@ -129,7 +129,7 @@ class SavedRun:
             budget=self._budget or record.evaluations,
             status=str(optimizer.status),
         )
-        writes = [lambda: self._directory.write_run(status, result)]
+        writes = [lambda: self._directory.write_run(status, result, stopped)]
         if status == "finished" and not isinstance(optimizer.target, list):
             writes.insert(0, lambda: self._directory.write_summary(result, target))
         try_each(*writes)
@@ -148,7 +148,7 @@ def settings_of(
     target = optimizer.evaluator.target
     space = optimizer.space
     made = {
-        "x0": optimizer.x0.tolist(),
+        "x0": None if optimizer.guess is None else optimizer.guess.tolist(),
         "sigma0": np.asarray(optimizer.sigma0).tolist(),
         "groups": optimizer.options.groups,
     }

@@ -10,6 +10,7 @@
     frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
+    before-N/      results of a call that ended before there was a run.ckpt; another began anew
     run.ckpt       state of the loop; names the file of its optimizer
     optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending; -N-M-F after
                    F renders that gave no image
@@ -23,13 +24,13 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from fnmatch import fnmatchcase
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording import kept_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
@@ -51,10 +52,12 @@ from fide_plugins.recording.run_checkpoint import (
     write_checkpoint,
 )
 from fide_plugins.runtime import files, machine
-from fide_plugins.saving import Saved
+from fide_plugins.runtime.warn import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
+
+T = TypeVar("T")
 
 __all__ = ["LIVE", "TABLES", "RunDirectory", "is_under_way", "results_in"]
 
@@ -145,27 +148,25 @@ class RunDirectory:
 
     # -- reading -----------------------------------------------------------------------------------
 
-    def restore(self, fresh: Saved | None = None) -> tuple[Record, Any] | None:
-        """Record and optimizer of the saved run, the latter as its class loads it; None without.
+    def restore(self, load: Callable[[Path], T]) -> tuple[Record, T] | None:
+        """Record and optimizer of the saved run; None without one.
 
-        fresh: an optimizer of the same arguments, which goes on; None: all that it needs is in its
-            file, by name.
+        load: makes the optimizer of its file.
 
-        Raises CheckpointError (a ValueError) if it is damaged, or missing beside results of a run.
+        A run that ended before there was a state, on a disk that was full, begins anew; its results
+        are moved into a folder of their own.
+
+        Raises CheckpointError (a ValueError) if the state is damaged, or was removed.
         """
         if not is_saved(self.path):
-            self._check_is_new()
+            self._begin_anew()
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
-        return record, self._optimizer(file, fresh)
+        return record, self._optimizer(file, load)
 
-    def _optimizer(self, path: Path, fresh: Saved | None) -> Any:
+    def _optimizer(self, path: Path, load: Callable[[Path], T]) -> T:
         try:
-            if fresh is not None:
-                fresh.continue_from(path)
-                return fresh
-            device = self.settings["options"].get("device")
-            return optimizers.load(self.settings["optimizer"], path, device=device)
+            return load(path)
         except FileNotFoundError as error:
             if path.exists():  # it is another file that is missing
                 raise
@@ -174,16 +175,26 @@ class RunDirectory:
                 "it back, or start again in another directory"
             ) from error
 
-    def _check_is_new(self) -> None:
-        """Raise CheckpointError if there are results of a run, which a new one would overwrite."""
+    def _begin_anew(self) -> None:
+        """Move results away that no state belongs to; CheckpointError if there was one."""
         table = self.path / "curve.csv"
-        n = table.read_bytes().count(b"\n") - 1 if self._run["resumed"] and table.exists() else 0
-        if n > 0:
+        there = self._run["resumed"] and table.exists()
+        n = files.read_regular(table).count(b"\n") - 1 if there else 0
+        if n <= 0:
+            return
+        if self._run.get("saved", True):
             raise CheckpointError(
                 f"{self.path} holds results of {n} renders, but no {CHECKPOINT}, from which the "
-                "run could go on: it was removed (copy it back), or the run was stopped before it "
-                "was written; start again in another directory"
+                "run could go on: copy it back, or start again in another directory"
             )
+        folder = next(p for i in count(1) if not (p := self.path / f"before-{i}").exists())
+        folder.mkdir()
+        for name in ("run.json", *results_in(self.path)):
+            (self.path / name).rename(folder / name)
+        warn_user(
+            f"{self.path} holds results of {n} renders, which ended before their state could be "
+            f"written: they are in {folder.name} now, and the run begins anew"
+        )
 
     def _check_no_other_files(self) -> None:
         """Raise RunDirectoryError if there are results, of no run that is known."""
@@ -260,15 +271,24 @@ class RunDirectory:
 
         files.write_bytes(self.path / "summary.png", summary(result, target))
 
-    def write_run(self, status: str = "running", result: RunResult | None = None) -> None:
-        """Write `run.json`."""
+    def write_run(
+        self,
+        status: str = "running",
+        result: RunResult | None = None,
+        stopped: str | None = None,
+    ) -> None:
+        """Write `run.json`; stopped: the rule by which the run has ended, where it has several."""
         self._run |= {
             "status": status,
+            "saved": is_saved(self.path),  # so that one which is removed is missed
             "versions": machine.versions(),
             "machine": machine.machine(),
             "load": machine.load(),
             "written": now(),
         }
+        self._run.pop("stopped", None)
+        if stopped is not None:
+            self._run["stopped"] = stopped
         if result is not None:
             self._run["totals"] = {**result.summary(), **result.details()}
         if status == "finished":

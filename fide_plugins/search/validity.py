@@ -91,17 +91,13 @@ class Validity:
         self.rejected += int((~valid).sum())
         return valid
 
-    def check_start(self, x0: Float64) -> None:
-        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid.
-
-        The middle of the cube, where nobody has chosen it, may be invalid: see `start`.
-        """
-        if (x0 == 0.5).all() or self.allows(x0):
-            return
-        raise OptionError(
-            f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it out: "
-            "then the search begins at a valid point that it finds"
-        )
+    def check_guess(self, x0: Float64) -> None:
+        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid."""
+        if not self.allows(x0):
+            raise OptionError(
+                f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it "
+                "out: then the search begins at a valid point that it finds"
+            )
 
     def sample(
         self, draw: Callable[[int], tuple[Float64, Float64]], n: int
@@ -150,7 +146,7 @@ class Validity:
         x[which] = np.where(good > 0, self._place(anchors + good * (ends - anchors)), anchors)
         return x
 
-    def redrawn(self, draw: Callable[[], Float64], *, has_more: bool, fallback: Float64) -> Float64:
+    def redrawn(self, draw: Callable[[], Float64], has_more: bool, fallback: Float64) -> Float64:
         """Valid points of what `draw` gives, (m, d), m >= 1.
 
         has_more: whether it gives others each time; then there are as many as of the first call, if

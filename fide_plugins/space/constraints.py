@@ -43,7 +43,7 @@ class Constraints:
 
         Raises OptionError (a ValueError) if the function raises, or returns no bool or numbers.
         """
-        params = x.copy() if self._space is None else self._space.decode(x)
+        params: Any = x.copy() if self._space is None else self._space.decode(x)
         found = {} if self._space is None else self._space.violations(params)
         if self._function is not None:
             name = name_of(self._function)
@@ -63,15 +63,17 @@ class Constraints:
     def _own(self, params: Any) -> float:
         assert self._function is not None
         try:
-            returned = self._function(params)
+            returned: Any = self._function(params)
         except ProtocolError:
             raise
         except Exception as error:
             raise OptionError(
                 f"constraints({_short(params)}) raised {error!r}; let it return False there"
             ) from error
-        several = isinstance(returned, list | tuple | np.ndarray) and np.ndim(returned) == 1
-        margins = [_margin(one) for one in (returned if several else [returned])]  # type: ignore[union-attr]
+        several = returned.ravel() if isinstance(returned, np.ndarray) else returned
+        if not isinstance(several, list | tuple | np.ndarray):
+            several = [several]
+        margins = [_margin(one) for one in several]
         if None in margins or not margins:
             raise OptionError(
                 f"constraints({_short(params)}) returned {_short(returned)}; let it return True "
@@ -99,8 +101,6 @@ def _margin(value: object) -> float | None:
     """By how much one constraint is violated, <= 0 where it is not; None for what is no answer."""
     if isinstance(value, bool | np.bool_):
         return 0.0 if value else _VIOLATED
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        return _margin(value[()])
     if not isinstance(value, Real):
         return None
     margin = float(value)

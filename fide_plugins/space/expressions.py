@@ -162,8 +162,8 @@ def _value(node: ast.expr, params: Mapping[str, Any]) -> _Value:
         case ast.BoolOp(op=op, values=values):
             return _joined(op, [_condition(_value(one, params)) for one in values])
         case ast.Compare(left=left, ops=ops, comparators=right):
-            values = [_value(one, params) for one in (left, *right)]
-            pairs = zip(ops, values, values[1:], strict=False)
+            sides = [_value(one, params) for one in (left, *right)]
+            pairs = zip(ops, sides, sides[1:], strict=False)
             return _joined(ast.And(), [_compared(*pair) for pair in pairs])
     raise _WrongError(
         f"{ast.unparse(node)!r} is not allowed; a condition has numbers, parameters, + - * / **, "

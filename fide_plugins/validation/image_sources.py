@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
+from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = [
@@ -128,6 +129,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
     except ImportError as e:
         raise DependencyError("reading an image file needs Pillow: pip install pillow") from e
     try:
+        check_regular(path)
         with Image.open(path) as image:
             frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
             whole = image.size
@@ -138,6 +140,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
         raise ImageNotFoundError(f"no image file at {os.fspath(path)!r}") from e
     except ImageError:
         raise
+    except RefusedFileError as e:
+        raise ImageError(f"{e} with an image") from e
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
         name = os.fspath(path)
         remedy = "is it whole, and is it an image? PNG, JPEG, TIFF and PPM can be read"

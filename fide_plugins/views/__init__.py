@@ -44,6 +44,7 @@ One view without weights is not changed in any way.
 `encoder`       the tokens of views
 `same_images`   notices a renderer that does not use its parameters
 `grain`         whether an image differs from the target by noise of its pixels alone
+`solved`        whether it equals the target but for what no eye sees
 ==============  ==================================================================
 """
 

@@ -121,7 +121,7 @@ def test_a_fit_without_a_best_candidate_says_why(
 ) -> None:
     result = SimpleNamespace(
         best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
-        seconds=1.0, stopped="time",
+        seconds=1.0, stopped="time", rejected=None,
     )  # fmt: skip
     _report(result, Path("out"))
     assert capsys.readouterr().out.splitlines()[-1] == text
@@ -147,7 +147,8 @@ def test_a_program_is_fitted_without_a_shell(
     program: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["lines.png", "--command", program, "--space", "space.toml", "--workers", 1]
-    assert fide("fit", *words, "--budget", 25, "--json", "--out", "out") == 0
+    words += ["--budget", 25, "--until", "budget"]
+    assert fide("fit", *words, "--json", "--out", "out") == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out.splitlines()[-1])
     assert set(result["params"]) == {"gray", "rows"} and result["evaluations"] == 25
@@ -422,7 +423,7 @@ def test_a_space_with_invalid_parameters_is_fitted(
     assert fide("fit", "ring.png", *words, "--budget", 40, "--out", "out", "--json") == 0
     told = summary(capsys)
     assert told["params"]["inner"] < 0.6 * told["params"]["outer"]
-    assert told["evaluations"] == 40 and (told["failures"] == 0 or not constraint)
+    assert told["failures"] == 0 or not constraint
 
 
 @pytest.mark.thorough

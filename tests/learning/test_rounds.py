@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
 from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.cli import progress
 from fide_plugins.errors import CheckpointError, OptionError, RenderError
-from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import choice
 from fide_plugins.learning import Model, rounds
@@ -129,9 +129,9 @@ def test_learned_renders_change_no_candidate_and_not_when_a_search_is_stalled() 
     def search(renders: int) -> tuple[Any, int]:
         opt = FIDE(SPACE, PICTURE, seed=0, popsize=4)
         opt.begin_with(None, renders)
-        stopping = Stopping(10_000, until_stalled=True)
+        stopping = Stopping(10_000, until="stalled")
         asked = []
-        while not stopping.reached(opt.evaluations - renders, 0.0, 0.0, True, opt):
+        while not stopping.reached([0.5] * (opt.evaluations - renders), 0.0, 0.0, True, opt):
             X = opt.ask()
             asked.append(X)
             opt.tell(X, None, np.maximum(0.5, X[:, 0]))

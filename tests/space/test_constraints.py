@@ -114,7 +114,7 @@ def test_no_text_does_anything_but_being_refused_or_checked(tmp_path: Path) -> N
         "+", "-", "*", "**", "/", "//", "%", "@", ",", ":", ":=", "lambda", "if", "else", "for",
         "in", "is", "not", "and", "or", "await", "yield", "f'{1}'", "'a'", '"', "'", "\\", "\0",
         "\n", "#", "1", "1e400", "0x1f", "10j", "...", "None", "True", "__class__", "__builtins__",
-        "open", "eval", "exec", "__import__", "os", "max", "sqrt", "é", "\u00b2", "\u0661", "\ud800",
+        "open", "eval", "exec", "__import__", "os", "max", "sqrt", "é", "\u00b2", "\ud800",
         f"open({str(harm)!r}, 'w')", f"__import__('os').mkdir({str(harm)!r})", "9" * 400,
     ]  # fmt: skip
     refused = 0

@@ -1,15 +1,13 @@
-"""The sampler, its independent sampler, and objectives that return images."""
+"""The sampler, and objectives that return images."""
 
 from __future__ import annotations
 
 import threading
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler, RandomSampler
+from optuna.samplers import BaseSampler
 from optuna.storages import BaseStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -19,14 +17,23 @@ from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.artifacts import ImageArtifacts
 from fide_adapters.optuna.checks import (
     as_constraints,
+    bare_image,
     check_function,
     refuse_several_objectives,
     running_trial,
     warn_of_space,
 )
 from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.independent import NumberedSampler
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
-from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
+from fide_adapters.optuna.storage import (
+    IMAGE,
+    WarnOnce,
+    fail,
+    storage_of,
+    write_attribute,
+    write_image,
+)
 from fide_adapters.optuna.study import StudyState, StudyStates
 from fide_adapters.optuna.trials import CONSTRAINTS
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
@@ -34,40 +41,13 @@ from fide_plugins.losses.base import as_losses
 from fide_plugins.validation.points import new_seed, whole_number
 from fide_plugins.views.views import views_of
 
-__all__ = ["FIDESampler", "NumberedSampler", "image_objective"]
-
-
-class NumberedSampler(RandomSampler):
-    """Uniform parameters from (seed, number of the trial, name of the parameter).
-
-    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
-    """
-
-    def __init__(self, seed: int | None = None) -> None:
-        super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits
-        self._entropy = np.random.SeedSequence(seed).entropy
-
-    def reseed_rng(self) -> None:
-        """Continue with a seed from the operating system."""
-        super().reseed_rng()
-        self._entropy = np.random.SeedSequence().entropy
-
-    def sample_independent(
-        self,
-        study: Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """Uniform value, equal for equal trial number and name."""
-        key = (trial.number, zlib.crc32(param_name.encode()))
-        seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)
-        once = RandomSampler(int(seeds[0]))
-        return once.sample_independent(study, trial, param_name, param_distribution)
+__all__ = ["FIDESampler", "image_objective"]
 
 
 class FIDESampler(BaseSampler):
     """Find the parameters whose image is the target.
+
+    A trial that is enqueued before all others, with each parameter, is where the search begins.
 
     Parameters
     ----------
@@ -147,6 +127,7 @@ class FIDESampler(BaseSampler):
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
         self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
         self._reseeded = False
+        self._bare_image = ""  # what an objective has returned in place of a loss
         self._states = StudyStates(self._settings)
         self._lock = threading.RLock()
 
@@ -282,7 +263,15 @@ class FIDESampler(BaseSampler):
         )
 
     def before_trial(self, study: Study, trial: FrozenTrial) -> None:
-        """Notify the independent sampler."""
+        """Notify the independent sampler; ImageError if the objective before returned an image."""
+        if self._bare_image:
+            what, self._bare_image = self._bare_image, ""
+            fail(storage_of(study), trial)
+            raise ImageError(
+                f"the objective returned an image, a {what}, where Optuna takes a loss; wrap the "
+                "objective: study.optimize(image_objective(objective)), with image_objective of "
+                "fide_adapters.optuna, or return sampler.tell_image(trial, image)"
+            )
         self._independent_sampler.before_trial(study, trial)
 
     def after_trial(
@@ -302,6 +291,7 @@ class FIDESampler(BaseSampler):
         with self._lock:
             known = self._state_of(study)
             if state is TrialState.FAIL:
+                self._bare_image = bare_image()
                 known.features.pop(trial.number, None)
                 return
             tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)
@@ -323,8 +313,8 @@ class FIDESampler(BaseSampler):
           candidates of the generation were pending.
         - "altered": a candidate of the current generation, but with other parameters, because some
           were fixed by the user or another machine rounds differently.
-        - "injected": never asked for by FIDE (enqueued, added, drawn by another sampler), or asked
-          for in a search that is over.
+        - "injected": never asked for by FIDE (added, drawn by another sampler, enqueued after the
+          first trial), or asked for in a search that is over.
         - "image": how many of these had an image.
         - "left out": failed, pruned, of another search space, or scored against another target or
           by another loss.

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.study import Study
-from optuna.trial import FrozenTrial, Trial
+from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_plugins.runtime.warn import warn_user
 
@@ -43,6 +43,8 @@ __all__ = [
     "TrialReader",
     "Trials",
     "WarnOnce",
+    "enqueued_in",
+    "fail",
     "id_of",
     "problems_of",
     "read_ask",
@@ -172,6 +174,12 @@ def problems_of(trial: FrozenTrial) -> set[str]:
     return {problem for problem in (told, asked) if isinstance(problem, str)}
 
 
+def enqueued_in(trial: FrozenTrial) -> Mapping[str, Any]:
+    """Parameters that a user has enqueued the trial with; empty if it was not enqueued."""
+    params = trial.system_attrs.get("fixed_params")  # so `Study.enqueue_trial` writes it
+    return params if isinstance(params, Mapping) else {}
+
+
 # -- a study ---------------------------------------------------------------------------------------
 
 
@@ -188,6 +196,11 @@ def id_of(study: Study) -> tuple[int, str]:
 def write_attribute(storage: BaseStorage, trial: Trial | FrozenTrial, key: str, value: Any) -> None:
     """Write a system attribute of a trial that is running."""
     storage.set_trial_system_attr(trial._trial_id, key, value)
+
+
+def fail(storage: BaseStorage, trial: Trial | FrozenTrial) -> None:
+    """Let a trial that has begun fail."""
+    storage.set_trial_state_values(trial._trial_id, TrialState.FAIL)
 
 
 def read_seed(study: Study) -> tuple[int | None, bool]:
