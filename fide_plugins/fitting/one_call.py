@@ -31,6 +31,8 @@ from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
 
+_GIVEN = ("self", "dim", "target", "seed")  # arguments of the optimizer that the fit gives it
+
 
 def fit(
     render: Callable[[Any], object],
@@ -202,8 +204,7 @@ def prepare(
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
     options = dict(options or {})
-    given = ("self", "dim", "target", "seed")
-    check_names(options, given, "is no option of the optimizer, but an argument of the fit")
+    check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     rounds = rounds_of(
         render, space, optimizer.target, options,
@@ -213,13 +214,14 @@ def prepare(
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)
+    plan = _plan(render, optimizer, stopping, options)
     record, saved = None, None
     if out is not None:
-        saved = _saved_run(out, render, optimizer, stopping, options, resume, command)
-        record = saved.begin(optimizer)
+        record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
     return Fitting(
-        optimizer, renderer, pool, stopping, watchers, record, saved, max_failures=max_failures,
-        timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
+        optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan, rounds=rounds,
+        timeout=limit, progress=progress, checkpoint_every=checkpoint_every,
+        max_failures=max_failures,
     )  # fmt: skip
 
 
@@ -239,25 +241,20 @@ def _optimizer(
     return FIDE(space, target, seed=seed, **search_options(options, render, resumed=there))
 
 
-def _saved_run(
-    out: str | os.PathLike[str],
-    render: Callable[[Any], object],
-    optimizer: FIDE,
-    stopping: Stopping,
-    options: dict[str, Any],
-    resume: bool,
-    command: Sequence[str] | None,
-) -> SavedRun:
-    """The run directory `out`, checked; nothing is read or written of the search yet."""
+def _plan(
+    render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Arguments of `SavedRun`, as plain data."""
     name = own_name(render)
     settings = settings_of(name, optimizer, options, stopping.budget)
-    own = callable(options.get("encoder"))  # others are known by name and version
-    facts = {"features": features_of(optimizer)} if own else None
+    facts: dict[str, Any] = {}
+    if callable(options.get("encoder")):  # others are known by name and version
+        facts["features"] = features_of(optimizer)
+    if isinstance(optimizer.target, list):
+        facts["views"] = [list(one.shape[:2]) for one in optimizer.target]
     sources = of_files({name: fingerprint_of(render)}) | of_models(options)
     sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
-    return SavedRun(
-        out, settings, stopping.record(), facts, resume=resume, command=command, sources=sources
-    )
+    return {"settings": settings, "limits": stopping.record(), "facts": facts, "sources": sources}
 
 
 def _check_render(render: object, named: bool) -> None:

@@ -82,6 +82,13 @@ def test_a_log_gets_a_line_soon_and_then_one_a_minute(
     assert "10000/10000" in capsys.readouterr().err  # the end is always told
 
 
+def test_other_commands_write_into_a_log_as_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    assert progress.interval(5.0) == 60.0
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert progress.interval(5.0) == 5.0
+
+
 def test_a_loss_that_is_infinite_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:
     line = last_line(capsys, (0, 0.0), (10, 1.0), best_loss=math.inf)
     assert "inf" not in line and "10 renders/s" in line
