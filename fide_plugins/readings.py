@@ -18,7 +18,9 @@ from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
+from fide_plugins.search.validity import Validity
 from fide_plugins.space import Space
+from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
 from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
@@ -49,6 +51,8 @@ class Readings(Saved):
     evaluator: Evaluator
     state: State
     same_images: SameImages
+    validity: Validity | None
+    has_own_constraints: bool
 
     @property
     def target(self) -> Any:
@@ -202,13 +206,15 @@ class Readings(Saved):
         """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
         given = {name: getattr(self, name) for name in _ARGUMENTS} | {"x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
-        return given | flat(self.options) | {"popsize": self.popsize, "space": space}
+        own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
+        return given | flat(self.options) | own
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor, by name, of what `settings` gave."""
         given = dict(settings)
         space = given.pop("space")
+        given["constraints"] = constraints_not_stored if given.get("constraints") else None
         return given if space is None else given | {"dim": Space.from_dict(space)}
 
     @classmethod
@@ -250,7 +256,7 @@ class Readings(Saved):
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
         expected = {*_ARGUMENTS, "popsize", "space", *flat(Options())}
-        odd = sorted(set(settings) ^ expected)
+        odd = sorted((set(settings) ^ expected) - {"constraints"})  # which earlier versions lack
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
         check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")

@@ -63,11 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_argument(own)
     add = own.add_argument
     add("--workers", type=whole(0), metavar="N", help="renders at a time (one a core, at most 8)")
-    add(
-        "--timeout",
-        metavar="TIME",
-        help="of a render with all its views: 60, 2m (none; for --command 60)",
-    )
+    add("--timeout", metavar="TIME",
+        help="of a render with all its views: 60, 2m (none; for --command 60)")  # fmt: skip
     add("--mask", action="append", metavar="FILE",
         help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")
@@ -79,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "limits alone (solved)")  # fmt: skip
     until.add_argument("--until-stalled", action="store_true", default=None,
         help="former name of --until stalled")  # fmt: skip
+    add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
 

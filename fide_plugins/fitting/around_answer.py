@@ -19,7 +19,6 @@ from fide_plugins.fitting.rendering import Rendered
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.mixed import periodic_axes
 from fide_plugins.types import Float32, Float64, Indices, Mask
 from fide_plugins.uncertainty.at_answer import deviations_at
 
@@ -106,21 +105,25 @@ class _Around:
     def either_side(self, axes: Indices, step: float) -> _Sides | None:
         """Images of steps on these axes (p,); None if a render fails.
 
-        At a wall the step begins there; on a periodic axis there is none.
+        At a wall, and where a step is not valid, it is one-sided; on a periodic axis there is no
+        wall.  None, too, where neither side is valid.
         """
-        layout = self._optimizer.state.search.setting.layout
-        periodic = periodic_axes(layout)
+        optimizer, periodic = self._optimizer, np.zeros(len(self._x), bool)
+        layout = optimizer.state.search.setting.layout
+        if layout is not None:
+            periodic = layout.periodic
         X = np.repeat(self._x[None], 2 * len(axes), axis=0)
-        spans = np.full(len(axes), 2.0 * step)
-        for i, axis in enumerate(axes):
-            ends = self._x[axis] - step, self._x[axis] + step
-            if periodic is not None and periodic[axis]:
-                ends = ends[0] % 1.0, ends[1] % 1.0
+        spans = np.zeros(len(axes))
+        for row, point in enumerate(X):
+            i, sign = row // 2, 1 if row % 2 else -1
+            end = self._x[axes[i]] + sign * step
+            end = end if periodic[axes[i]] else min(max(end, 0.0), 1.0)
+            point[axes[i]] = end % 1.0 if periodic[axes[i]] else end
+            if optimizer.validity is None or optimizer.validity.allows(point):
+                spans[i] += abs(end - self._x[axes[i]])
             else:
-                ends = max(ends[0], 0.0), min(ends[1], 1.0)
-                spans[i] = ends[1] - ends[0]
-            X[2 * i : 2 * i + 2, axis] = ends
-        images = self._render(X)
+                point[axes[i]] = self._x[axes[i]]
+        images = None if (spans == 0).any() else self._render(X)
         return None if images is None else _Sides(images[0::2].copy(), images[1::2].copy(), spans)
 
     def curvature(self, sides: _Sides) -> Float64:

@@ -19,7 +19,6 @@ from fide_plugins.renderers import naming
 from fide_plugins.validation.points import as_points
 
 if TYPE_CHECKING:
-    from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.recording.figures import Panel
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from fide_plugins.types import Float64, Indices, Solution
 
 __all__ = ["Result"]
+
+_FILES = (".png", ".jpg", ".pdf", ".svg", ".html", ".json", ".csv", ".npz")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +47,8 @@ class Result:
         in [0, 1].
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
+    rejected: share of this call's candidates that constraints rejected before they were rendered,
+        in [0, 1]; None without constraints, and of a result that was read.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
@@ -79,10 +82,11 @@ class Result:
     out: Path | None
     std_renders: int = 0
     unsaved: Unsaved | None = None
+    rejected: float | None = None
 
     @cached_property
-    def optimizer(self) -> FIDE | None:
-        """It goes on where the fit has ended, by ask and tell.
+    def optimizer(self) -> Any:
+        """A `FIDE` that goes on where the fit has ended, by ask and tell.
 
         Of a result that was read it is loaded when it is first asked for; None where another
         optimizer than FIDE ran, or where its checkpoint is missing.
@@ -133,8 +137,14 @@ class Result:
 
         `load_run`, `fide solutions` and `resume=True` read it.  `plot().savefig` writes a picture.
 
-        Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
+        Raises FideError if `path` is named like a file, holds another run, or if the optimizer went
+        on since; OSError.
         """
+        if Path(path).suffix in _FILES:
+            raise OptionError(
+                f"save writes a run directory, and {os.fspath(path)!r} is named like a file; name "
+                "a folder; plot().savefig(path) writes a picture"
+            )
         if self.out is not None:
             from fide_plugins.fitting.run_files import copy_run
 
@@ -146,6 +156,8 @@ class Result:
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
+        if self.rejected:
+            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self._dim}"
         if isinstance(self.params, dict) and self.best is not None:

@@ -40,7 +40,7 @@ def deviations(result: Result) -> Float64:
 def by_samples(result: Result) -> Float64:
     best = None if result.optimizer is None else result.optimizer.best
     assert best is not None and best.std is not None
-    return best.std
+    return np.asarray(best.std, np.float64)
 
 
 def test_they_do_not_depend_on_the_path_of_the_search() -> None:
@@ -115,3 +115,17 @@ def test_of_an_image_that_changes_in_jumps_no_more_is_claimed_than_a_step_tells(
     error = abs(SPACE.encode(result.params)[0] - SPACE.encode(TRUTH)[0])
     assert result.std_renders == 9 and deviations(result)[0] >= 0.001
     assert result.stopped == "solved" and error < 0.5 / 31
+
+
+def test_what_violates_constraints_is_not_rendered() -> None:
+    """Also where the answer lies at the border."""
+    seen = []
+
+    def render(p: Mapping[str, Any]) -> Float64:
+        seen.append(p["x"])
+        return draw(p)
+
+    result = fit(
+        render, GAP, SPACE, budget=160, workers=0, seed=0, constraints=lambda p: p["x"] <= 0.59
+    )
+    assert max(seen) <= 0.59 and result.std_renders >= 5 and deviations(result)[0] > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import shutil
 from html.parser import HTMLParser
@@ -15,6 +16,7 @@ import pytest
 from fide_plugins import Choice, Float, Int, Result, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError, PointsError
 from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.runtime import checkpoint
 
 V, U = np.mgrid[0:12, 0:12] / 11
 NAMED = Space(
@@ -117,6 +119,8 @@ def test_an_optimizer_that_went_on_is_not_saved_as_the_result(tmp_path: Path) ->
     with pytest.raises(FideError, match="has gone on since"):
         result.save(tmp_path / "run")
     assert not (tmp_path / "run").exists()
+    with pytest.raises(OptionError, match="savefig"):
+        result.save(tmp_path / "fit.png")
 
 
 def test_an_interrupted_run_is_read(tmp_path: Path) -> None:
@@ -150,8 +154,14 @@ def test_a_record_of_an_earlier_version_is_read(kept: Result, tmp_path: Path) ->
     del run["stopped"]
     run |= {"status": run.pop("state"), "totals": {**totals, "status": kept.status.sentence}}
     (tmp_path / "run/run.json").write_text(json.dumps(run))
+    state: Any = checkpoint.read(tmp_path / "run/run.ckpt", "run")
+    del state["record"]["path"]
+    checkpoint.write(tmp_path / "run/run.ckpt", "run", state)
     read = load_run(tmp_path / "run")
     assert read.status == kept.status and read.stopped == "finished"
+    assert read.path.shape == (0, NAMED.dim) and len(read.plot().axes) == 4
+    more = found(scene, NAMED, ANSWER, budget=84, out=tmp_path / "run", resume=True)
+    assert more.evaluations == 84
 
 
 @pytest.mark.parametrize(
@@ -267,3 +277,16 @@ def test_points_are_drawn_by_every_two_of_their_parameters(kept: Result) -> None
         kept.plot_pairs(samples[:, :2])
     with pytest.raises(OptionError, match="nothing to draw"):
         kept.plot_pairs(samples[:0])
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes on Windows")
+@pytest.mark.parametrize("name", ["run.json", "run.ckpt", "target.png"])
+def test_a_pipe_in_a_run_is_refused_and_not_waited_for(
+    kept: Result, tmp_path: Path, name: str
+) -> None:
+    assert kept.out is not None
+    shutil.copytree(kept.out, tmp_path / "run")
+    (tmp_path / "run" / name).unlink()
+    os.mkfifo(tmp_path / "run" / name)
+    with pytest.raises((OSError, FideError), match="pipe"):
+        load_run(tmp_path / "run")
