@@ -103,9 +103,11 @@ def _of_values(facts: Facts) -> Iterator[str]:
         )
     elif facts.outside:
         of = f"{facts.outside} of {counted(facts.images, 'image')}"
+        low, high = f"{min(facts.low, 0.0):.3g}", f"{facts.high:.3g}"
         yield (
             f"values outside of [0, 1] ({facts.low:.4g} to {facts.high:.4g} in all) in {of}, which "
-            "a fit clips; scale them in the renderer, and the target alike"
+            f"a fit clips; give it their range, value_range=({low}, {high}) or --value-range {low} "
+            f"{high}, or scale target and renders alike"
         )
     if facts.drifts:
         yield (
