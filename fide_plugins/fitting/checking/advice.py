@@ -119,7 +119,7 @@ def _of_values(facts: Facts) -> Iterator[str]:
         yield (
             f"two renders of one point differ by {facts.noise.rms / facts.span:.2g} (RMS): a mean "
             f"squared error below about {variance:.1g} cannot be told from noise; more samples "
-            "make a fit finer, and --until-stalled ends it there"
+            "make a fit finer, and --until stalled ends it there"
         )
 
 
