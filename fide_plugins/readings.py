@@ -29,7 +29,7 @@ from fide_plugins.views.same_images import SameImages
 
 __all__ = ["Readings"]
 
-_ARGUMENTS = ("dim", "target", "weights", "x0", "sigma0", "seed")
+_ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
 _ROUNDING = (1 / 255) ** 2 / 12  # MSE between a picture and itself in 8 bits
 _LEVEL = 1 / 255 + 1e-6  # one step of 8 bits, as two numbers in single precision may differ
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
@@ -51,8 +51,8 @@ class Readings(Saved):
 
     @property
     def target(self) -> Any:
-        """Target (H, W, 3), or a list of them, one for each view."""
-        return self.views.targets
+        """Target (H, W, 3), or a list of them, one for each view, in the values of the user."""
+        return self.views.restored(self.views.targets)
 
     @property
     def encoder(self) -> PatchEncoder:
@@ -81,6 +81,16 @@ class Readings(Saved):
         return self.views.weights
 
     @property
+    def value_range(self) -> tuple[float, float] | None:
+        """Values of target and renders that are black and white; None: 0 and 1."""
+        return self.views.value_range
+
+    @property
+    def clipped(self) -> int:
+        """Images told so far whose values went beyond black or white, and were clipped."""
+        return self.state.clipping.images
+
+    @property
     @one_at_a_time  # an estimate reads what another thread may be training
     def best(self) -> Solution | None:
         """Best point told so far; None before the first with a finite loss.
@@ -92,7 +102,7 @@ class Readings(Saved):
         best = self.state.best
         if best is None:
             return None
-        image = self.views.unpacked(best.solution.image)
+        image = self.views.restored(self.views.unpacked(best.solution.image))
         estimate = self.state.estimate_of(best.solution.x)
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
         return found.copy()
@@ -204,23 +214,26 @@ class Readings(Saved):
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
-        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values.
+
+        The target is in [0, 1], whatever the user's values are.
+        """
+        given = {"target": self.views.targets} | {name: getattr(self, name) for name in _ARGUMENTS}
         space = None if self.space is None else self.space.to_dict()
         return given | flat(self.options) | {"popsize": self.popsize, "space": space}
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor, by name, of what `settings` gave."""
-        given = dict(settings)
+        given = dict(settings) | {"target": Views.from_settings(settings)}
+        del given["weights"], given["value_range"]
         space = given.pop("space")
         return given if space is None else given | {"dim": Space.from_dict(space)}
 
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
         """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""
-        views = Views.read(settings["target"], weights=settings["weights"])
-        return loss_of(views, loss, device=device)
+        return loss_of(Views.from_settings(settings), loss, device=device)
 
     @property
     def loss_name(self) -> str | None:
@@ -254,7 +267,7 @@ class Readings(Saved):
     def check_settings(cls, settings: Mapping[str, Any]) -> None:
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
-        expected = {*_ARGUMENTS, "popsize", "space", *flat(Options())}
+        expected = {*_ARGUMENTS, "target", "popsize", "space", *flat(Options())}
         odd = sorted(set(settings) ^ expected)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")

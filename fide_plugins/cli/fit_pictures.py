@@ -27,7 +27,7 @@ def weights_of(
 
     Raises OptionError unless there is one for each target, ImageError for a target without alpha.
     """
-    from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.validation.image_files import read_pixels
     from fide_plugins.views.given import one_a_view
     from fide_plugins.views.weights import ALPHA
 
@@ -49,7 +49,7 @@ def weights_of(
 
 def _alpha_of(target: str, side: int | None, name: str) -> Any:
     """Alpha channel (H, W) of a file; ImageError names the other remedy, an argument `name`."""
-    from fide_plugins.validation.image_sources import read_pixels
+    from fide_plugins.validation.image_files import read_pixels
     from fide_plugins.validation.images import alpha_of
 
     pixels = read_pixels(target, side)

@@ -19,7 +19,7 @@ from fide_plugins.renderers.template import Template
 from fide_plugins.runtime import fingerprints
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
-from fide_plugins.validation.image_sources import read_pixels
+from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.images import as_target
 
 __all__ = ["TIMEOUT", "CommandRenderer"]
