@@ -28,6 +28,7 @@ class Result:
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
+    clipped: images whose values went beyond black or white, likewise.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
@@ -51,9 +52,11 @@ class Result:
     stopped: str
     out: Path | None
     optimizer: FIDE
+    clipped: int = 0
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
+        failed += f", {self.clipped:,} images clipped" if self.clipped else ""
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         named = isinstance(self.params, dict)
         params = shorten(_rounded(self.params), 300) if named else f"dim={self.optimizer.dim}"
@@ -62,9 +65,16 @@ class Result:
             f"{self.seconds:.1f} s{failed}; stopped by {self.stopped}",
             f"  params: {params}",
             f"  solutions: {len(self.solutions)}",
+            *_range_of(self.optimizer),
             f"  {self.status}" + ("" if self.out is None else f"\n  out: {self.out}"),
         ]
         return "\n".join(lines) + ")"
+
+
+def _range_of(optimizer: FIDE) -> list[str]:
+    """A line on the range of values, if there is one."""
+    values = optimizer.value_range
+    return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
 
 
 def _rounded(value: Any) -> str:

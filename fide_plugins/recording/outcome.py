@@ -46,6 +46,7 @@ def result_of(
     budget: int,
     samples: int | None = None,
     status: str | None = None,
+    clipped: int | None = None,
 ) -> RunResult:
     """Result of a run with these `settings`, as its directory records them."""
     r, s = record, settings
@@ -81,6 +82,7 @@ def result_of(
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         samples=samples,
         status=status,
+        clipped=clipped,
     )
 
 

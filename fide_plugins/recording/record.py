@@ -104,6 +104,7 @@ class RunResult:
     generations: (g,), number of candidates of each generation.
     samples: sum of the samples per pixel of all renders if their number rises; else None.
     status: what the optimizer knows of the run, in a sentence; None where it does not say.
+    clipped: images whose values went beyond black or white; None where it is not known.
     """
 
     task: str
@@ -137,6 +138,7 @@ class RunResult:
     generations: npt.NDArray[np.int64]
     samples: int | None = None
     status: str | None = None
+    clipped: int | None = None
 
     @property
     def render_s(self) -> float:
@@ -171,6 +173,7 @@ class RunResult:
             "times": self.times,
             **({} if self.samples is None else {"samples": self.samples}),
             **({} if self.status is None else {"status": self.status}),
+            **({} if self.clipped is None else {"clipped": self.clipped}),
         }
 
 

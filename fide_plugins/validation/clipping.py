@@ -3,8 +3,8 @@
 One image does not tell the two apart: a highlight is brighter than white, and a dark picture in
 [0, 255] may be darker than 1.  So a run counts, over all of its renders that go beyond 1, the
 values that are not black (above 0.05), those of them above 1, and the mean of the latter.  Renders
-are on another scale than the target where at least a quarter of what is not black is above 1, and
-above 8 on average; or where an image holds nothing but whole numbers, up to more than 2.
+are on another scale than the target where most of what is not black is above 1, and above 8 on
+average; or where an image holds nothing but whole numbers, up to more than 2 and at most 255.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["LIT", "Clip", "Clipping", "OnClip", "warn_clipped"]
 
 LIT = 0.05
 """Values from here on are not black."""
-_LARGEST_SHARE = 0.25  # of these, that may be above 1 where they are large
+_MOST = 0.5  # of these, that may be above 1 where they are large
 _LARGEST_MEAN = 8.0  # of the values above 1
 
 
@@ -99,8 +99,8 @@ class Clipping:
         """Count images without a warning; raises as a call does."""
         lit, above, total = self.lit + clip.lit, self.above + clip.above, self.total + clip.total
         images, high = self.images + clip.images, max(self.high, clip.high)
-        if above >= _LARGEST_SHARE * lit and total > _LARGEST_MEAN * above:
-            which = "the image" if images == 1 else f"{images:,} images that go beyond white"
+        if above > _MOST * lit and total > _LARGEST_MEAN * above:
+            which = "the image" if images == 1 else f"the {images:,} images that go beyond white"
             raise ValueRangeError(
                 f"the renders are on another scale than the target: in {which}, {above / lit:.0%} "
                 f"of what is not black is brighter than white, {total / above:.3g} times on "

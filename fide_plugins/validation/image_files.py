@@ -6,6 +6,7 @@ colors of 16 bits where their numbers matter.  Neither reads EXR.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from pathlib import Path
@@ -19,7 +20,7 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.image_sources import Pixels, refuse_type, scale_remedy
 from fide_plugins.validation.reduction import reduced, reduced_size
 
-__all__ = ["MAX_PIXELS", "from_pil", "read_pixels", "save"]
+__all__ = ["MAX_PIXELS", "encoded", "from_pil", "read_pixels", "save"]
 
 MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
@@ -114,7 +115,9 @@ def _size_in_header(path: Path) -> tuple[int, int]:
 
     if path.suffix.lower() in _TIFF:
         with path.open("rb") as file:
-            directory = TiffImagePlugin.ImageFileDirectory_v2(file.read(16))
+            header = file.read(8)
+            header += file.read(8) if 43 in header[2:4] else b""  # of a BigTIFF
+            directory = TiffImagePlugin.ImageFileDirectory_v2(header)
             file.seek(directory.next)
             directory.load(file)
         return int(directory[256]), int(directory[257])
@@ -198,29 +201,33 @@ def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
 def save(path: str | os.PathLike[str], image: Float32) -> None:
     """Write an image (H, W, 3) or (H, W) to a file, whose ending says how.
 
-    .tif, .tiff: 32-bit floats, any values, without loss.  .hdr: any that are not negative, to
+    .tif, .tiff: 32-bit floats, any values, without loss.  .hdr: colors that are not negative, to
     three digits.  Other endings that Pillow writes, such as .png: 8 bits, values in [0, 1].
 
     Raises ImageError for another ending or what is no image, OSError if it cannot be written.
     """
-    name, pixels = os.fspath(path), np.asarray(image, np.float32)
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] not in (1, 3, 4)):
+    Path(path).write_bytes(encoded(image, Path(path).suffix))
+
+
+def encoded(image: Float32, suffix: str) -> bytes:
+    """What `save` writes to a file of that ending."""
+    pixels, suffix = np.asarray(image, np.float32), suffix.lower()
+    if pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (1,), (3,), (4,)):
         raise ImageError(f"an image to save has axes (H, W) or (H, W, C), not {pixels.shape}")
-    if name.lower().endswith(_OPENCV):
+    if suffix in _OPENCV:
         from fide_plugins.runtime.opencv import cv2
 
         if pixels.ndim == 3 and pixels.shape[2] > 1:
             pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
-        done, data = cv2.imencode(Path(name).suffix.lower(), np.ascontiguousarray(pixels))
-        if not done:
-            raise ImageError(f"the image cannot be written as {Path(name).suffix}")
-        Path(name).write_bytes(data.tobytes())
-        return
+        _, data = cv2.imencode(suffix, np.ascontiguousarray(pixels))
+        return bytes(data.tobytes())
     from PIL import Image
 
+    form = Image.registered_extensions().get(suffix)
+    if form is None:
+        raise ImageError(f"images cannot be written as {suffix!r}; name a .tif or .png")
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
-    try:
-        Image.fromarray(np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)).save(name)
-    except ValueError as error:  # of an ending
-        raise ImageError(f"{name!r} cannot be written: {error}; name a .tif or .png") from error
+    buffer = io.BytesIO()
+    Image.fromarray(np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)).save(buffer, form)
+    return buffer.getvalue()

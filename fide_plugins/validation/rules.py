@@ -171,8 +171,9 @@ def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueR
         return "divide by 255, target and renders alike, or give value_range=(0, 255)"
     if what.startswith(_NO_FIT):
         return "divide all of them by the value that is white"
-    given = f"value_range=({min(0.0, ends[0]):.6g}, {ends[1]:.6g})"
+    given = f"value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g})"
+    clip = ", or clip what is an overshoot" if ends[0] >= -1.0 and ends[1] <= 2.0 else ""
     return (
         f'give {given} or "auto", in the shell --value-range, or divide target and renders by the '
-        "same number"
+        f"same number{clip}"
     )

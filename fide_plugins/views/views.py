@@ -16,6 +16,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.runtime.schema import array, check, real, row
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.clipping import Clip, OnClip
 from fide_plugins.validation.image_sources import describe
@@ -25,6 +26,8 @@ from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read
 from fide_plugins.views.view import View
 
 __all__ = ["Views", "views_of"]
+
+_LEAST_USED = 0.01  # of a range of values
 
 
 class Views:
@@ -75,7 +78,20 @@ class Views:
         if values == AUTO:
             values = range_of(one.seen for one in given)
         assert not isinstance(values, str)
-        return cls([one.view(values) for one in given], listed=listed, values=values)
+        made = cls([one.view(values) for one in given], listed=listed, values=values)
+        if values is not None and value_range is not values:  # given by a user
+            made._warn_if_dark(values)
+        return made
+
+    def _warn_if_dark(self, values: ValueRange) -> None:
+        """Warn where the targets take up so little of the range that 8 bits would not show it."""
+        used = [view.target if view.hidden is None else view.filled for view in self.views]
+        span = max(float(one.max()) for one in used) - min(float(one.min()) for one in used)
+        if 0 < span < _LEAST_USED:
+            warn_user(
+                f"the target takes up {span:.2g} of value_range {values}: is it on the scale of "
+                "the renders?"
+            )
 
     def retargeted(self, target: object) -> Views:
         """The same views, weights and range of values, for the next picture, or list of pictures.
