@@ -202,7 +202,8 @@ def save(path: str | os.PathLike[str], image: Float32) -> None:
     """Write an image (H, W, 3) or (H, W) to a file, whose ending says how.
 
     .tif, .tiff: 32-bit floats, any values, without loss.  .hdr: colors that are not negative, to
-    three digits.  Other endings that Pillow writes, such as .png: 8 bits, values in [0, 1].
+    1 % of the largest channel.  Other endings that Pillow writes, such as .png: 8 bits, values in
+    [0, 1].
 
     Raises ImageError for another ending or what is no image, OSError if it cannot be written.
     """
