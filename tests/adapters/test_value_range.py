@@ -26,7 +26,7 @@ def test_nevergrad(tmp_path: Path) -> None:
     from fide_adapters.nevergrad import ParametrizedFIDE
 
     def made(target: Any, **options: Any) -> Any:
-        box = ng.p.Array(shape=(2,)).set_bounds(0, 1)
+        box = ng.p.Array(shape=(2,), lower=0, upper=1)
         return ParametrizedFIDE(target=target, seed=0, **options)(box, budget=40)
 
     given, plain = made(10 * TARGET - 3, value_range=(-3, 17)), made(TARGET / 2)
