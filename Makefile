@@ -11,14 +11,14 @@ KEEP := PYTHONDONTWRITEBYTECODE=
 # of `test-kernels`: what computes, and takes minutes.  Left out are the folders of tests that start
 # browsers, renderers and other processes; what they compute is tested in these, and tests/README.md
 # has their own last results.
-NUMERIC := $(addprefix tests/,adapters/nevergrad adapters/optuna baselines denoiser distributed encoders extremes fide \
-  learning losses options population proposers runtime search space speed uncertainty validation views)
+NUMERIC := $(addprefix tests/,adapters/nevergrad adapters/optuna denoiser distributed encoders extremes fide \
+  lab/baselines learning losses options population proposers runtime search space speed uncertainty validation views)
 # with two threads, so in one process: the parts, and the optimizer
 CORE := $(addprefix tests/,adapters/optuna denoiser distributed encoders fide losses options population proposers \
   search space speed uncertainty validation views)
 # of `wheel`: all that a user starts, which finds out whether a file or an entry point is missing
-OUTSIDE := $(addprefix tests/,adapters cli experiments fide fitting learning losses package \
-  recording renderers tasks/test_contract.py watch)
+OUTSIDE := $(addprefix tests/,adapters cli fide fitting lab/compare lab/report lab/run lab/suite lab/sweep learning losses package \
+  recording renderers solutions tasks/test_contract.py watch)
 # as an x86 CPU without AVX-512, and as one without AVX2
 HASWELL := OPENBLAS_CORETYPE=Haswell ATEN_CPU_CAPABILITY=avx2 \
   NPY_DISABLE_CPU_FEATURES="X86_V4 AVX512_ICL AVX512_SPR"

@@ -23,15 +23,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import moves
 from rows import Row, read, run_missing
 
-from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move
-from fide_plugins.search.moves.crossover import Crossover
-from fide_plugins.search.moves.half_turn import HalfTurn
-from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate_group import RelocateGroup
-from fide_plugins.search.moves.relocate_segment import RelocateSegment
-from fide_plugins.search.moves.split import Split
-from fide_plugins.search.moves.swap import Swap
+from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
+from fide_plugins.search.moves.restarts import BeginAnew, Refine
+from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
 
 MARKS = ("500", "1000", "2000", "4000")
 NOTHING_PROPOSED: dict[str, Any] = {

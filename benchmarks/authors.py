@@ -55,8 +55,8 @@ from authors_zerograds import BEST, EVALUATIONS, OFFSETS, zerograds
 from baselines import SMALL_DIBO, in_the_unit_cube
 from rows import Row, read, run_missing
 
-from fide_plugins import optimizers
-from fide_plugins.experiments.suite.tables import sign_test
+from fide_lab import optimizers
+from fide_lab.suite.tables import sign_test
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"

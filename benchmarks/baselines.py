@@ -28,9 +28,9 @@ import numpy as np
 from quality import run_configurations
 from rows import Row, read
 
-from fide_plugins import optimizers
-from fide_plugins.baselines.base import Baseline
-from fide_plugins.baselines.zerograds import ZeroGrads
+from fide_lab import optimizers
+from fide_lab.baselines.base import Baseline
+from fide_lab.baselines.zerograds import ZeroGrads
 from fide_plugins.recording.record import best_so_far
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64

@@ -39,10 +39,10 @@ from quality import run_configurations
 from rows import Row, read
 
 import fide_tasks
+from fide_lab import run as harness
 from fide_plugins import encoders, losses
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsError
-from fide_plugins.experiments import run as harness
 from fide_plugins.recording.record import best_so_far
 
 RESULTS = Path(__file__).parent / "results" / "encoders.jsonl"

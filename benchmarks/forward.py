@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rows import Row, read, run_missing
 
 import fide_tasks
-from fide_plugins import optimizers
+from fide_lab import optimizers
 from fide_plugins.recording.record import best_so_far
 from fide_plugins.validation import key_value
 

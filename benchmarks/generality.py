@@ -25,7 +25,7 @@ from quality import CONFIGURATIONS, measured, run_configurations
 from rows import Row, read
 
 import fide_tasks
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 from fide_plugins.validation import images
 
 BUDGET, SIZE = 4000, 112

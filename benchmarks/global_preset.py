@@ -25,7 +25,7 @@ from moves import SCENES, span
 from rows import Row, read, run_missing
 
 import fide_tasks
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 
 RESULTS = Path(__file__).parent / "results" / "global_preset.jsonl"
 

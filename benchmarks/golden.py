@@ -69,7 +69,7 @@ VORONOI = partial(problem, size=56, cells=6)
 SPLINE = partial(problem, "spline", size=56)
 MANY = partial(problem, cells=12)  # 60 parameters
 SMALL: dict[str, dict[str, Any]] = runpy.run_path(
-    str(Path(__file__).parents[1] / "tests" / "baselines" / "small.py")
+    str(Path(__file__).parents[1] / "tests" / "lab" / "baselines" / "small.py")
 )["OPTIONS"]
 PAPER: dict[str, Any] = {"preset": "paper", "popsize": 24, "epochs": 2, "evaluations": 96}
 STYLES: Mapping[str, Tell] = {

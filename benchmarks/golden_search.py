@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 import fide_tasks
-from fide_plugins import FIDE, encoders, losses, optimizers
+from fide_lab import optimizers
+from fide_plugins import FIDE, encoders, losses
 
 Float32: TypeAlias = npt.NDArray[np.float32]
 Float64: TypeAlias = npt.NDArray[np.float64]

@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from rows import Row, read, run_missing
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 from fide_plugins.recording.record import best_so_far
 
 TASKS, LOSSES = ("voronoi", "spline"), ("loi", "perceptual")

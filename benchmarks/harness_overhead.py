@@ -21,8 +21,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_plugins import losses, optimizers
-from fide_plugins.experiments import run as harness
+from fide_lab import optimizers, run as harness
+from fide_plugins import losses
 from fide_plugins.validation.images import as_batch
 
 

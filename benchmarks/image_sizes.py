@@ -25,11 +25,11 @@ import numpy as np
 from rows import Row, by_key, command, finished_by_all
 from suite import CHEAP
 
+from fide_lab import run as harness
+from fide_lab.run.prepare import make_task
+from fide_lab.suite import read as read_suite
+from fide_lab.suite.tables import sign_test
 from fide_plugins import losses
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.prepare import make_task
-from fide_plugins.experiments.suite import read as read_suite
-from fide_plugins.experiments.suite.tables import sign_test
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "image_sizes.jsonl"

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rows import Row, read, run_missing
 
 import fide_tasks
-from fide_plugins import optimizers
+from fide_lab import optimizers
 from fide_plugins.validation import key_value
 
 MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)

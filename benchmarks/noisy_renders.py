@@ -30,11 +30,11 @@ import numpy as np
 from rows import Row, by_key, command, finished_by_all
 from suite import CHEAP, key
 
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.report import statistics
-from fide_plugins.experiments.run.prepare import make_task
-from fide_plugins.experiments.suite import read as read_suite
-from fide_plugins.experiments.suite.tables import sign_test
+from fide_lab import run as harness
+from fide_lab.report import statistics
+from fide_lab.run.prepare import make_task
+from fide_lab.suite import read as read_suite
+from fide_lab.suite.tables import sign_test
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "noisy_renders.jsonl"

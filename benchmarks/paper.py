@@ -31,8 +31,8 @@ from quality import CONFIGURATIONS, Configurations, key, measured, run_configura
 from rows import Row
 
 import fide_tasks
+from fide_lab import run as harness
 from fide_plugins import losses
-from fide_plugins.experiments import run as harness
 
 METRICS = ("mse", "perceptual")
 SIZE, SEED = 112, 0

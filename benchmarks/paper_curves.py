@@ -25,7 +25,7 @@ from paper_tables import end, longest
 from quality import MARKS
 from rows import Row, read
 
-from fide_plugins.experiments.report import plots
+from fide_lab.report import plots
 from fide_plugins.types import Float64
 
 COLUMNS = ("scene", "minimized", "optimizer", "target", "renders", *METRICS)

@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from rows import Row, read
 
-from fide_plugins.experiments.report import plots
+from fide_lab.report import plots
 
 RESULTS = Path(__file__).parent / "results"
 EPOCHS = (4, 10, 20)

@@ -30,10 +30,10 @@ import numpy as np
 from rows import Row, by_key, command, finished_by_all
 
 import fide_tasks
+from fide_lab.run.pixel_samples import PixelSamples
+from fide_lab.suite import read as read_suite
+from fide_lab.suite.tables import sign_test
 from fide_plugins import FIDE, losses
-from fide_plugins.experiments.run.pixel_samples import PixelSamples
-from fide_plugins.experiments.suite import read as read_suite
-from fide_plugins.experiments.suite.tables import sign_test
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "pixel_samples.jsonl"

@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import fide_tasks
-from fide_plugins import optimizers
+from fide_lab import optimizers
 
 GENERATION = 500  # renders, of the network; those of the others end in between
 NETWORK = {"preset": "paper", "epochs": 4}

@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from rows import Row, read, run_missing
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 from fide_plugins.recording.record import best_so_far
 from fide_plugins.validation import key_value
 

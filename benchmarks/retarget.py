@@ -27,8 +27,8 @@ import numpy as np
 from rows import Row, append, read, rows_of
 
 import fide_tasks
+from fide_lab import suite
 from fide_plugins import FIDE
-from fide_plugins.experiments import suite
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "retarget.jsonl"

@@ -22,7 +22,7 @@ import numpy as np
 from moves import SCENES, make, span
 from rows import Row, read, run_missing
 
-from fide_plugins import optimizers
+from fide_lab import optimizers
 from fide_plugins.recording.record import best_so_far
 
 MARKS = (50, 100, 200, 300, 500, 1000, 2000)

@@ -25,9 +25,9 @@ import suites
 from rows import Row, by_key, command, finished_by_all
 from suite import reached
 
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.prepare import make_task
-from fide_plugins.experiments.suite import read as read_suite
+from fide_lab import run as harness
+from fide_lab.run.prepare import make_task
+from fide_lab.suite import read as read_suite
 
 RESULTS = Path(__file__).parent / "results" / "steps.jsonl"
 SUITE = read_suite("image-fitting-v1")

@@ -37,18 +37,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
+from fide_lab import run as harness
+from fide_lab.compare import results
+from fide_lab.compare.configuration import Configuration
+from fide_lab.report import svg
+from fide_lab.report.tables import markdown
+from fide_lab.suite import Suite, figures, names as suites, profiles, read
+from fide_lab.suite.page import Origin, write_scores
+from fide_lab.suite.problems import check_budgets
+from fide_lab.suite.scores import Scores
+from fide_lab.suite.tables import by_scene, lowest, totals
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.compare import results
-from fide_plugins.experiments.compare.configuration import Configuration
-from fide_plugins.experiments.report import svg
-from fide_plugins.experiments.report.tables import markdown
-from fide_plugins.experiments.suite import Suite, figures, names as suites, profiles, read
-from fide_plugins.experiments.suite.page import Origin, write_scores
-from fide_plugins.experiments.suite.problems import check_budgets
-from fide_plugins.experiments.suite.scores import Scores
-from fide_plugins.experiments.suite.tables import by_scene, lowest, totals
 from fide_plugins.recording.record import best_so_far
 from fide_plugins.types import Float64
 

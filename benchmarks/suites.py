@@ -20,9 +20,9 @@ import numpy as np
 from rows import Row, rows_of
 from suite import budget_of, file_of, label_of, longest
 
-from fide_plugins.experiments.report.tables import Entry, Table, markdown
-from fide_plugins.experiments.suite import names, profiles, read
-from fide_plugins.experiments.suite.tables import sign_test
+from fide_lab.report.tables import Entry, Table, markdown
+from fide_lab.suite import names, profiles, read
+from fide_lab.suite.tables import sign_test
 
 Pair = tuple[str, float, float, float, float]
 """Scene; renders until the two have solved the problem, +inf if not; their losses."""

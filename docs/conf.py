@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-for folder in (ROOT, ROOT / "adapters", ROOT / "tasks", ROOT / "docs" / "extensions"):
+for folder in (ROOT, ROOT / "adapters", ROOT / "lab", ROOT / "tasks", ROOT / "docs" / "extensions"):
     sys.path.insert(0, str(folder))
 
 import fide_plugins  # noqa: E402
@@ -47,7 +47,8 @@ suppress_warnings = [
 
 # -- notebooks: executed, and again when they, FIDE or the versions of packages have changed -------
 _code = hashlib.sha256()
-for _file in (ROOT / "constraints.txt", *sorted((ROOT / "fide_plugins").rglob("*.py"))):
+_sources = [path for name in ("fide_plugins", "lab") for path in (ROOT / name).rglob("*.py")]
+for _file in (ROOT / "constraints.txt", *sorted(_sources)):
     _code.update(_file.read_bytes())
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(ROOT / "build" / "notebooks" / _code.hexdigest()[:16])

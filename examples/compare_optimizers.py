@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 
 BUDGET, SEEDS = 600, range(2)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 from fide_plugins.validation import key_value
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 
 
 def main() -> None:

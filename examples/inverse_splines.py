@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fide_tasks
+from fide_lab.baselines.posterior_sampler import PosteriorSampler
 from fide_plugins import FIDE, encoders
-from fide_plugins.baselines.posterior_sampler import PosteriorSampler
 from fide_tasks.base import Task
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fide_plugins.experiments import run as harness
+from fide_lab import run as harness
 
 
 class Elitist:

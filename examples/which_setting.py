@@ -10,9 +10,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from fide_plugins.experiments import compare
-from fide_plugins.experiments.sweep import Grid, best_within, front, read
-from fide_plugins.experiments.sweep.tables import write
+from fide_lab import compare
+from fide_lab.sweep import Grid, best_within, front, read
+from fide_lab.sweep.tables import write
 
 
 def main() -> None:

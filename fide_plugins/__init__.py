@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fide_adapters.optuna import FIDESampler as FIDESampler
-
-    from . import (
+    from fide_lab import (
         baselines as baselines,
-        encoders as encoders,
-        errors as errors,
-        losses as losses,
+        compare as compare,
         optimizers as optimizers,
+        report as report,
+        run as harness,
     )
+
+    from . import encoders as encoders, errors as errors, losses as losses
     from .errors import WeightsNotFoundError as WeightsNotFoundError
-    from .experiments import compare as compare, report as report, run as harness
     from .fide import FIDE as FIDE
     from .fitting.one_call import fit as fit
     from .learning import learn as learn
@@ -40,17 +40,20 @@ if TYPE_CHECKING:
 __version__ = "0.2.0.dev0"
 
 _SUBMODULES = {
-    "baselines": ".baselines",
     "checkpoint": ".runtime.checkpoint",
-    "compare": ".experiments.compare",
     "encoders": ".encoders",
     "errors": ".errors",
-    "harness": ".experiments.run",
     "images": ".validation.images",
     "losses": ".losses",
-    "optimizers": ".optimizers",
-    "report": ".experiments.report",
 }
+_LABORATORY = {
+    "baselines": "baselines",
+    "compare": "compare",
+    "harness": "run",
+    "optimizers": "optimizers",
+    "report": "report",
+}
+"""Names of 0.2, and what they are in `fide_lab`."""
 _ATTRIBUTES = {
     "Choice": ".space",
     "FIDE": ".fide",
@@ -96,6 +99,8 @@ if not TYPE_CHECKING:  # a type checker would take every name for one that exist
         """Import the submodule or class `name` the first time somebody asks for it (PEP 562)."""
         if name in _SUBMODULES:
             return import_module(_SUBMODULES[name], __name__)
+        if name in _LABORATORY:
+            return import_module(".runtime.laboratory", __name__).module(_LABORATORY[name])
         if name in _ATTRIBUTES:
             value = getattr(import_module(_ATTRIBUTES[name], __name__), name)
             globals()[name] = value

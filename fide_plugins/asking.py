@@ -17,6 +17,7 @@ from fide_plugins.retargeting import Retargeting
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
+from fide_plugins.search.moves.policy import Stage
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points, whole_number
@@ -108,17 +109,28 @@ class Asking(Retargeting):
             row[:] = population.hand_out().x
         return X
 
-    def draw_generation(self) -> None:
-        """Queue a generation; spare candidates where the present one needs just its own."""
+    def draw_generation(self, first: Float64 | None = None) -> None:
+        """Queue a generation; spare candidates where the present one needs just its own.
+
+        first: (m, d), points that are asked first.  None: the user's guess, before all else.
+        """
         state, population = self.state, self.state.population
+        if first is None and not population.size and self.guess is not None:
+            first = self.guess[None]
         if state.needs_its_own and population.has_begun:
             self._draw_spare()
-        else:
+        elif first is None or state.stage is Stage.SEARCH:
             self.draw(population, state.rng)
+        else:  # hypotheses of a model, which all are asked, too
+            x = state.search.clipped(np.concatenate([first, state.moves.draw(state.rng)]))
+            population.draw(x, x)
         if state.steps is not None:
             state.steps.end()  # they come before a generation, not in it
         if state.proposer is None or not state.proposer.background:
             population.settle()
+        if first is not None and state.stage is Stage.SEARCH:  # in the place of its first samples
+            x = state.search.clipped(first)[: population.remaining]
+            population.replace(0, x, state.search.near(x), proposed=np.zeros(len(x), bool))
 
     def _draw_spare(self) -> None:
         """Queue candidates that the present generation, whose own are drawn, does not need.

@@ -93,8 +93,9 @@ class FIDE(Asking):
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0
-        (dim,), around which the first search begins; with a `Space` also a dictionary of values, as
-        its `decode` gives it; None: 0.5 in each parameter.
+        (dim,), a guess: it is asked first, and the first search begins around it; with a `Space`
+        also a dictionary of values, as its `decode` gives it.  None: the search begins around 0.5
+        in each parameter, which is not asked.
     sigma0
         its standard deviation there: one number, or one for each parameter.
     preset
@@ -106,7 +107,8 @@ class FIDE(Asking):
         are networks; with none of them, an encoder and its tokens stay where the images are.
     learned
         model of this renderer, or its file, see `fide_plugins.learn`: its hypotheses of the target
-        are rendered first, and the best are where the first searches begin.
+        are rendered first, after x0 if that is given, and the best are where the first searches
+        begin.
     **options
         any other option, see `fide_plugins.options`.
 
@@ -145,6 +147,7 @@ class FIDE(Asking):
         named = {"encoder": encoders.name_of(encoder), "popsize": popsize}
         self.options = o = make_options(preset, {**named, **options})
         self.x0 = starting_point(x0, self.dim, self.space)
+        self.guess = None if x0 is None else self.x0
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)

@@ -14,7 +14,7 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.options import Options, flat
 from fide_plugins.runtime.locks import one_at_a_time
-from fide_plugins.runtime.schema import array, check
+from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
@@ -42,6 +42,8 @@ class Readings(Saved):
     popsize: int
     seed: int
     x0: Float64
+    guess: Float64 | None
+    """x0 where a user has given it."""
     sigma0: float | Float64
     options: Options
     space: Space | None
@@ -218,7 +220,8 @@ class Readings(Saved):
 
         The target is in [0, 1], whatever the user's values are.
         """
-        given = {"target": self.views.targets} | {name: getattr(self, name) for name in _ARGUMENTS}
+        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        given |= {"target": self.views.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         return given | flat(self.options) | {"popsize": self.popsize, "space": space}
 
@@ -271,5 +274,5 @@ class Readings(Saved):
         odd = sorted(set(settings) ^ expected)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
-        check(settings["x0"], array("d"), {"d": settings["dim"]}, "x0")
+        check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")
         Views.check_settings(settings)

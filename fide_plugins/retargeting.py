@@ -16,7 +16,7 @@ from fide_plugins.evaluation import Evaluator
 from fide_plugins.learning.hypotheses import as_model, posterior_of
 from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer, make_proposer
-from fide_plugins.proposers.remembered import MOST, for_jacobian
+from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
@@ -87,7 +87,7 @@ class Retargeting(Readings):
         than the model where the parameters are, as those of a slow video do, there are none.
 
         Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
-        far, as wide as the first one.
+        far, as wide as the first one, and this point is asked first.
 
         Raises ImageError, LossError, UnknownNameError or OptionError (ValueErrors), OSError or
         CheckpointError for a file that is no model, before anything changes.
@@ -96,27 +96,26 @@ class Retargeting(Readings):
         model = self._model if learned is None else as_model(learned)
         posterior = self._posterior(model, evaluator.views.targets)
         with timed(self.times, "search"):
-            recalled, last = self._recalled(evaluator), self.state.best
+            recalled = self._recalled(evaluator)
             if self._knows_better(recalled, posterior):
                 posterior = None
             self.evaluator, self._model = evaluator, model
             self.state.retarget(evaluator.target_tokens, recalled.start, posterior)
             if posterior is None:
                 self._begin(recalled)
-            elif len(recalled.hypotheses) or last is None:
+            else:
                 self._begin_with_hypotheses(recalled.hypotheses)
-            else:  # nothing is remembered but where the last search came to
-                self._begin_with_hypotheses(last.solution.x[None])
 
     def _recalled(self, evaluator: Evaluator) -> Recalled:
         """What the memory says of the target of an evaluator."""
         state, new = self.state, evaluator.target_tokens
         known = state.moves.known
         samples = state.remembered
-        if not samples:
-            x = known.x0 if state.best is None else state.best.solution.x
-            nothing = np.empty((0, self.dim))
-            return Recalled(Start(x.copy(), known.sigma0), nothing, [], np.empty(0))
+        if not samples:  # nothing is known but where the last search came to
+            last = self.guess if state.best is None else state.best.solution.x
+            x = known.x0 if last is None else last.copy()
+            first = np.empty((0, self.dim)) if last is None else x[None]
+            return Recalled(Start(x, known.sigma0), first, [], np.empty(0))
         learned = min(max(4 * self.popsize, for_jacobian(self.dim)), MOST)
         recalled = recall(samples, known, new, self.popsize, learned)
         state.memory.set_losses(recalled.losses[: len(state.memory.samples)].tolist())
@@ -130,14 +129,11 @@ class Retargeting(Readings):
         if state.steps is not None:
             for i, sample in enumerate(recalled.samples):  # the best are the latest
                 state.steps.add(replace(sample, index=i))
-        self.draw_generation()
-        x = state.search.clipped(recalled.hypotheses)[: state.population.remaining]
-        none = np.zeros(len(x), bool)
-        state.population.replace(0, x, state.search.near(x), proposed=none)
+        self.draw_generation(recalled.hypotheses)
 
     def _knows_better(self, recalled: Recalled, posterior: Posterior | None) -> bool:
         """Whether the memory says more exactly than a model where the answer is."""
-        if posterior is None or not len(recalled.hypotheses):
+        if posterior is None or not recalled.samples:
             return False
         moves = self.state.moves
         return moves.hypotheses.is_wider(posterior, moves.known, recalled.start)
@@ -154,12 +150,11 @@ class Retargeting(Readings):
             state.proposer = make_proposer(
                 self.options, self.dim, self.popsize, self.seed, self.encoder, learned=True
             )
-        x = state.search.clipped(np.concatenate([remembered, state.moves.draw(state.rng)]))
-        state.population.draw(x, x)
+        self.draw_generation(remembered)
 
     @abstractmethod
-    def draw_generation(self) -> None:
-        """Queue the candidates of the next generation."""
+    def draw_generation(self, first: Float64 | None = None) -> None:
+        """Queue the candidates of the next generation; points `first` (m, d) come first."""
 
 
 def _teach(proposer: Proposer, samples: list[TrainingSample], std: Float64, popsize: int) -> None:

@@ -146,7 +146,7 @@ class State:
                 shown = None if image is None else _copied(image)
                 solution = Solution(x.copy(), loss, self.evaluations, shown)
                 searched = candidate is not None and self.stage is Stage.SEARCH
-                self._improve(solution, number, searched=searched)
+                self._improve(solution, number, searched=searched and not self._is_start(exact))
         self.not_finite += not finite
         self.evaluations += 1
 
@@ -154,6 +154,10 @@ class State:
         """Note a point x (d,) that is no member of a generation."""
         if self.injected is None or loss < self.injected[1]:
             self.injected = (x, loss)
+
+    def _is_start(self, x: Float64) -> bool:
+        """Whether the search began at x (d,): then x was given, or found before, not by it."""
+        return np.array_equal(x, self.search.clipped(self.moves.start.mean[None])[0])
 
     def _improve(self, solution: Solution, number: int, *, searched: bool) -> None:
         """Note the best point so far, candidate `number`; whether a search has asked it."""

@@ -151,7 +151,7 @@ class Optimizer(Protocol):
 
     @property
     def name(self) -> str:
-        """Name in `fide_plugins.optimizers`."""
+        """Name in `fide_lab.optimizers`."""
 
     @property
     def evaluations(self) -> int:

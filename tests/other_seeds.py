@@ -19,7 +19,7 @@ import numpy as np
 _SEED = int(os.environ.get("FIDE_SEEDS", "1"))
 if _SEED < 0:
     raise ValueError(f"FIDE_SEEDS must be a whole number >= 0, not {_SEED}")
-_OURS = ("fide_plugins", "tests")  # the scenes keep what they are made of
+_OURS = ("fide_plugins", "fide_lab", "tests")  # the scenes keep what they are made of
 _numpys = np.random.default_rng
 
 

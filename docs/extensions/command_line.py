@@ -10,14 +10,13 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
-from importlib import import_module
 from typing import Any
 
 from docutils import nodes
 from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
-from fide_plugins.cli import COMMANDS
+from fide_plugins.cli import commands, module_of
 
 
 def setup(app: Any) -> dict[str, Any]:
@@ -31,10 +30,10 @@ class CommandLine(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Sections of all commands."""
-        return [self._command(name) for name in COMMANDS]
+        return [self._command(name) for name in commands()]
 
     def _command(self, name: str) -> nodes.section:
-        module = import_module(f"fide_plugins.cli.{name}_command")
+        module = module_of(name)
         parser = argparse.ArgumentParser(f"fide {name}", add_help=False)
         module.add_arguments(parser)
         section = nodes.section(ids=[f"fide-{name}"], names=[f"fide {name}"])

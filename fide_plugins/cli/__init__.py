@@ -6,14 +6,11 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 ===================  ===================================================================
 `NAME_command`       one module for each command: its arguments and its execution
 `arguments`          arguments that commands share
-`suite_arguments`    arguments that choose a part of a suite
 `own_renderer`       a renderer of one's own, as the command line names it
 `fit_renderer`       `fide fit` with a renderer of one's own
-`fit_model`          `fide fit` with a task that draws the picture
 `fit_pictures`       pictures that `fide fit` reads: targets, masks, weights
 `extra_renders`      renders outside of the loop of a fit
 `live`               the page of a run in the browser, while the command goes on
-`running`            executes runs and comparisons, with messages and exit codes
 `progress`           progress of a run: a bar in a terminal, lines elsewhere
 `availability`       which tasks, optimizers, encoders and losses can be used here
 `messages`           text for a terminal
@@ -26,25 +23,36 @@ import argparse
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from fide_plugins import __version__
 from fide_plugins.cli.messages import complain
+from fide_plugins.errors import DependencyError
+from fide_plugins.runtime import laboratory
 
-__all__ = ["main"]
+__all__ = ["commands", "main", "module_of"]
 
 COMMANDS = {
-    "run": "fit a built-in task, or a test of your renderer",
     "fit": "fit a picture of your own, with your renderer or a model",
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
-    "compare": "compare optimizers on tasks",
     "watch": "show a run in the browser while it goes on",
-    "report": "write the page, tables and figures of a comparison",
-    "tradeoff": "sweep options that trade speed for accuracy",
     "list": "list tasks, optimizers, encoders, losses",
     "doctor": "check what can be used on this machine",
 }
+"""Commands of this package; `fide_lab.cli` has others."""
+
+
+def commands() -> dict[str, str]:
+    """What each command is for, also those of the laboratory, where it is."""
+    return COMMANDS | (laboratory.module("cli").COMMANDS if laboratory.is_here() else {})
+
+
+def module_of(command: str) -> Any:
+    """Module of a command: its arguments, and its execution."""
+    if command in COMMANDS:
+        return import_module(f"fide_plugins.cli.{command}_command")
+    return laboratory.module(f"cli.{command}_command")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,7 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 2
         # Two steps, so that only the module of the given command is imported.
         name = parser.parse_args(argv[:1]).command
-        module = import_module(f"fide_plugins.cli.{name}_command")
+        try:
+            module = module_of(name)
+        except DependencyError as error:
+            return complain("fide", f"{name!r} is no command of fide_plugins, and {error}")
         own = _Parser(f"fide {name}", module.__doc__ or "")
         module.add_arguments(own)
         code: int = module.execute(own.parse_args(argv[1:]), ["fide", *argv])
@@ -108,13 +119,17 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> _Parser:
-    width = max(map(len, COMMANDS))
-    listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in COMMANDS.items())
+    known, all_here = commands(), laboratory.is_here()
+    width = max(map(len, known))
+    listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in known.items())
     description = (
         f"Fit a black-box renderer to a picture.\n\n{listing}\n\n"
-        "See fide COMMAND --help for each. A good start: fide run voronoi --size 112"
+        "See fide COMMAND --help for each."
+        + " A good start: fide run voronoi --size 112"
+        * all_here
     )
     parser = _Parser("fide", description, "fide COMMAND ...")
     parser.add_argument("--version", action="version", version=f"fide {__version__}")
-    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help=argparse.SUPPRESS)
+    parser.add_argument("command", choices=known if all_here else None,
+                        metavar="COMMAND", help=argparse.SUPPRESS)  # fmt: skip
     return parser

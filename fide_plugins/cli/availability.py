@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from fide_plugins.cli.messages import plain
+from fide_plugins.runtime import laboratory
 
 __all__ = ["KINDS", "OF_A_MODEL", "WITH_WEIGHTS", "names", "problems"]
 
@@ -19,9 +21,11 @@ _SIDE = 32  # pixels, side of the test images
 def names(kind: str) -> list[str]:
     """Names of all tasks, optimizers, encoders or losses."""
     import fide_tasks
-    from fide_plugins import encoders, losses, optimizers
+    from fide_plugins import encoders, losses
 
-    lists = {"tasks": fide_tasks, "optimizers": optimizers, "encoders": encoders, "losses": losses}
+    if kind == "optimizers":
+        return list(laboratory.module(kind).names()) if laboratory.is_here() else ["fide"]
+    lists = {"tasks": fide_tasks, "encoders": encoders, "losses": losses}
     return sorted(lists[kind].names())
 
 
@@ -54,9 +58,10 @@ def _try_task(name: str) -> None:
 
 
 def _try_optimizer(name: str) -> None:
-    from fide_plugins import optimizers
+    from fide_plugins.fide import FIDE
 
-    optimizers.make(name, 2, _image(), seed=0).ask()
+    optimizer = FIDE if name == "fide" else partial(laboratory.module("optimizers").make, name)
+    optimizer(2, _image(), seed=0).ask()
 
 
 def _try_encoder(name: str) -> None:

@@ -26,12 +26,18 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli import fit_model, fit_renderer
+from fide_plugins.cli import fit_renderer
 from fide_plugins.cli.arguments import add_run_arguments, add_space_argument, setting, whole
 from fide_plugins.cli.messages import complain
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.runtime import laboratory
 
-__all__ = ["add_arguments", "execute"]
+__all__ = ["MODELS", "add_arguments", "execute"]
+
+MODELS = {"voronoi": "cells", "spline": "control_points"}
+"""Models, and the option of each that sets its number of elements."""
+_OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
+"""Arguments that no renderer of a user has."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--renderer", metavar="FILE.py:NAME", help="your function")
     what.add_argument("--command", action="append", metavar="'PROGRAM ...'", dest="templates",
                       help="your program; once for each target")  # fmt: skip
-    what.add_argument("--model", choices=fit_model.COUNTS, help="model that draws the picture")
+    what.add_argument("--model", choices=MODELS, help="model that draws the picture")
     add_run_arguments(
         parser,
         size="longer side of the picture, at most (as it is; with --model 224)",
@@ -87,11 +93,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     try:
-        _refuse(args, fit_renderer.OWN if args.model else fit_model.OWN, f"--{_kind(args)}")
+        _refuse(args, fit_renderer.OWN if args.model else _OF_MODELS, f"--{_kind(args)}")
     except OptionError as error:
         return complain("fide fit", error)
     if args.model:
-        return fit_model.execute(args, command)
+        try:
+            fit_model = laboratory.module("cli.fit_model")
+        except DependencyError as error:
+            return complain("fide fit", f"--model: {error}")
+        code: int = fit_model.execute(args, command)
+        return code
     return fit_renderer.execute(args, command)
 
 

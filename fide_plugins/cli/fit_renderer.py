@@ -13,7 +13,9 @@ from fide_plugins.cli.arguments import free_directory, optimizer_options
 from fide_plugins.cli.fit_pictures import pictures, value_range_of
 from fide_plugins.cli.live import page_of
 from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
     as_typed,
+    continuation,
     duration,
     note,
     number,
@@ -42,7 +44,6 @@ _BUDGET, _WORKERS = 2000, 8
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import USAGE_ERRORS, continuation
     from fide_plugins.fitting.fitting import FitInterrupted
     from fide_plugins.recording.run_checkpoint import is_saved
 
@@ -182,9 +183,9 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
-    from fide_plugins.experiments.solutions import pictures as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.solutions import pictures as stored
 
     known = stored.read(out)
     points = [one.x for one in result.solutions[1:]]

@@ -22,7 +22,15 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.cli.arguments import add_space_argument, lists, path, setting, whole
-from fide_plugins.cli.messages import complain, note, paragraph, plain, warnings_as_notes
+from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
+    complain,
+    continuation,
+    note,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
 
@@ -72,8 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import USAGE_ERRORS
-
     who = "fide learn"
     try:
         arguments = _arguments(args)
@@ -118,8 +124,6 @@ def _learn(args: argparse.Namespace, command: list[str], arguments: dict[str, An
 
 
 def _continue_with(command: list[str], when: str = "") -> None:
-    from fide_plugins.cli.running import continuation
-
     note(f"{when}continue with: {continuation(command)}")
 
 
@@ -199,9 +203,9 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _task(args: argparse.Namespace) -> Any:
-    from fide_plugins.experiments.run.prepare import make_task
+    import fide_tasks
 
-    return make_task(args.source, args.render_size or args.size, 0, dict(args.task_set))
+    return fide_tasks.make(args.source, args.render_size or args.size, 0, **dict(args.task_set))
 
 
 class _Lines:

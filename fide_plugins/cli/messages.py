@@ -10,9 +10,13 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
+from fide_plugins.errors import FideError
+
 __all__ = [
+    "USAGE_ERRORS",
     "as_typed",
     "complain",
+    "continuation",
     "duration",
     "note",
     "notices",
@@ -21,6 +25,9 @@ __all__ = [
     "plain",
     "warnings_as_notes",
 ]
+
+USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
+"""Errors of the arguments or the installation, raised before anything is rendered."""
 
 
 def plain(text: object) -> str:
@@ -31,6 +38,14 @@ def plain(text: object) -> str:
 def as_typed(words: Iterable[str]) -> str:
     """Words of a command, to be pasted into a shell; unprintable characters are written out."""
     return _printable(shlex.join(words))
+
+
+def continuation(command: list[str], out: str | None = None) -> str:
+    """The same command line, made to resume; in `out`, if it names no --out itself."""
+    words = [word for word in command if word != "--resume"]
+    if out is not None and not any(word == "--out" or word.startswith("--out=") for word in words):
+        words += ["--out", out]
+    return as_typed([*words, "--resume"])
 
 
 def paragraph(text: object) -> str:

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from fide_plugins.cli.messages import note, number
-from fide_plugins.experiments.run import Progress
-from fide_plugins.recording.record import PARTS, Report
+from fide_plugins.recording.record import PARTS, Progress, Report
 
 __all__ = ["lines", "reporting", "shares"]
 

@@ -18,7 +18,7 @@ import math
 from typing import Any
 
 from fide_plugins.cli.arguments import path, whole
-from fide_plugins.cli.messages import complain, number, plain
+from fide_plugins.cli.messages import USAGE_ERRORS, complain, number, plain
 
 __all__ = ["add_arguments", "execute"]
 
@@ -37,9 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.cli.running import USAGE_ERRORS
+    from fide_plugins import solutions
     from fide_plugins.encoders.own import referenced
-    from fide_plugins.experiments import solutions
     from fide_plugins.runtime import files
 
     try:

@@ -80,7 +80,7 @@ class SavedRun:
                 f"{self.path} holds a run with another encoder: its features of the target differ; "
                 "give the same one, or name another directory"
             )
-        restored = self._directory.restore(optimizer)
+        restored = self._directory.restore(optimizer.continue_from)
         if restored is None:
             return None
         record, _ = restored
@@ -153,7 +153,7 @@ def settings_of(
     target = optimizer.evaluator.target
     space = optimizer.space
     made = {
-        "x0": optimizer.x0.tolist(),
+        "x0": None if optimizer.guess is None else optimizer.guess.tolist(),
         "sigma0": np.asarray(optimizer.sigma0).tolist(),
         "groups": optimizer.options.groups,
     }

@@ -19,10 +19,10 @@ from fide_plugins.learning.plan import FEWEST, LearnProgress, Plan
 from fide_plugins.learning.renders.identity import version_for
 from fide_plugins.learning.renders.renderer import as_renderer, small_size
 from fide_plugins.learning.renders.store import RenderStore, folder_of
-from fide_plugins.learning.training.augmentation import AUGMENT
+from fide_plugins.learning.training.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.truncation import Truncated
-from fide_plugins.renderers.fingerprint import fingerprint_of
 from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.fingerprints import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
 from fide_plugins.validation.option_rules import not_negative
@@ -135,6 +135,8 @@ def learn(
         a RuntimeError: the renderer fails, or its images are all equal.
     DeviceMemoryError
         a RuntimeError: the device is full; the renders beside `out` are kept.
+    DependencyError
+        an ImportError: kornia is missing, which changes the renders.
     OSError
         a file cannot be read or written.
     """
@@ -186,5 +188,6 @@ def _check(
         raise UnknownNameError.of("head", head, HEADS)
     if augment not in AUGMENT:
         raise UnknownNameError.of("augment", augment, AUGMENT)
+    check_installed(str(augment))
     if not (on_progress is None or callable(on_progress)):
         raise OptionError(f"on_progress must be a function of a LearnProgress, not {on_progress!r}")

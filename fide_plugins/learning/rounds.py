@@ -162,7 +162,7 @@ class Rounds:
 
         Raises OptionError if it is of another version of the renderer.
         """
-        from fide_plugins.renderers.fingerprint import version_of
+        from fide_plugins.runtime.fingerprints import version_of
 
         version_of(self.render)  # raises for one that is no text
         try:

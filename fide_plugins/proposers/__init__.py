@@ -11,7 +11,6 @@
 `ridge`            ridge regression by scalar products, and how well it predicts
 `screening`        each parameter from the tokens that show it
 `feature_buffer`   features of the images that a proposer remembers
-`remembered`       how many candidates proposers remember, and learn from at once
 `background`       trains while the user renders
 =================  ==============================================================================
 """
@@ -23,7 +22,7 @@ from typing import TYPE_CHECKING
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.options import Options, ProposalOptions
 from fide_plugins.proposers.base import Proposer
-from fide_plugins.proposers.remembered import MOST, for_jacobian
+from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:

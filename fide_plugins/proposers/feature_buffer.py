@@ -35,7 +35,21 @@ from torch import Tensor
 from fide_plugins.runtime.schema import Schema, array, check, whole
 from fide_plugins.types import Float64, Indices, Mask
 
-__all__ = ["NEGLIGIBLE", "FeatureBuffer"]
+__all__ = ["MOST", "NEGLIGIBLE", "FeatureBuffer", "for_jacobian"]
+
+
+MOST = 600
+"""Candidates: each generation costs a regression on as many."""
+
+
+def for_jacobian(dim: int) -> int:
+    """Candidates to which a Jacobian of d parameters is fitted: 4 d + 20, at most `MOST`.
+
+    >>> for_jacobian(8), for_jacobian(200)
+    (52, 600)
+    """
+    return min(4 * dim + 20, MOST)
+
 
 NEGLIGIBLE = 1e-6
 _SCHEMA: Schema = {

@@ -54,9 +54,8 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers.base import Previewed, ProposerDefaults
-from fide_plugins.proposers.feature_buffer import FeatureBuffer
+from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
 from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
-from fide_plugins.proposers.remembered import for_jacobian
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
 from fide_plugins.types import Float64, Indices
 

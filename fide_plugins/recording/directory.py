@@ -24,13 +24,12 @@ from __future__ import annotations
 import json
 import os
 import shlex
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from fide_plugins import optimizers
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording import kept_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
@@ -52,10 +51,11 @@ from fide_plugins.recording.run_checkpoint import (
     write_checkpoint,
 )
 from fide_plugins.runtime import files, machine
-from fide_plugins.saving import Saved
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
+
+T = TypeVar("T")
 
 __all__ = ["LIVE", "TABLES", "RunDirectory", "is_under_way", "results_in"]
 
@@ -146,11 +146,10 @@ class RunDirectory:
 
     # -- reading -----------------------------------------------------------------------------------
 
-    def restore(self, fresh: Saved | None = None) -> tuple[Record, Any] | None:
-        """Record and optimizer of the saved run, the latter as its class loads it; None without.
+    def restore(self, load: Callable[[Path], T]) -> tuple[Record, T] | None:
+        """Record and optimizer of the saved run; None without one.
 
-        fresh: an optimizer of the same arguments, which goes on; None: all that it needs is in its
-            file, by name.
+        load: makes the optimizer of its file.
 
         Raises CheckpointError (a ValueError) if it is damaged, or missing beside results of a run.
         """
@@ -158,15 +157,11 @@ class RunDirectory:
             self._check_is_new()
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
-        return record, self._optimizer(file, fresh)
+        return record, self._optimizer(file, load)
 
-    def _optimizer(self, path: Path, fresh: Saved | None) -> Any:
+    def _optimizer(self, path: Path, load: Callable[[Path], T]) -> T:
         try:
-            if fresh is not None:
-                fresh.continue_from(path)
-                return fresh
-            device = self.settings["options"].get("device")
-            return optimizers.load(self.settings["optimizer"], path, device=device)
+            return load(path)
         except FileNotFoundError as error:
             if path.exists():  # it is another file that is missing
                 raise

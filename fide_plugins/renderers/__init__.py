@@ -16,7 +16,6 @@ file           idea
 `template`     the command line of a program, with placeholders for parameters
 `naming`       parameters by flat names, and as a line of text
 `child`        a program that is run to its end, with a time limit and captured output
-`fingerprint`  by what a renderer is known again
 `scratch`      where the files of one render are while it goes on
 =============  ===================================================================================
 """

@@ -7,9 +7,9 @@ from types import ModuleType
 from typing import Any
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.renderers.fingerprint import version_of
 from fide_plugins.renderers.folder import OwnFolder
 from fide_plugins.renderers.naming import described
+from fide_plugins.runtime.fingerprints import version_of
 from fide_plugins.runtime.reference import (
     Referent,
     attribute,

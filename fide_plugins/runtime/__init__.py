@@ -5,7 +5,7 @@
 `batch_size`            batch sizes that shrink if a device runs out of memory
 `fixed_batches`         networks in batches of a fixed size
 `digest`                which weights a network has, in a few digits
-`fingerprints`          whether a file or a function of the user has changed
+`fingerprints`          whether a file, a function or a renderer of the user has changed
 `background`            work in a background thread
 `locks`                 locks for objects that are copied, pickled and forked
 `threads`               one thread for what is small, those of the user for networks
@@ -13,6 +13,7 @@
 `timing`                seconds by part
 `cluster`               a Dask cluster by the address of its scheduler
 `extras`                what each extra installs, and the error where it is missing
+`laboratory`            the only place that looks for `fide_lab`, and loads of it by name
 `files`                 atomic writes and file locks
 `checkpoint`            file format of a state, without pickle
 `schema`                checks of a state that was read from a file

@@ -10,6 +10,8 @@ from fide_plugins.errors import DependencyError
 __all__ = ["EXTRAS", "install_command", "missing"]
 
 EXTRAS = {
+    "lab": ("cma",),
+    "learn": ("kornia",),
     "nevergrad": ("nevergrad",),
     "optuna": ("optuna",),
     "robot": ("mujoco",),

@@ -18,7 +18,7 @@ __all__ = ["said_once", "warn_user"]
 _SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
 _BETWEEN = (
-    *("fide_plugins", "fide_adapters", "fide_tasks", "optuna", "nevergrad"),
+    *("fide_plugins", "fide_adapters", "fide_lab", "fide_tasks", "optuna", "nevergrad"),
     *("contextlib", "torch.utils._contextlib"),
 )
 """Modules whose lines, and those of what is in them, are not the user's."""

@@ -26,6 +26,7 @@ from fide_plugins.types import Float64, Mask
 __all__ = ["AxisLayout", "Mixed", "periodic_axes"]
 
 _WIDE = 0.3  # standard deviation on an axis with cells where nothing is known; that of U(0, 1)
+_USUAL = 1 / 6  # that on other axes
 
 
 class AxisLayout(Protocol):
@@ -74,11 +75,13 @@ class Mixed:
     def widened(self, std: Float64) -> Float64:
         """Standard deviations (d,) of a search that knows nothing: at least 0.3 on discrete axes.
 
-        With the usual 1/6 the integers at the ends would hardly be tried.
+        With the usual 1/6 the integers at the ends would hardly be tried.  Who gives less knows
+        more, and gets as much less than 0.3: around a good guess few integers and choices change.
         """
         if self._discrete is None:
             return std
-        return np.where(self._discrete, np.maximum(std, _WIDE), std)
+        widened = np.maximum(std, _WIDE * np.minimum(1.0, std / _USUAL))
+        return np.where(self._discrete, widened, std)
 
     @property
     def stretch(self) -> Float64 | float:

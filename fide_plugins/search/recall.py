@@ -58,7 +58,8 @@ class Recalled:
     """What the memory says of a new picture.
 
     start: of the search.
-    hypotheses: (m, d), remembered candidates whose images are near, the nearest first.
+    hypotheses: (m, d), remembered candidates whose images are near, the nearest first; or where the
+        last search came to, if no image is remembered.
     samples: what proposers learn from, the least good first, with estimated losses.
     losses: (n,), estimated for all that is remembered.
     """

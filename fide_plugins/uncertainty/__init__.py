@@ -3,7 +3,6 @@
 =============  =======================================================================
 `estimate`     the estimate of a solution in four steps, computed when it is read
 `selection`    which remembered samples count for a solution
-`matching`     their exchangeable blocks in the order of the solution's
 `features`     their features as numbers
 `basin`        which of them are of another solution with the same image
 `local_fit`    the Jacobian of the features there, and how well the samples tell it

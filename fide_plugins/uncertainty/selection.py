@@ -1,6 +1,6 @@
 """Which samples tell about a solution, and which of them the linear model is made of.
 
-A sample counts if its exchangeable blocks can be matched to those of the solution (`matching`).
+A sample counts if its exchangeable blocks can be matched to those of the solution (`aligned`).
 Those with the solution's own integers and choices are its *own*.  The model is made of the own ones
 whose images are most like the solution's, without those of a twin, which has the same image far
 away (`basin`).
@@ -20,9 +20,9 @@ from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.features import compressed, features_of, floored
-from fide_plugins.uncertainty.matching import aligned
 
-__all__ = ["Surroundings", "less_alike", "most_alike", "surroundings"]
+__all__ = ["Surroundings", "aligned", "less_alike", "most_alike", "surroundings"]
+
 
 _NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
 _SPARE = 2  # times as many, of which those of twins are left out
@@ -150,3 +150,33 @@ def _signed(u: Float64, axes: Axes) -> Float64:
     if axes.periodic is None:
         return u
     return np.where(axes.periodic, (u + 0.5) % 1.0 - 0.5, u)
+
+
+_NUMBERS = 2**22  # differences of blocks that are held at once
+
+
+def aligned(
+    points: Float64, x: Float64, blocks: Indices | None, axes: Axes
+) -> tuple[Float64, Mask]:
+    """Points (n, d) with their blocks in the order of those of x (d,); which could be matched.
+
+    Each block of a point belongs to the nearest one of x; it can be matched if they all differ.
+    """
+    if blocks is None:
+        return points, np.ones(len(points), bool)
+    step = max(1, _NUMBERS // (blocks.size * len(blocks)))
+    chunks = [points[i : i + step] for i in range(0, len(points), step)]
+    parts = [_aligned(chunk, x, blocks, axes) for chunk in chunks]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([kept for _, kept in parts])
+
+
+def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[Float64, Mask]:
+    """As `aligned`, of as many points as memory holds."""
+    own = points[:, blocks]  # (n, blocks, L)
+    costs = axes.difference(own[:, :, None], x[blocks], blocks).max(axis=3)  # (n, own, of x)
+    places = costs.argmin(axis=2)  # (n, own)
+    which: Mask = (np.sort(places, axis=1) == np.arange(len(blocks))).all(axis=1)
+    sources = np.argsort(places, axis=1)[..., None]  # the block that belongs to each of x
+    ordered = points.copy()
+    ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
+    return np.where(which[:, None], ordered, points), which

@@ -13,7 +13,8 @@ __all__ = ["parse"]
 def parse(text: str) -> tuple[str, Any]:
     """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
 
-    A value in brackets is a list, as JSON has it: ``groups=[[0,1],[2,3]]``.
+    A value in brackets is a list, as JSON has it, ``groups=[[0,1],[2,3]]``, and one in braces a
+    dictionary, ``x0={"azimuth": 30}``.
 
     Raises OptionError (a ValueError) for anything else.
 
@@ -26,8 +27,8 @@ def parse(text: str) -> tuple[str, Any]:
     words: dict[str, Any] = {"true": True, "false": False}
     if value.lower() in words:
         return key, words[value.lower()]
-    if value.startswith("["):
-        return key, _listed(text, value)
+    if value.startswith(("[", "{")):
+        return key, _from_json(text, value)
     for kind in (int, float):
         try:
             return key, kind(value)
@@ -36,10 +37,11 @@ def parse(text: str) -> tuple[str, Any]:
     return key, value
 
 
-def _listed(text: str, value: str) -> Any:
+def _from_json(text: str, value: str) -> Any:
     try:
         return json.loads(value)
     except ValueError as error:
-        raise OptionError(
-            f"{text!r}: a value in brackets is a list such as [[0,1],[2,3]] ({error})"
-        ) from error
+        rule = "a value in brackets is a list such as [[0,1],[2,3]]"
+        if value.startswith("{"):
+            rule = 'a value in braces is a dictionary such as {"azimuth": 30}, names in quotes'
+        raise OptionError(f"{text!r}: {rule} ({error})") from error

@@ -191,7 +191,7 @@ def starting_point(value: object, dim: int, space: _Encodes | None = None) -> Fl
     try:
         return as_point(value, dim, "it")
     except PointsError as error:
-        hint = "" if space is None else "; to give values, pass a dictionary of them (Python only)"
+        hint = "" if space is None else "; to give values, pass a dictionary of them"
         raise PointsError(
             f"x0 must be a point of the cube, (dim,) = ({dim},): {error}{hint}"
         ) from error

@@ -15,6 +15,7 @@ UNAVOIDABLE = {
     "optuna/sampler.py": {"_base_sampler"},
     "optuna/storage.py": {"_get_trials", "_storage", "_study_id", "_trial_id"},
     "nevergrad/optimizer.py": {"_meta"},
+    "nevergrad/parametrization.py": {"_value"},
 }
 
 

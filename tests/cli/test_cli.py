@@ -371,8 +371,8 @@ def test_durations(seconds: float, text: str) -> None:
 def test_the_bar_shows_speed_loss_and_shares(monkeypatch: pytest.MonkeyPatch) -> None:
     import io
 
+    from fide_lab.run import Progress
     from fide_plugins.cli.progress import reporting
-    from fide_plugins.experiments.run import Progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -398,8 +398,8 @@ def test_progress_of_the_rounds_before_a_search(
     """What is done, and how fast it renders; there is no best loss yet."""
     import io
 
+    from fide_lab.run import Progress
     from fide_plugins.cli import progress
-    from fide_plugins.experiments.run import Progress
 
     written = io.StringIO()
     written.isatty = lambda: terminal  # type: ignore[method-assign]

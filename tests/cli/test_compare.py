@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from fide_plugins.cli import main, report_command
-from fide_plugins.experiments import compare
+from fide_lab import compare
+from fide_lab.cli import report_command
+from fide_plugins.cli import main
 from fide_plugins.runtime import machine
 
 from .conftest import fide
@@ -109,7 +110,7 @@ def test_a_budget_below_one_population_is_spent(capsys: pytest.CaptureFixture[st
 def test_a_failure_is_exit_code_1_and_in_the_report(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fide_plugins.baselines.random import Random
+    from fide_lab.baselines.random import Random
 
     def breaks(self: Random, *args: object) -> None:
         raise ArithmeticError("out of luck")

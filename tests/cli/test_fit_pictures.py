@@ -65,7 +65,8 @@ def test_fit_begins_at_the_picture(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_fit_begins_at_the_center_where_it_must() -> None:
-    from fide_plugins.cli import fit_command, fit_model
+    from fide_lab.cli import fit_model
+    from fide_plugins.cli import fit_command
 
     parser = argparse.ArgumentParser()
     fit_command.add_arguments(parser)

@@ -15,9 +15,9 @@ from fide_plugins.cli.extra_renders import check_first
 from fide_plugins.cli.fit_pictures import pictures
 from fide_plugins.cli.fit_renderer import _keep_pictures
 from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
-from fide_plugins.experiments.solutions import pictures as stored
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.solutions import pictures as stored
 from fide_plugins.types import Float64
 
 from .conftest import fide, last_line, summary

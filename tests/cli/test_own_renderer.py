@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Choice, Float, Int, Space, optimizers
-from fide_plugins.experiments.run.renderer_task import make
+from fide_lab import optimizers
+from fide_lab.run.renderer_task import make
+from fide_plugins import FIDE, Choice, Float, Int, Space
 
 from .conftest import fide, one_line
 

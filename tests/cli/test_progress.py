@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab.run import Progress
 from fide_plugins import fit
 from fide_plugins.cli import progress
-from fide_plugins.experiments.run import Progress
 from fide_plugins.fitting.failures import FitError
 
 NO_TIME = dict.fromkeys(("render", "encode", "train", "search"), 0.0)

@@ -15,9 +15,9 @@ from PIL import Image
 from fide_plugins import FIDE, Solution, fit, images
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
-from fide_plugins.experiments.solutions import figure, pictures, read
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.solutions import figure, pictures, read
 
 from .conftest import fide, one_line
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, encoders, optimizers
+from fide_lab import optimizers
+from fide_plugins import FIDE, encoders
 from fide_plugins.errors import (
     CheckpointError,
     ImageError,

@@ -19,8 +19,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 
+from fide_lab import run as harness
 from fide_plugins.errors import CheckpointError, FideError, ImageError
-from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.run_checkpoint import read_checkpoint

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
 from fide_plugins.errors import RenderError
-from fide_plugins.experiments import run as harness
 from fide_plugins.recording.record import Progress
 from fide_plugins.types import Float32, Float64
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import optimizers
+from fide_lab import optimizers
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 

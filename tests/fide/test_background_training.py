@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from fide_lab import run as harness
 from fide_plugins.denoiser import precision
-from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.recording import checkpointing
 from fide_plugins.types import Float32, Float64

@@ -25,11 +25,16 @@ def test_the_first_generation_is_drawn_around_it(target: Float32) -> None:
 
 
 def test_the_middle_is_where_it_begins_by_default(target: Float32, render: Render) -> None:
+    """It is asked only where it was given."""
     default = FIDE(3, target, popsize=6, seed=0)
-    said = FIDE(3, target, x0=np.full(3, 0.5), sigma0=np.full(3, 1 / 6), popsize=6, seed=0)
-    for _ in range(10):
+    said = FIDE(3, target, x0=None, sigma0=np.full(3, 1 / 6), popsize=6, seed=0)
+    given = FIDE(3, target, x0=np.full(3, 0.5), popsize=6, seed=0).ask()
+    np.testing.assert_array_equal(given[0], np.full(3, 0.5))
+    for generation in range(10):
         X = default.ask()
         np.testing.assert_array_equal(X, said.ask())
+        if generation == 0:
+            np.testing.assert_array_equal(X[1:], given[1:])
         default.tell(X, render(X))
         said.tell(X, render(X))
 

@@ -322,7 +322,6 @@ def test_a_directory_is_locked_while_a_fit_runs_and_may_be_read(tmp_path: Path) 
     ("name", "forms"),
     [
         ("x0", [np.array([0.1, 0.2, 0.3, 0.4]), [0.1, 0.2, 0.3, 0.4], (0.1, 0.2, 0.3, 0.4)]),
-        ("x0", [None, [0.5] * 4]),
         ("sigma0", [np.array([0.1, 0.2, 0.1, 0.2]), [0.1, 0.2, 0.1, 0.2]]),
         ("sigma0", [np.float64(0.2), 0.2, np.array(0.2)]),
         ("groups", [[[0, 2], [1, 3]], np.array([[0, 2], [1, 3]]), ((0, 2), (1, 3))]),

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from fide_lab.run import Progress
 from fide_plugins import fit
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments.run import Progress
 from fide_plugins.fitting import progress as bars
 
 from .scene import SPACE, disk, target

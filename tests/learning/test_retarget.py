@@ -74,6 +74,19 @@ def test_without_a_memory_the_last_best_point_comes_first(proposer: str, model: 
     np.testing.assert_array_equal(opt.ask(), expected)
 
 
+def test_a_guess_comes_before_all_hypotheses(model: Model) -> None:
+    x = SPACE.encode({"x": 0.31, "y": 0.64, "gray": 0.52, "hidden": 0.5})
+    opt = FIDE(SPACE, FIRST, seed=1, learned=model, x0=x)
+    asked = opt.ask()
+    np.testing.assert_array_equal(asked[0], x)
+    np.testing.assert_array_equal(asked[1:], FIDE(SPACE, FIRST, seed=1, learned=model).ask())
+    opt.tell(asked, [disk(SPACE.decode(x)) for x in asked])
+    assert opt.state.searches == 2 and opt.best is not None
+    np.testing.assert_array_equal(opt.state.search.mean, opt.best.x)  # the best of both
+    opt.retarget(NEXT)
+    assert not np.array_equal(opt.ask(1)[0], x)  # it was a guess of the first picture
+
+
 @pytest.mark.thorough
 def test_a_remembered_candidate_that_is_best_is_searched_as_narrowly_as_memory_says(
     model: Model,

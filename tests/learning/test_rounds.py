@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
 from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.cli import progress
 from fide_plugins.errors import CheckpointError, OptionError, RenderError
-from fide_plugins.experiments import run as harness
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers import choice
 from fide_plugins.learning import Model, rounds

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
 from fide_plugins import fit
 from fide_plugins.errors import ModelNotFoundError, OptionError
-from fide_plugins.experiments import run as harness
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
 from fide_plugins.learning.hypotheses import posterior_of

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import FIDE, optimizers
-from fide_plugins.experiments.compare import Results, RunKey, StoredRun
-from fide_plugins.experiments.compare.results import AXES, Curve
+from fide_lab import optimizers
+from fide_lab.compare import Results, RunKey, StoredRun
+from fide_lab.compare.results import AXES, Curve
+from fide_plugins import FIDE
 from fide_tasks.lamps import Lamps
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -15,7 +15,6 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.cli import main
+from fide_plugins.cli import main, module_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(p for part in ("howto", "start") for p in (DOCS / part).glob("*.md"))
@@ -113,7 +112,7 @@ def run(page: Path) -> dict[str, Any]:
 def check_arguments(words: list[str]) -> None:
     if words[0] == "fide":
         parser = argparse.ArgumentParser()
-        import_module(f"fide_plugins.cli.{words[1]}_command").add_arguments(parser)
+        module_of(words[1]).add_arguments(parser)
         parser.parse_args(words[2:])
 
 

@@ -48,7 +48,7 @@ def without(): return "text"
     assert dict(lengths(source)) == {"with_docstring": 9, "inner": 3, "without": 1}
 
 
-@pytest.mark.parametrize("package", ["fide_plugins", "fide_adapters", "fide_tasks"])
+@pytest.mark.parametrize("package", ["fide_plugins", "fide_adapters", "fide_lab", "fide_tasks"])
 def test_functions_and_files_stay_under_their_limits(package: str) -> None:
     spec = find_spec(package)
     assert spec is not None and spec.origin is not None

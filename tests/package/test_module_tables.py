@@ -39,7 +39,7 @@ def differences(folder: Path) -> list[str]:
 def packages() -> list[Path]:
     """Folders of all packages whose docstring has a table of modules."""
     found = []
-    for name in ("fide_plugins", "fide_adapters", "fide_tasks"):
+    for name in ("fide_plugins", "fide_adapters", "fide_lab", "fide_tasks"):
         spec = find_spec(name)
         assert spec is not None and spec.origin is not None
         found += [init.parent for init in Path(spec.origin).parent.rglob("__init__.py")]

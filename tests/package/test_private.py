@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 OWNERS = {"FIDE": ROOT / "fide_plugins" / "fide.py", "State": ROOT / "fide_plugins" / "state.py"}
-FOLDERS = ("fide_plugins", "adapters", "tasks", "examples", "benchmarks")
+FOLDERS = ("fide_plugins", "adapters", "lab", "tasks", "examples", "benchmarks")
 if not OWNERS["FIDE"].exists():  # the tests of the installed package
     pytest.skip("the sources are not here", allow_module_level=True)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+
+from fide_plugins.cli import module_of
 
 README = Path(__file__).parents[2] / "README.md"
 
@@ -81,7 +82,7 @@ def test_each_command_is_one_of_the_program() -> None:
     for line in lines:
         name, *words = shlex.split(line, comments=True)
         parser = argparse.ArgumentParser()
-        import_module(f"fide_plugins.cli.{name}_command").add_arguments(parser)
+        module_of(name).add_arguments(parser)
         parser.parse_args(words)
 
 

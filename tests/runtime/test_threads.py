@@ -15,7 +15,8 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from fide_plugins import encoders, optimizers
+from fide_lab import optimizers
+from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.fide import FIDE
 from fide_plugins.losses.base import CallableLoss

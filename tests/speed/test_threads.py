@@ -14,7 +14,7 @@ PAIRS, MORE = 5, 1.1
 # Imports and the first generations are left out.
 RUN = """
 import time
-from fide_plugins.experiments import run
+from fide_lab import run
 settings = {"size": 112, "options": {"preset": "fast"}}
 run.run("voronoi", budget=100, **settings)
 start = time.process_time()

@@ -17,8 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
+from fide_lab import run as harness
 from fide_plugins.errors import RenderError
-from fide_plugins.experiments import run as harness
 from fide_tasks import mitsuba_task, render_workers
 from fide_tasks.render_workers import RenderWorkerError
 

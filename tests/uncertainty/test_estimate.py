@@ -16,10 +16,10 @@ from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate, fit_locally, matching
+from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate, fit_locally, selection
 from fide_plugins.uncertainty.covariance import _inverse, deviations
 from fide_plugins.uncertainty.local_fit import FitToTarget
-from fide_plugins.uncertainty.matching import aligned
+from fide_plugins.uncertainty.selection import aligned
 
 D, SIDE = 5, 16
 RAMPS = np.random.default_rng(2).uniform(-1, 1, (D, SIDE, SIDE, 3)) / D
@@ -219,7 +219,7 @@ def test_blocks_of_many_samples_are_matched_in_parts(monkeypatch: pytest.MonkeyP
     points = x + 0.05 * rng.standard_normal((50, 12))
     points[:, blocks] = points[:, blocks[rng.permutation(4)]]
     whole = aligned(points, x, blocks, Axes(12))
-    monkeypatch.setattr(matching, "_NUMBERS", 100)
+    monkeypatch.setattr(selection, "_NUMBERS", 100)
     for one, other in zip(aligned(points, x, blocks, Axes(12)), whole, strict=True):
         np.testing.assert_array_equal(one, other)
 

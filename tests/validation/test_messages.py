@@ -46,7 +46,7 @@ def tried(render: Any = render, target: Any = TARGET, space: Any = SPACE, **opti
         (lambda: SPACE.decode([0, 1, 2]), "must lie in"),
         (lambda: SPACE.decode([[0], [1, 2], 0]), r"^X must be an array of shape \(n, 3\): "),
         (lambda: tried(x0=[0.5, 0.5]), "it must have 3 numbers, not 2; to give values, pass a"),
-        (lambda: tried(x0=0.5), "must have 3 numbers, not one number; .*Python only"),
+        (lambda: tried(x0=0.5), "must have 3 numbers, not one number; to give values, pass a"),
         (lambda: tried(mask="alpha"), r"an alpha channel.*; or give a mask of its own, mask=ARRAY"),
         (lambda: fit(TARGET, render, SPACE), r"^render must be a function of the parameters, not "  # type: ignore[arg-type]
          r"an array of shape \(8, 8\); the order is fit\(render, target, space\)$"),

@@ -10,6 +10,7 @@ Nevergrad asks and tells one candidate at a time.  `_internal_ask_candidate` and
 - The search uses the loss with Nevergrad's penalties; the proposer uses the image.  A loss that is
   NaN or infinite, also minus infinity, ranks last in the search and in Nevergrad, which has 5e20 in
   its place; nothing is learned from its image.
+- An initial value that a user has chosen is asked first, to the bit.
 - A candidate that violates a cheap constraint is withdrawn.
 - An image is used while it is told; no reference to it is kept.
 - The recommendation is the best candidate told; if ``parametrization.function.deterministic`` is
@@ -38,7 +39,7 @@ from nevergrad.common import errors
 from nevergrad.optimization import base
 
 from fide_adapters.image_loss import Result, read_result
-from fide_adapters.nevergrad.parametrization import Cube
+from fide_adapters.nevergrad.parametrization import Cube, initial_candidate
 from fide_adapters.nevergrad.search import Evaluation, Search
 from fide_adapters.nevergrad.settings import check_options, target_setting
 from fide_plugins.errors import ImageError
@@ -160,8 +161,11 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     def _internal_ask_candidate(self) -> Any:
         cube = self._start()
         x = self.fide.ask(1)[0]
-        candidate = self.parametrization.spawn_child()
-        candidate.set_standardized_data(cube.from_cube(x), reference=self.parametrization)
+        if cube.guess is not None and np.array_equal(x, cube.guess):
+            candidate = initial_candidate(self.parametrization)
+        else:
+            candidate = self.parametrization.spawn_child()
+            candidate.set_standardized_data(cube.from_cube(x), reference=self.parametrization)
         candidate._meta[self._asked_key] = x
         self._drawn.append(candidate)
         return candidate

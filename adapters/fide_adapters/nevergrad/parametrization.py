@@ -19,6 +19,10 @@ but at most 1/3.
 
 Axes whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) count as
 unbounded, and so do the weights of a `Choice`.
+
+An initial value that a user has chosen is a guess, which FIDE asks first.  Nevergrad chooses the
+middle of two bounds, and zero without bounds.  In standardized space each initial value is zero, so
+whether it was zero before is read from `_value` of the leaves: there is no public way.
 """
 
 from __future__ import annotations
@@ -31,7 +35,7 @@ from nevergrad.parametrization import helpers
 
 from fide_plugins.types import Float64
 
-__all__ = ["Cube"]
+__all__ = ["Cube", "initial_candidate"]
 
 _SLOPE = 1 / 6
 _WIDEST_STD = 1 / 3
@@ -45,6 +49,7 @@ class Cube:
     """The unit cube of one parametrization.
 
     mean, std: (d,), mean and standard deviation with which the first search begins.
+    guess: mean where a user has chosen the initial value; None where Nevergrad has.
     """
 
     def __init__(self, parametrization: Any) -> None:
@@ -63,6 +68,8 @@ class Cube:
         middle = np.isclose(self.mean, 0.5, rtol=0, atol=1e-12)
         self.mean[middle] = 0.5
         self.std[np.isclose(self.std, _SLOPE, rtol=1e-12)] = _SLOPE
+        given = not middle.all() or bool((self._free & (_initial(parametrization) != 0)).any())
+        self.guess = self.mean if given else None
 
     @property
     def dim(self) -> int:
@@ -98,6 +105,24 @@ class Cube:
         distance = np.pi / 2 * _SLOPE * self._beyond_bound(np.zeros(self.dim))
         half = _SLOPE / (1.0 + distance**2)
         return np.where(self._box, 1.0 / self._range, np.where(self._free, _SLOPE, half))
+
+
+def initial_candidate(parametrization: Any) -> Any:
+    """Candidate with the initial value, in which no choice is drawn anew."""
+    candidate = parametrization.spawn_child()
+    leaves = zip(helpers.list_data(candidate), helpers.list_data(parametrization), strict=True)
+    for leaf, initial in leaves:
+        if not np.array_equal(leaf.value, initial.value):
+            leaf.value = initial.value
+    return candidate
+
+
+def _initial(parametrization: Any) -> Float64:
+    """Initial values (d,) of the leaves, before bounds and logarithms."""
+    values = [np.ravel(leaf._value) for leaf in helpers.list_data(parametrization)]
+    nothing = np.zeros(parametrization.dimension)
+    joined: Float64 = np.concatenate(values) if values else nothing
+    return joined if joined.shape == nothing.shape else nothing
 
 
 def _bounds(parametrization: Any) -> tuple[Float64, Float64]:

@@ -102,7 +102,7 @@ class Search:
             _NO_TARGET if self.target is None else self.target.canonical,  # `_read` scales images
             loss=None if self.target is None else s["loss"],
             popsize=max(size or default_popsize(cube.dim), self._workers),
-            x0=cube.mean,
+            x0=cube.guess,
             sigma0=cube.std,
             preset=s["preset"],
             seed=int(rng.randint(2**63, dtype=np.int64)) if s["seed"] is None else s["seed"],

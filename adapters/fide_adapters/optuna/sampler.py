@@ -62,6 +62,8 @@ class NumberedSampler(RandomSampler):
 class FIDESampler(BaseSampler):
     """Find the parameters whose image is the target.
 
+    A trial that is enqueued before all others, with each parameter, is where the search begins.
+
     Parameters
     ----------
     target
@@ -309,8 +311,8 @@ class FIDESampler(BaseSampler):
           candidates of the generation were pending.
         - "altered": a candidate of the current generation, but with other parameters, because some
           were fixed by the user or another machine rounds differently.
-        - "injected": never asked for by FIDE (enqueued, added, drawn by another sampler), or asked
-          for in a search that is over.
+        - "injected": never asked for by FIDE (added, drawn by another sampler, enqueued after the
+          first trial), or asked for in a search that is over.
         - "image": how many of these had an image.
         - "left out": failed, pruned, of another search space, or scored against another target or
           by another loss.

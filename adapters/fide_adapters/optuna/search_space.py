@@ -131,8 +131,13 @@ class Space:
     def holds(self, trial: FrozenTrial) -> bool:
         """Whether the trial has all of these parameters, of these kinds and within these ranges."""
         params, kinds, own = trial.params, trial.distributions, self.distributions
+        same_kinds = all(name in params and type(kinds[name]) is type(own[name]) for name in own)
+        return same_kinds and self.contains(params)
+
+    def contains(self, params: Mapping[str, Any]) -> bool:
+        """Whether each of these parameters has a value, within its range."""
         return (
-            all(name in params and type(kinds[name]) is type(own[name]) for name in own)
+            all(name in params for name in self.distributions)
             and all(params[name] == value for name, value in self._fixed.items())
             and all(_is_choice(params[name], d) for name, d in self._choices.items())
             and self._scale.holds([params[name] for name in self._scale.names])
@@ -216,7 +221,10 @@ class _Scale:
         return found
 
     def holds(self, values: list[Any]) -> bool:
-        array: npt.NDArray[np.float64] = np.array(values, np.float64)
+        try:
+            array: npt.NDArray[np.float64] = np.array(values, np.float64)
+        except (TypeError, ValueError):  # of an enqueued trial, which Optuna refuses
+            return False
         return bool(((array >= self._low) & (array <= self._high)).all())
 
 

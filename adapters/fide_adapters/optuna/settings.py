@@ -28,8 +28,8 @@ __all__ = ["OptimizerSettings", "Settings", "check_sampler", "check_space"]
 
 _NO_TARGET = np.zeros((16, 16, 3), np.float32)
 _ELSEWHERE = {  # arguments of FIDE and of other samplers that have another place here
-    "x0": "is not taken here: the search begins in the middle of the space; give it a guess by "
-    "study.enqueue_trial({'x': 0.3, ...}), or narrower ranges",
+    "x0": "is not taken here: enqueue a guess before the first trial, "
+    "study.enqueue_trial({'x': 0.3, ...}), and the search begins there; else in the middle",
     "constraints_func": "is not taken here: the objective says by how much a trial violates a "
     "constraint, trial.set_constraint(name, value), or with earlier versions of Optuna by the "
     "attribute constraints",
@@ -100,8 +100,17 @@ class OptimizerSettings:
             self.target, self.loss, made.encoder, device=self.device, for_network=made.has_network
         )
 
-    def make(self, dim: int, seed: int, images: ImageEvaluator | None = None) -> FIDE:
-        """Optimizer of at least one parameter, with the encoder and loss of `images` if given."""
+    def make(
+        self,
+        dim: int,
+        seed: int,
+        images: ImageEvaluator | None = None,
+        guess: Float64 | None = None,
+    ) -> FIDE:
+        """Optimizer of at least one parameter, with the encoder and loss of `images` if given.
+
+        guess: (dim,), its first candidate, around which it begins.
+        """
         # memory is for the next target, which there never is
         options, loss = {"memory_mb": 0.0, **self.options}, self.loss
         target: object = self.target
@@ -115,6 +124,7 @@ class OptimizerSettings:
             target,
             loss=loss,
             seed=seed,
+            x0=guess,
             sigma0=self.sigma0,
             preset=self.preset,
             device=self.device,
@@ -144,9 +154,9 @@ class Settings:
         """Digest of target and loss; None without a target."""
         return None if self.images is None else self.images.problem
 
-    def make_optimizer(self, dim: int, seed: int) -> FIDE:
+    def make_optimizer(self, dim: int, seed: int, guess: Float64 | None) -> FIDE:
         """Optimizer of so many parameters; all share one encoder and one loss."""
-        return self.optimizer.make(dim, seed, self.images)
+        return self.optimizer.make(dim, seed, self.images, guess)
 
     def first_candidate(self, dim: int, seed: int) -> Float64:
         """Coordinates (dim,) of the first candidate; the first ones are equal for any `dim`."""

@@ -43,6 +43,7 @@ __all__ = [
     "TrialReader",
     "Trials",
     "WarnOnce",
+    "enqueued_in",
     "id_of",
     "problems_of",
     "read_ask",
@@ -170,6 +171,12 @@ def problems_of(trial: FrozenTrial) -> set[str]:
     told = image.get("t") if isinstance(image, dict) and image.get("v") == _VERSION else None
     asked = None if ask is None else ask.problem
     return {problem for problem in (told, asked) if isinstance(problem, str)}
+
+
+def enqueued_in(trial: FrozenTrial) -> Mapping[str, Any]:
+    """Parameters that a user has enqueued the trial with; empty if it was not enqueued."""
+    params = trial.system_attrs.get("fixed_params")  # so `Study.enqueue_trial` writes it
+    return params if isinstance(params, Mapping) else {}
 
 
 # -- a study ---------------------------------------------------------------------------------------

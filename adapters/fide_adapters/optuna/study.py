@@ -214,13 +214,22 @@ class StudyState:
         digest = self._digest
         optimizer = self._optimizers.get(digest)
         if optimizer is None:
-            make = partial(self._settings.make_optimizer, self._space.dim, self._seed or 0)
+            seed, guess = self._seed or 0, self._guess()
+            make = partial(self._settings.make_optimizer, self._space.dim, seed, guess)
             optimizer = StudyOptimizer(self._space, make, self._history, digest)
             self._optimizers[digest] = optimizer
         self._optimizers.move_to_end(digest)
         while len(self._optimizers) > _MOST_OPTIMIZERS:
             self._optimizers.popitem(last=False)
         return optimizer
+
+    def _guess(self) -> Float64 | None:
+        """Point (dim,) of the first trial, if a user has enqueued it with all parameters.
+
+        Another trial may be enqueued at any time, and workers would not agree when.
+        """
+        enqueued = storage.enqueued_in(self._trials[0])
+        return self._space.encode(enqueued) if self._space.contains(enqueued) else None
 
     # -- results -----------------------------------------------------------------------------------
 
@@ -308,7 +317,7 @@ class StudyState:
         relative = self.update(study)
         if not self._distributions:
             self._search(relative.current if distributions is None else distributions)
-        if self._space.dim == 0:
+        if self._space.dim == 0 or not self._trials:
             return {}
         optimizer = self._optimizer()
         optimizer.process(self._trials, partial(self._evaluation, study))

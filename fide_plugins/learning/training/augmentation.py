@@ -16,12 +16,11 @@ another grid of pixels; the parameters stay those of the picture before.
 from __future__ import annotations
 
 import torch
-from kornia.enhance import adjust_saturation_with_gray_subtraction
-from kornia.filters import gaussian_blur2d
-from kornia.geometry import translate
 from torch import Tensor
 
-__all__ = ["AUGMENT", "augmented"]
+from fide_plugins.runtime.extras import missing
+
+__all__ = ["AUGMENT", "augmented", "check_installed"]
 
 _BLUR = 0.2, 0.8  # standard deviation of a Gaussian of 3 x 3 pixels, in pixels
 _SHIFT = 0.5  # along each axis, in pixels, at most
@@ -73,12 +72,16 @@ def _middles(pixels: int, device: torch.device) -> Tensor:
 
 def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
     shift = _uniform(len(images), 2, -_SHIFT, _SHIFT, generator)
+    from kornia.geometry import translate
+
     moved: Tensor = translate(images, shift, padding_mode="border")
     return moved
 
 
 def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
     sigma = _uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
+    from kornia.filters import gaussian_blur2d
+
     soft: Tensor = gaussian_blur2d(images, 3, sigma, border_type="replicate")
     return soft
 
@@ -93,6 +96,8 @@ def _exposed(images: Tensor, generator: torch.Generator) -> Tensor:
 
 def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
     factor = 1 + _uniform(len(images), 1, -_SATURATION, _SATURATION, generator)[:, 0]
+    from kornia.enhance import adjust_saturation_with_gray_subtraction
+
     changed: Tensor = adjust_saturation_with_gray_subtraction(images, factor)
     return changed
 
@@ -120,3 +125,14 @@ _CHANGES = {  # in the order of what happens: the scene, the lens, the sensor
 
 AUGMENT = tuple(_CHANGES)
 """Names of how much is changed: nothing, what two renders differ in, what a photograph does."""
+
+
+def check_installed(augment: str) -> None:
+    """Raise DependencyError (an ImportError) where kornia is missing, and `augment` needs it."""
+    if augment == "none":
+        return
+    try:
+        import kornia  # noqa: F401
+    except ImportError as error:
+        remedy = 'changes of renders need kornia; leave them out with augment="none", or'
+        raise missing("learn", f"{remedy} install it") from error

@@ -11,16 +11,10 @@ file                idea
 `policy_schema`     what a saved state of it must be like
 `choice`            a bandit that chooses among the moves
 `base`              what a move is, and what all moves know
-`split`             a redundant block becomes a copy of one that has too much to do
-`relocate_group`    a parameter group at a random place
-`relocate_segment`  a segment of neighboring parameters at a random place
-`swap`              two groups with their values exchanged
-`crossover`         a segment of parameters from another local optimum
-`half_turn`         angles that look alike: half a turn away, mirrored, or both
+`groups`            parameter groups: one at a random place, two exchanged, one split in two
+`segments`          neighboring parameters: at a random place, from another optimum, angles turned
 `change_value`      another value of an integer or a choice, held while all else adapts
-`refine`            a narrow, patient search around a local optimum
-`anew`              a new search from a random place
-`hypotheses`        where a learned model believes the answer to be
-`resample`          what a learned model leaves open, drawn again around the best so far
+`restarts`          a new search from a random place; a narrow one around a local optimum
+`hypotheses`        where a learned model believes the answer to be, and what it leaves open
 ==================  ================================================================================
 """

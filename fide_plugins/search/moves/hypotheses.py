@@ -4,11 +4,11 @@ So begins the search for the next picture (`retarget`), which renders what it re
 
 The first generation renders some of them. The best distinct ones are the starts of searches, each
 as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
-(`termination.is_hopeless`). Between two of them `refine` goes on with what is in the right place,
-and `resample` draws again what is left open. The other moves come after all of them.
+(`termination.is_hopeless`). Between two of them `Refine` goes on with what is in the right place,
+and `Resample` draws again what is left open. The other moves come after all of them.
 
 Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
-wrong then is repaired by moves of single blocks (`split`), not by another set.  So few are
+wrong then is repaired by moves of single blocks (`Split`), not by another set.  So few are
 rendered, one is searched, and narrowly.
 
 Where descents through an emulator have refined some, the best of these come first. Two draws and
@@ -27,9 +27,9 @@ import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.search.moves.base import Known, Move, Stage, Start
-from fide_plugins.types import Float64, Posterior
+from fide_plugins.types import Float64, Indices, Posterior
 
-__all__ = ["Hypotheses"]
+__all__ = ["Hypotheses", "Resample"]
 
 _RENDERED = 48
 _RENDERED_SETS = 8  # and where some were refined
@@ -200,3 +200,76 @@ class Hypotheses(Move):
         self._refined = state["refined"].reshape(-1, dim)
         self._waiting = state["waiting"].reshape(-1, dim)
         self.typical = state["typical"]
+
+
+_AGREE = 0.05  # of the unit cube: the same in a parameter
+_AGREEING = 0.25  # of all hypotheses: those that agree with the incumbent elsewhere
+_OPEN_SHARE = 0.25  # of these, at least, differ from the incumbent in a parameter that is open
+_WIDE, _NARROW = 1 / 3, 1 / 16  # of sigma0, in the parameters that were drawn, in all others
+
+
+class Resample(Move):
+    """Parameters of hypotheses in copies of the incumbent.
+
+    What a learned model leaves open, drawn again around the best so far.
+
+    A hypothesis is rarely right in everything, and its render is judged by what is wrong in it: the
+    right hand on an arm that is two pixels off is no better than the wrong one.  After a search the
+    arm is where it should be, and renders say which hand is right.  So restart candidates are
+    copies of the incumbent, with parameters of hypotheses where these differ from it: half of them
+    in a single parameter, spread over what hypotheses that agree with the incumbent elsewhere have
+    there, and the others in several at once, all of one hypothesis.
+    """
+
+    name = "resample"
+    prior_gain = 0.5
+
+    def __init__(self, hypotheses: Hypotheses) -> None:
+        self._hypotheses = hypotheses
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are hypotheses that leave anything open, and no blocks are exchangeable."""
+        if not self._hypotheses.available or known.exchangeability.blocks is not None:
+            return False
+        return len(self._open(known)) > 0
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent; every second one differs in a single parameter."""
+        x, others = known.copies(n), self._hypotheses.x
+        opened = self._open(known)
+        if not opened:
+            return x
+        singles = rng.permutation(np.arange((n + 1) // 2))
+        for i, row in enumerate(x[::2]):
+            axes, values = opened[singles[i] % len(opened)]
+            strata = -(-len(singles) // len(opened))  # draws of this parameter, one from each
+            quantile = (singles[i] // len(opened) + rng.random()) / strata
+            row[axes] = values[min(int(quantile * len(values)), len(values) - 1)]
+        for row in x[1::2]:
+            other = others[rng.integers(len(others))]
+            some = rng.random(len(opened)) < 0.5
+            some[rng.choice(len(opened), min(2, len(opened)), replace=False)] = True
+            for axes, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
+                row[axes] = other[axes]
+        return x
+
+    def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
+        """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
+        here, x = known.here.x, self._hypotheses.x
+        apart = known.axes.difference(x, here)
+        parameters = known.axes.axes_of
+        agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
+        opened = []
+        for i, axes in enumerate(parameters):
+            elsewhere = agree.sum(axis=1) - agree[:, i]
+            nearest = np.argsort(-elsewhere, kind="stable")[: max(1, int(_AGREEING * len(x)))]
+            differ = nearest[~agree[nearest, i]]
+            if len(differ) >= _OPEN_SHARE * len(nearest):
+                values = x[differ][:, axes]
+                opened.append((axes, values[np.lexsort(values.T[::-1])]))
+        return opened
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in what was drawn, narrow in what was found before."""
+        start = known.start_at(x, wide=_WIDE, narrow=_NARROW)
+        return replace(start, brisk_above=self._hypotheses.brisk_above)

@@ -15,7 +15,7 @@ or a new search (`optima`).
 
 With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
 the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
-where to go on, the next search begins at once at a random place (`anew`).
+where to go on, the next search begins at once at a random place (`BeginAnew`).
 """
 
 from __future__ import annotations
@@ -29,20 +29,14 @@ from torch import Tensor, device
 
 from fide_plugins.population.training_sample import TrainingSample
 from fide_plugins.search.mixed import AxisLayout, Mixed
-from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.search.moves.change_value import ChangeValue
 from fide_plugins.search.moves.choice import Choice
-from fide_plugins.search.moves.crossover import Crossover
-from fide_plugins.search.moves.half_turn import HalfTurn
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
+from fide_plugins.search.moves.hypotheses import Hypotheses, Resample
 from fide_plugins.search.moves.policy_schema import check_policy
-from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate_group import RelocateGroup
-from fide_plugins.search.moves.relocate_segment import RelocateSegment
-from fide_plugins.search.moves.resample import Resample
-from fide_plugins.search.moves.split import Split
-from fide_plugins.search.moves.swap import Swap
+from fide_plugins.search.moves.restarts import BeginAnew, Refine
+from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.search.scene.modes import elsewhere, probabilities

@@ -10,7 +10,6 @@ file                idea
 `exchangeability`   which blocks of parameters can be swapped without a change of the image
 `removal`           what each exchangeable block contributes to the image
 `sensitivity`       which parameters change the same places of the image
-`parameter_groups`  which parameters belong together, by what each of them changes
 `values`            other values of integers and choices, and which of them were searched
 `optima`            the distinct local optima
 `modes`             how probable each of several answers is, by a learned model

@@ -2,7 +2,7 @@
 
 Eight cells, six lamps, three sheets: blocks of parameters of one form, whose values can be
 exchanged without a change of the image, or nearly (what is painted last hides more). Such scenes
-have as many equal optima as there are orders, and local optima of a known form, see `split`.
+have as many equal optima as there are orders, and local optima of a known form, see `Split`.
 
 A *layout* says which parameters form which block: indices (n, L), n blocks of length L. Layouts are
 contiguous (all parameters of one block, then of the next) or strided (one parameter of all blocks,

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab import run as harness
+from fide_lab.run.renderer_task import RendererTask
 from fide_plugins import fit
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.experiments import run as harness
-from fide_plugins.experiments.run.renderer_task import RendererTask
 from fide_plugins.learning import Model, learn
 from fide_plugins.types import Float64
 from tests.learning.conftest import SIDE

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fide_lab.run.renderer_task import RendererTask
 from fide_plugins.errors import ImageError, RenderError
-from fide_plugins.experiments.run.renderer_task import RendererTask
 from fide_plugins.learning import learn
 from fide_plugins.learning.renders.renderer import Pixels, as_renderer
 from fide_plugins.learning.renders.rendering import fill

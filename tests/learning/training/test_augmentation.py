@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from fide_plugins.errors import DependencyError
 from fide_plugins.learning.training import augmentation
-from fide_plugins.learning.training.augmentation import AUGMENT, augmented
+from fide_plugins.learning.training.augmentation import AUGMENT, augmented, check_installed
 
 Change = Callable[[Tensor, torch.Generator], Tensor]
 CHANGES: list[Change] = [change for change, _ in augmentation._CHANGES["photograph"]]
@@ -139,3 +141,10 @@ def test_noise_is_of_every_strength_up_to_its_largest() -> None:
     images = waves()
     deviation = (augmentation._noisy(images, seeded()) - images).flatten(1).std(1)
     assert 0.015 < float(deviation.max()) < 0.022 and float(deviation.min()) < 0.005
+
+
+def test_a_missing_package_is_named_where_it_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "kornia", None)
+    check_installed("none")
+    with pytest.raises(DependencyError, match=r"pip install kornia .*extra learn"):
+        check_installed("render")

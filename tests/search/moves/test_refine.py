@@ -10,7 +10,7 @@ import torch
 
 from fide_plugins.options import Options
 from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.refine import Refine
+from fide_plugins.search.moves.restarts import Refine
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability

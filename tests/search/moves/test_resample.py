@@ -8,9 +8,8 @@ import torch
 
 from fide_plugins import Choice, Float, Space
 from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.hypotheses import Hypotheses
+from fide_plugins.search.moves.hypotheses import Hypotheses, Resample
 from fide_plugins.search.moves.policy import MovePolicy, Stage
-from fide_plugins.search.moves.resample import Resample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.search.scene.removal import Removal

@@ -10,13 +10,10 @@ import torch
 
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.population.training_sample import TrainingSample
-from fide_plugins.search.moves.anew import BeginAnew
 from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.crossover import Crossover
-from fide_plugins.search.moves.half_turn import HalfTurn
-from fide_plugins.search.moves.refine import Refine
-from fide_plugins.search.moves.relocate_group import RelocateGroup
-from fide_plugins.search.moves.relocate_segment import RelocateSegment
+from fide_plugins.search.moves.groups import RelocateGroup
+from fide_plugins.search.moves.restarts import BeginAnew, Refine
+from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
 from fide_plugins.search.scene.removal import Removal

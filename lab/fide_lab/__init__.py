@@ -1,0 +1,15 @@
+"""The laboratory of FIDE: rivals, runs of tasks, comparisons and their reports.
+
+Nothing in `fide_plugins` needs it.
+
+============  ==================================================================
+`baselines`   rivals with the ask/tell protocol of FIDE
+`optimizers`  every optimizer by name: FIDE, its rivals, and what others register
+`run`         one optimizer on one task: the run loop
+`compare`     many runs: tasks x losses x configurations x seeds
+`sweep`       comparisons over combinations of options, and their Pareto front
+`report`      tables, charts and one HTML page about a comparison
+`suite`       a fixed set of problems, and the page of its results
+`cli`         the commands `fide run`, `compare`, `report` and `tradeoff`
+============  ==================================================================
+"""

@@ -1,0 +1,78 @@
+"""Other optimizers with the ask/tell protocol of FIDE, for comparison.
+
+    >>> from fide_lab import baselines
+    >>> opt = baselines.CMA(dim=3, seed=0)
+    >>> X = opt.ask()
+    >>> opt.tell(X, losses=((X - 0.3) ** 2).sum(1))
+    >>> opt.evaluations
+    7
+
+Nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fide_lab.baselines.base import Baseline as Baseline
+    from fide_lab.baselines.bipop import BIPOP as BIPOP
+    from fide_lab.baselines.cma import CMA as CMA
+    from fide_lab.baselines.dfols import DFOLS as DFOLS
+    from fide_lab.baselines.dibo import DiBO as DiBO
+    from fide_lab.baselines.dual_annealing import DualAnnealing as DualAnnealing
+    from fide_lab.baselines.eki import EKI as EKI
+    from fide_lab.baselines.fide_annealing import FIDEAnnealing as FIDEAnnealing
+    from fide_lab.baselines.frameworks import nevergrad as nevergrad, optuna as optuna
+    from fide_lab.baselines.inverse import Inverse as Inverse
+    from fide_lab.baselines.lq_cma import LQCMA as LQCMA
+    from fide_lab.baselines.npe.search import NPE as NPE
+    from fide_lab.baselines.pgpe import PGPE as PGPE
+    from fide_lab.baselines.random import Random as Random
+    from fide_lab.baselines.trust_region.composite import CompositeBO as CompositeBO
+    from fide_lab.baselines.trust_region.turbo import TuRBO as TuRBO
+    from fide_lab.baselines.zerograds import ZeroGrads as ZeroGrads
+
+PLACES: Mapping[str, str] = {
+    "bipop-cma-es": "fide_lab.baselines.bipop:BIPOP",
+    "cma": "fide_lab.baselines.cma:CMA",
+    "composite-bo": "fide_lab.baselines.trust_region.composite:CompositeBO",
+    "dfols": "fide_lab.baselines.dfols:DFOLS",
+    "dibo": "fide_lab.baselines.dibo:DiBO",
+    "dual-annealing": "fide_lab.baselines.dual_annealing:DualAnnealing",
+    "eki": "fide_lab.baselines.eki:EKI",
+    "fide-annealing": "fide_lab.baselines.fide_annealing:FIDEAnnealing",
+    "inverse": "fide_lab.baselines.inverse:Inverse",
+    "lq-cma-es": "fide_lab.baselines.lq_cma:LQCMA",
+    "npe": "fide_lab.baselines.npe.search:NPE",
+    "pgpe": "fide_lab.baselines.pgpe:PGPE",
+    "random": "fide_lab.baselines.random:Random",
+    "turbo": "fide_lab.baselines.trust_region.turbo:TuRBO",
+    "zerograds": "fide_lab.baselines.zerograds:ZeroGrads",
+}
+"""Where the classes of ours are."""
+FAMILIES = ("nevergrad", "optuna")
+"""First words of ``"FAMILY:NAME"``; functions of `baselines.frameworks`, which make classes."""
+_PLACES = [
+    f"{__name__}.base:Baseline",
+    *PLACES.values(),
+    *(f"{__name__}.frameworks:{family}" for family in FAMILIES),
+]
+_MODULES = {name: module for module, _, name in (place.partition(":") for place in _PLACES)}
+
+__all__ = sorted(_MODULES)
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        """Import a baseline the first time somebody asks for it."""
+        if name in _MODULES:
+            return getattr(import_module(_MODULES[name]), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Names of everything here, loaded or not."""
+    return sorted({*globals(), *__all__})

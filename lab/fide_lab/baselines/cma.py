@@ -1,0 +1,124 @@
+"""CMA-ES through the library `cma` (Hansen), with restarts.
+
+The search starts at the center of the box with standard deviation sigma0, in all directions.  The
+library's own box transformation keeps candidates in [0, 1], and its own criteria say when a search
+has come to its end; then another one starts from a uniformly random point.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fide_lab.baselines.penalty import quietly, worse_than
+from fide_lab.baselines.replay import Replayed
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.extras import missing
+from fide_plugins.types import Float32, Float64
+
+__all__ = ["CMA", "library", "library_settings"]
+
+RESTARTS = ("same", "ipop", "none")
+
+
+class CMA(Replayed):
+    """CMA-ES of the library `cma`, at the population you choose.
+
+    popsize: candidates a generation, at least 3; None: the library's default, 4 + 3 ln d.
+    restarts: "same" starts again with the same population, "ipop" doubles it each time
+        (Auger and Hansen 2005), "none" goes on with the search as it is.
+
+    The other options are those of `Baseline`.
+
+    Raises OptionError (a ValueError).
+    """
+
+    name: ClassVar[str] = "cma"
+
+    def __init__(
+        self, dim: int, target: object = None, *, restarts: str = "same", **options: Any
+    ) -> None:
+        if restarts not in RESTARTS:
+            raise OptionError(f"restarts must be one of {', '.join(RESTARTS)}, not {restarts!r}")
+        super().__init__(dim, target, **options)
+        self.restarts = restarts
+        self.starts = 0  # searches begun so far
+        self._ended = (np.inf, np.full(self.dim, 0.5))  # as `_present`, the best that is over
+        self._first_popsize = self.popsize
+        self._rng = np.random.default_rng(self.seed)
+        self._start(np.full(self.dim, 0.5))
+
+    def recommend(self) -> Float64:
+        """Mean (dim,) of the search that found the lowest loss, at its end or now; in the box."""
+        _, mean = min(self._ended, self._present(), key=lambda search: search[0])
+        return mean.copy()
+
+    def _present(self) -> tuple[float, Float64]:
+        """Lowest loss of the search under way, and the mean of its distribution."""
+        mean = np.asarray(self._es.result.xfavorite, np.float64)
+        return float(self._es.best.f), np.clip(mean, 0.0, 1.0)
+
+    def _start(self, x0: Float64) -> None:
+        cma = library()
+        settings = {
+            **library_settings(self.dim),
+            "popsize": self.popsize,
+            "randn": lambda *shape: self._rng.standard_normal(shape),  # not numpy's global state
+        }
+        with quietly():  # it comments on dimension 1 and small populations
+            self._es = cma.CMAEvolutionStrategy(x0, self.sigma0, settings)
+        self.starts += 1
+
+    def _sample(self) -> Float64:
+        with quietly():
+            X = np.array(self._es.ask(self.popsize), np.float64)
+        return np.clip(X, 0.0, 1.0)  # the transformation can be off by one rounding
+
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        with quietly():
+            self._es.tell(list(X), _finite(losses).tolist())
+            over = self.restarts != "none" and bool(self._es.stop())
+        if over:
+            self._ended = min(self._ended, self._present(), key=lambda search: search[0])
+            if self.restarts == "ipop":
+                self.popsize *= 2
+            self._population.forget_pending()
+            self._start(self._rng.random(self.dim))
+
+    def _smallest_popsize(self) -> int:
+        return 3
+
+    def _own_settings(self) -> dict[str, Any]:
+        return {"restarts": self.restarts, "popsize": self._first_popsize}
+
+
+def library() -> Any:
+    """The package `cma`, which takes half a second to import; DependencyError without it."""
+    try:
+        import cma
+    except ImportError as error:
+        raise missing("lab", "this optimizer needs the package cma") from error
+    return cma
+
+
+def library_settings(dim: int) -> dict[str, Any]:
+    """Options of the library for all that use it here."""
+    unlimited = {"maxstd_boundrange": np.inf} if dim == 1 else {}  # the limit fails in dimension 1
+    return {
+        **unlimited,
+        "bounds": [0.0, 1.0],
+        "seed": np.nan,  # the library's sign for: leave the global state alone
+        "verbose": -10,  # silent, and no options read from files in the current folder
+        "verb_log": 0,
+        "signals_filename": None,
+    }
+
+
+def _finite(losses: Float64) -> Float64:
+    """Losses with the same ranking and no infinity, since the library calculates with them."""
+    good = np.isfinite(losses)
+    if good.all():
+        return losses
+    worst = float(np.max(losses[good], initial=0.0))
+    return np.where(good, losses, worse_than(worst))

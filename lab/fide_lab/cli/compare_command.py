@@ -1,0 +1,149 @@
+r"""Compare optimizers with the same targets, budgets and seeds.
+
+    fide compare voronoi --optimizers fide,cma,random --seeds 3 --budget 2000 --out runs/first
+    fide compare voronoi spline --optimizers fide,cma,cma:popsize=50 --losses mse,perceptual \
+        --seeds 10 --size 112 --jobs 2 --out runs/mine
+    fide compare robot --optimizers fide,nevergrad:CMA,dibo:budget=2000 --out runs/robot --resume
+    fide compare scene.py:render --optimizers fide,cma --seeds 5 --budget 1000 --out runs/scene
+    fide compare --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml \
+        --target target.png --optimizers fide,cma --seeds 5 --budget 1000 --out runs/sun
+    fide compare --suite image-fitting-v1 --optimizers fide,mine.py:Search --out runs/suite
+
+An optimizer is NAME or NAME:KEY=VALUE:..., with its options; `budget` is one of them. NAME may be
+FILE.py:NAME or module:NAME, a class of your own with ask and tell (docs/reference/compare.md). With
+--resume the command executes the missing runs: after an interruption, or for more tasks, losses,
+optimizers or seeds. At the end it writes the report, like `fide report`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+from fide_lab.cli.grid_arguments import add_grid_arguments, thresholds
+from fide_lab.cli.own_task import add_own_task, options_of, task_of
+from fide_lab.cli.running import execute_comparisons, execute_each
+from fide_lab.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
+from fide_plugins.cli.arguments import names, setting, whole
+from fide_plugins.cli.messages import note, number, plain
+from fide_plugins.errors import OptionError
+
+__all__ = ["add_arguments", "execute"]
+
+_EVERY = 20.0  # seconds between two progress lines about a run
+_SEEDS, _BUDGET, _SIZE = 10, 5000, 224
+_METRICS = ("mse", "perceptual")
+"""Losses that measure every improvement, in addition to those that are minimized."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide compare``."""
+    add = parser.add_argument
+    add("tasks", nargs="*", metavar="TASK", help="see: fide list tasks; or FILE.py:NAME")
+    add("--optimizers", type=names, default=["fide", "cma", "random"], metavar="A,B",
+        help="see: fide list optimizers (fide,cma,random); or FILE.py:NAME")  # fmt: skip
+    add("--losses", type=names, metavar="L,M", help="see: fide list losses (mse)")
+    add("--size", type=whole(1), metavar="PX", help=f"side of the image ({_SIZE})")
+    where = add_grid_arguments(parser, what="comparison", seeds=_SEEDS, budget=_BUDGET)
+    where.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster")
+    add("--set", type=setting, action="append", default=[], metavar="KEY=VALUE", dest="options",
+        help="any option of all optimizers, such as popsize=50; may be repeated")  # fmt: skip
+    add("--metrics", type=names, metavar="L,M",
+        help="losses that measure every improvement "
+        "(those minimized, mse and perceptual)")  # fmt: skip
+    add("--threshold", type=thresholds, action="append", default=[], metavar="[TASK/]LOSS=VALUE",
+        help="loss that counts as success, for the report; may be repeated")  # fmt: skip
+    add_own_task(parser)
+    add_suite_arguments(parser)
+    parser.set_defaults(budget=None, seeds=None, losses=None, size=None)  # a suite has its own
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    return execute_comparisons(
+        args,
+        command,
+        lambda: _prepare(args, command),
+        lambda comparison: max(_execute(comparison), _report(args)),
+    )
+
+
+def _prepare(args: argparse.Namespace, command: list[str]) -> Any:
+    from fide_lab.compare import Plan
+    from fide_lab.compare.driver import prepare
+
+    if args.suite is not None:
+        plan: Plan = suite_plan(args)
+    else:
+        check_no_suite(args)
+        plan = _plan(args)
+        if args.threshold:
+            from fide_lab.report.panel import check_thresholds
+
+            check_thresholds(dict(args.threshold), plan.runs())
+    return prepare(
+        plan, args.out, jobs=args.jobs, dask=args.dask, resume=args.resume, command=command
+    )
+
+
+def _plan(args: argparse.Namespace) -> Any:
+    from fide_lab.compare import Configuration, Plan
+
+    losses = args.losses or ["mse"]
+    metrics = args.metrics or list(dict.fromkeys([*losses, *_METRICS]))
+    return Plan(
+        _tasks(args),
+        tuple(Configuration.parse(text) for text in args.optimizers),
+        tuple(losses),
+        args.seeds or _SEEDS,
+        args.budget or _BUDGET,
+        args.size or _SIZE,
+        args.task_seed,
+        dict(args.task_set) | options_of(args),
+        dict(args.options),
+        tuple(metrics),
+    )
+
+
+def _tasks(args: argparse.Namespace) -> tuple[str, ...]:
+    if args.template is not None:
+        return (task_of(args),)
+    if not args.tasks:
+        raise OptionError("name a TASK, or give --command or --suite; see: fide compare --help")
+    return tuple(args.tasks)
+
+
+def _execute(comparison: Any) -> int:
+    """Execute the comparison with one line for each run; returns 1 if a run failed, else 0."""
+    for key, state in comparison.states.items():
+        if state.kind == "damaged":
+            note(f"{key} is damaged and will be repeated: {plain(state.why)}")
+        elif state.kind == "outdated":
+            note(f"{key} will be repeated: {plain(state.why)}")
+        elif state.kind == "started":
+            note(f"{key} will be continued")
+    kept = sum(state.kind == "finished" for state in comparison.states.values())
+    if kept:
+        note(f"{kept} of {len(comparison.states)} runs are finished")
+    return execute_each([comparison], _Heartbeat())
+
+
+class _Heartbeat:
+    """Prints a progress line about a long run every few seconds."""
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+
+    def __call__(self, key: Any, progress: Any) -> None:
+        if time.monotonic() - self._last >= _EVERY and progress.evaluations < progress.budget:
+            self._last = time.monotonic()
+            done = f"{progress.evaluations}/{progress.budget}"
+            note(f"{key}: {done}, best {number(progress.best_loss)}")
+
+
+def _report(args: argparse.Namespace) -> int:
+    """Write the report of the finished runs; returns the exit code."""
+    from fide_lab.cli import report_command
+
+    return report_command.make(args.out, None, dict(args.threshold), "fide compare")

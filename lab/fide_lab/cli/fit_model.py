@@ -1,0 +1,100 @@
+"""`fide fit IMAGE --model NAME`: a picture, fitted with a task that draws it."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fide_plugins.cli.arguments import free_directory, optimizer_options
+from fide_plugins.cli.fit_command import MODELS
+from fide_plugins.cli.live import page_of
+from fide_plugins.cli.messages import complain
+from fide_plugins.errors import OptionError
+
+if TYPE_CHECKING:
+    from fide_tasks.base import Task
+
+__all__ = ["execute"]
+
+_BUDGET, _SIDE = 5000, 224
+_SIGMA0 = 0.03  # around a start that was read off the picture: right but for its details
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_lab import run as harness
+    from fide_lab.cli.running import execute_run
+
+    if len(args.targets) > 1:
+        return complain("fide fit", f"--model draws one picture, not {len(args.targets)}")
+    image = args.targets[0]
+    args.optimizer = args.optimizer or "fide"
+
+    def prepare() -> harness.Run:
+        import fide_tasks
+        from fide_plugins.validation import images
+
+        options = _model_options(args)
+        picture = images.load(image, max_side=args.size or _SIDE)
+        task = fide_tasks.make(args.model, target=picture, **options)
+        out = free_directory(args, f"{Path(image).stem}-{args.model}")
+        run = harness.prepare(
+            task,
+            args.optimizer,
+            args.loss,
+            args.budget or _BUDGET,
+            args.seed,
+            task_options=options,
+            options={**_start_options(args, task), **optimizer_options(args)},
+            out=out,
+            resume=args.resume,
+            command=command,
+        )
+        if args.live:
+            page.enter_context(page_of(out))
+        return run
+
+    with ExitStack() as page:
+        return execute_run(args, command, prepare, args.model, more=_more)
+
+
+def _more(run: Any, result: Any) -> dict[str, Any]:
+    """What the JSON of a fit has beside that of a run."""
+    status = run.optimizer.status
+    x = result.x_best
+    return {
+        "params": None if x is None else run.task.space.decode(x),
+        "status": None if status is None else status.code,
+    }
+
+
+def _start_options(args: argparse.Namespace, task: Task) -> dict[str, Any]:
+    """Options x0 and sigma0 of the optimizer; OptionError if --start asks for what is not there."""
+    optimizer = args.optimizer or "fide"
+    if args.start == "center" or (args.start is None and optimizer != "fide"):
+        return {}
+    if optimizer != "fide":
+        raise OptionError(
+            f"--start picture is for the optimizer fide; {optimizer} begins at the center"
+        )
+    x0 = task.start()
+    if x0 is not None:
+        return {"x0": x0.tolist(), "sigma0": _SIGMA0}
+    if args.start is None:
+        return {}
+    raise OptionError("--start picture: the model reads no start off this picture; use center")
+
+
+def _model_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the model; OptionError for an option of another model."""
+    options = dict(args.model_set or ())
+    for model, option in MODELS.items():
+        value = getattr(args, option)
+        if value is not None:
+            if model != args.model:
+                flag = "--" + option.replace("_", "-")
+                raise OptionError(f"{flag} belongs to --model {model}, not {args.model}")
+            options[option] = value
+    return options

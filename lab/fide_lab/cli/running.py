@@ -1,0 +1,185 @@
+"""Executes runs and comparisons for the command line, with messages and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
+    complain,
+    continuation,
+    duration,
+    note,
+    notices,
+    number,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
+from fide_plugins.errors import FideError, RenderError
+
+__all__ = ["execute_comparisons", "execute_each", "execute_run"]
+
+
+def execute_run(
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
+    what: str,
+    more: Callable[[Any, Any], dict[str, Any]] | None = None,
+) -> int:
+    """Prepare a `Run`, execute it, and print the result; returns the exit code.
+
+    more: further totals of a run and its result, for --json.
+    """
+    from fide_lab.run import Interrupted
+    from fide_plugins.cli.progress import reporting
+
+    def execute(run: Any) -> int:
+        out, done = plain(run.out), run.progress.evaluations
+        if done:
+            finished = done >= run.progress.budget
+            note(f"{out} is finished" if finished else f"continuing {out} after {done} renders")
+        if not _resumable(run):
+            name = plain(run.settings["optimizer"])
+            note(f"{name} takes images, which a checkpoint does not hold: no --resume of this run")
+        try:
+            with reporting(what) as report:
+                result = run.execute(report)
+        except (Interrupted, FideError, OSError):
+            raise
+        except (Exception, SystemExit):  # code of a user may end by sys.exit
+            traceback.print_exc()
+            note(f"fide {command[1]}: the run failed; its results so far are in {out}")
+            return 1
+        if args.json:
+            summary = result.summary() | ({} if more is None else more(run, result))
+            print(json.dumps(summary, allow_nan=False), flush=True)
+        else:
+            _report(result, out)
+        return 0
+
+    def stopped(run: Any) -> tuple[str, str]:
+        saved = f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"
+        return saved, continuation(command, str(run.out)) if _resumable(run) else ""
+
+    return _execute(command, prepare, execute, stopped, "the run failed")
+
+
+def execute_comparisons(
+    args: argparse.Namespace,
+    command: list[str],
+    prepare: Callable[[], Any],
+    execute: Callable[[Any], int],
+) -> int:
+    """Prepare comparisons, and execute them; returns the exit code.
+
+    execute: executes what `prepare` gave, and returns the exit code.
+    """
+    # Before NumPy is loaded: one thread per process, so that seconds depend little on --jobs.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+    def stopped(prepared: Any) -> tuple[str, str]:
+        return f", everything is saved in {plain(args.out)}", continuation(command)
+
+    return _execute(command, prepare, execute, stopped, "it stopped")
+
+
+def execute_each(comparisons: Sequence[Any], on_progress: Callable[..., None] | None = None) -> int:
+    """Execute comparisons with a line for each run that ends; returns 1 if a run failed, else 0.
+
+    on_progress: see `Comparison.execute`.
+    """
+    total, done, failed = sum(len(each.states) for each in comparisons), 0, 0
+
+    def on_outcome(outcome: Any) -> None:
+        nonlocal done, failed
+        done += 1
+        failed += outcome.kind == "failed"
+        if outcome.kind != "kept":
+            note(f"[{done}/{total}] {_outcome(outcome)}")
+
+    for each in comparisons:
+        each.execute(on_outcome, on_progress)
+    if failed:
+        note(f"{failed} of {total} runs failed; error.txt in their directories has the tracebacks")
+    return int(failed > 0)
+
+
+def _outcome(outcome: Any) -> str:
+    remark = f" ({plain(outcome.note)})" if outcome.note else ""
+    if outcome.totals is None:
+        return f"{outcome.key}: {outcome.kind}{remark}"
+    totals = outcome.totals
+    return (
+        f"{outcome.key}: {number(totals['best_loss'])} after {totals['evaluations']} renders, "
+        f"{duration(totals['wall_s'])}{remark}"
+    )
+
+
+def _execute(
+    command: list[str],
+    prepare: Callable[[], Any],
+    execute: Callable[[Any], int],
+    stopped: Callable[[Any], tuple[str, str]],
+    failed: str,
+) -> int:
+    """Prepare and execute; whatever goes wrong becomes messages and an exit code.
+
+    stopped: what is saved where, and the command that continues, after an interrupt; none if empty.
+    failed: begins the message where rendering or saving fails.
+    """
+    from fide_lab.run import Interrupted
+
+    who = f"fide {command[1]}"
+    try:
+        with notices("fide_tasks"), warnings_as_notes(who):
+            prepared = prepare()
+    except RenderError as error:
+        note(f"{who}: {failed}: {paragraph(error)}")
+        return 1
+    except USAGE_ERRORS as error:
+        return complain(who, error)
+    except SystemExit:  # of a user's constructor
+        traceback.print_exc()
+        note(f"{who}: {failed}")
+        return 1
+    try:
+        with warnings_as_notes(who):
+            return execute(prepared)
+    except Interrupted as stop:
+        saved, again = stopped(prepared)
+        note(f"{who}: {stop}{saved}")
+        if again:
+            note(f"continue with: {again}")
+        return 128 + stop.signum
+    except BrokenPipeError:  # of standard output, when all is done
+        raise
+    except (FideError, OSError) as error:
+        note(f"{who}: {failed}: {paragraph(error)}")
+        return 1
+
+
+def _resumable(run: Any) -> bool:
+    return bool(getattr(run.optimizer, "resumable", True))
+
+
+def _report(result: Any, out: str) -> None:
+    parts = "  ".join(f"{part} {duration(s)}" for part, s in result.times.items() if s >= 0.05)
+    mse = "" if result.loss == "mse" else f", MSE {number(result.mse)}"
+    print(f"best {result.loss} {number(result.best_loss)}{mse} after {result.evaluations} renders")
+    if result.reference_loss != result.best_loss and math.isfinite(result.reference_loss):
+        print(
+            f"without noise {number(result.reference_loss)}, "
+            f"the recommended candidate {number(result.recommended_loss)}"
+        )
+    print(f"{duration(result.wall_s)}: {parts}" if parts else duration(result.wall_s))
+    print(f"look at {out}/summary.png")
+    if result.status is not None:
+        print(plain(result.status))

@@ -1,0 +1,205 @@
+"""The directory of a comparison.
+
+    study.json   record: settings; "cells", one entry for each run, with the digest of its
+                 settings; calls of the command, with versions and machine
+    targets/TASK.png     and the same to the last bit, TASK.ckpt, which all runs read
+    cells/TASK/LOSS/CONFIGURATION/seed-N/   run directory of each run
+
+Tasks, losses, configurations and seeds may be added later.  Settings that make runs comparable
+may not change: image size, budget, targets, options and metrics.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from fide_lab.compare.one_run import State, examine, is_busy
+from fide_lab.compare.plan import TARGETS, Checked, Plan, RunKey, target_file
+from fide_lab.compare.versions import check_versions
+from fide_plugins.recording import kept_target
+from fide_plugins.recording.figures import as_png
+from fide_plugins.recording.json_record import (
+    FORMAT,
+    RunDirectoryError,
+    check_settings,
+    now,
+    read_json,
+)
+from fide_plugins.runtime import files, machine
+
+__all__ = ["ComparisonDirectory", "digest", "read_record", "runs_of"]
+
+_OLD = 3600.0  # seconds; nothing that is written here takes so long
+
+
+class ComparisonDirectory:
+    """Directory `path` of a comparison, made or reopened for `plan`.
+
+    checked: result of `Plan.check`.
+    resume: whether an existing comparison may be continued.
+
+    Warns of, or raises RunDirectoryError (a FileExistsError) for, results of another version of a
+    user's file, see `versions`.  Raises it also for a directory that holds something else, or a
+    comparison with other settings; OSError if it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        plan: Plan,
+        checked: Checked,
+        *,
+        resume: bool,
+    ) -> None:
+        self.path, self._targets = Path(path), checked.targets
+        settings = checked.settings
+        self._settings = _comparable(plan, settings)
+        self._runs = {key: digest(run) for key, run in settings.items()}
+        self._call: dict[str, Any] | None = None
+        before = read_record(self.path)
+        if before is None:
+            _check_empty(self.path)
+        else:
+            self._check(before["settings"], resume)
+        sources = plan.sources() | checked.versions
+        self.states: dict[RunKey, State] = {
+            key: _state(self.path / key.folder, run, sources) for key, run in settings.items()
+        }
+        there = [] if before is None else [key for key, _ in runs_of(before)]
+        check_versions(self.path, sources, self.states, there)
+        files.check_writable(self.path)
+        for folder in (self.path, self.path / TARGETS):
+            files.remove_leftovers(folder, age=_OLD)  # another process may be at work here
+
+    def _check(self, theirs: dict[str, Any], resume: bool) -> None:
+        mine = self._settings
+        there, here = (
+            {k: v for k, v in settings.items() if k != "targets"} for settings in (theirs, mine)
+        )
+        check_settings(there, here, f"{self.path} holds a comparison")
+        for task in sorted(set(theirs["targets"]) & set(mine["targets"])):
+            there, here = ({"target": s["targets"][task]} for s in (theirs, mine))
+            check_settings(there, here, f"{self.path} holds a comparison on {task}")
+        if not resume:
+            raise RunDirectoryError(
+                f"{self.path} already holds a comparison with these settings; continue or extend "
+                "it (--resume), or name another directory"
+            )
+
+    def begin(self, command: list[str], workers: dict[str, Any]) -> None:
+        """Record a call of the command; workers: its processes and cores.
+
+        Raises RunDirectoryError (a FileExistsError) if another process has started a different
+        comparison here since the check.
+        """
+        self._write({"command": command, "started": now(), "finished": None, **workers})
+        for task, target in self._targets.items():
+            files.write_bytes(target_file(self.path, task, "png"), as_png(target.image))
+
+    def end(self) -> None:
+        """Record that the last call has ended or was stopped."""
+        if self._call is not None:
+            self._write({**self._call, "finished": now()})
+
+    def _write(self, call: dict[str, Any]) -> None:
+        """Write `study.json` with this call, and keep what other processes wrote meanwhile."""
+        with files.locked(self.path / ".lock", wait=True):
+            there = read_record(self.path)
+            if there is not None:
+                self._check(there["settings"], resume=True)
+            if self._call is None:  # before the record names them: nobody renders the same again
+                self._keep_targets()
+            record = self._merged(there, call)
+            files.write_text(self.path / "study.json", json.dumps(record, indent=1) + "\n")
+        self._call = call
+
+    def _keep_targets(self) -> None:
+        (self.path / TARGETS).mkdir(exist_ok=True)
+        for task, target in self._targets.items():
+            kept_target.write(target_file(self.path, task), target)
+
+    def _merged(self, there: dict[str, Any] | None, call: dict[str, Any]) -> dict[str, Any]:
+        """The record `there` with the runs of this plan; `call` replaces its last call."""
+        there = there or {"format": FORMAT, "settings": {"targets": {}}, "cells": [], "calls": []}
+        calls = [one for one in there["calls"] if one != self._call]
+        runs = dict(runs_of(there)) | self._runs
+        targets = {**there["settings"]["targets"], **self._settings["targets"]}
+        return {
+            **there,
+            "settings": {**self._settings, "targets": targets},
+            "cells": [[*key, identity] for key, identity in runs.items()],
+            "calls": [*calls, call],
+            "versions": machine.versions(),
+            "machine": machine.machine(),
+        }
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """Contents of `study.json` in the folder `path`; None if there is none.
+
+    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
+    """
+    return read_json(path / "study.json", "comparison", _check_contents)
+
+
+def runs_of(record: dict[str, Any]) -> list[tuple[RunKey, str]]:
+    """Runs in the record of a comparison, each with the digest of its settings."""
+    return [(RunKey(*entry[:4]), entry[4]) for entry in record["cells"]]
+
+
+def digest(settings: dict[str, Any]) -> str:
+    """Digest that identifies the settings of a run."""
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _check_contents(record: dict[str, Any]) -> None:
+    """Raise ValueError, KeyError or TypeError for contents `ComparisonDirectory` never writes."""
+    if not isinstance(record["settings"]["targets"], dict) or not isinstance(record["calls"], list):
+        raise ValueError("no settings, or no calls")
+    for entry in record["cells"]:
+        task, loss, configuration, seed, identity = entry
+        texts = task, loss, configuration, identity
+        if not all(isinstance(text, str) for text in texts) or type(seed) is not int:
+            raise ValueError(f"{entry!r} does not describe a run")
+
+
+def _comparable(plan: Plan, settings: dict[RunKey, dict[str, Any]]) -> dict[str, Any]:
+    """Settings that all runs of a comparison have in common."""
+    task_options: dict[str, Any] = {}
+    for run in settings.values():
+        task_options |= run["task_options"]
+    common = {
+        "size": plan.size,
+        "budget": plan.budget,
+        "task_seed": plan.task_seed,
+        "task_options": task_options,
+        "options": plan.options,
+        "metrics": list(plan.metrics),
+        "targets": {key.task: run["target"] for key, run in settings.items()},
+    }
+    result: dict[str, Any] = json.loads(json.dumps(common))  # as it is read back
+    return result
+
+
+def _state(folder: Path, settings: dict[str, Any], sources: dict[str, str]) -> State:
+    state = examine(folder, settings, sources)
+    return State("busy") if state.kind != "finished" and is_busy(folder) else state
+
+
+def _check_empty(path: Path) -> None:
+    """Raise RunDirectoryError for other files than a call leaves that ends before its record."""
+    there = _visible(path)
+    if there == [path / TARGETS] and there[0].is_dir():
+        there = [entry for entry in _visible(there[0]) if entry.suffix != ".ckpt"]
+    if there:
+        raise RunDirectoryError(
+            f"{path} holds files that belong to no comparison; name an empty or a new directory"
+        )
+
+
+def _visible(folder: Path) -> list[Path]:
+    return [entry for entry in folder.glob("*") if not entry.name.startswith(".")]

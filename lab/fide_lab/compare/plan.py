@@ -1,0 +1,236 @@
+"""The plan of a comparison: tasks x losses x configurations x seeds, checked before the start."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fide_lab import optimizers
+from fide_lab.compare.configuration import Configuration, as_file_name
+from fide_lab.run import Keep, renderer_task
+from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
+from fide_plugins import losses as losses_module
+from fide_plugins.errors import OptionError
+from fide_plugins.learning.hypotheses import model_for
+from fide_plugins.recording.kept_target import KeptTarget
+from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.renderers import FunctionRenderer
+from fide_plugins.runtime.warn import said_once, warn_user
+from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["TARGETS", "Checked", "Plan", "RunKey", "target_file"]
+
+TARGETS = "targets"
+"""Folder of the targets in that of a comparison."""
+
+
+class RunKey(NamedTuple):
+    """Identity of one run within a comparison.
+
+    task, loss: their names.
+    configuration: label of the optimizer and its options.
+    seed: of the optimizer.
+    """
+
+    task: str
+    loss: str
+    configuration: str
+    seed: int
+
+    @property
+    def folder(self) -> Path:
+        """Run directory, relative to that of the comparison."""
+        names = (as_file_name(name) for name in (self.task, self.loss, self.configuration))
+        return Path("cells", *names, f"seed-{self.seed}")
+
+    def __str__(self) -> str:
+        return f"{self.task} {self.loss} {self.configuration} seed {self.seed}"
+
+
+class Checked(NamedTuple):
+    """Result of `Plan.check`.
+
+    settings: settings that define each run, in the order of the plan.
+    targets: that of each task, as it is to be kept.
+    versions: of the losses, and fingerprints of the pretrained weights of encoders, by reference.
+    said: warnings that making the optimizers gave, which their runs need not repeat.
+    """
+
+    settings: dict[RunKey, dict[str, Any]]
+    targets: dict[str, KeptTarget]
+    versions: dict[str, str]
+    said: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a comparison runs.
+
+    For one task and one loss, all configurations have the same target and the same box, and the
+    same budget but for those that name their own.  Searches start from the center of the box;
+    optimizers that draw their first candidates (`random`, `inverse`, `npe`) do not.  Runs with the
+    same seed form a pair.
+
+    tasks, losses: names; configurations: optimizers with options; seeds: number of seeds, from 0.
+    budget: renders of each run.
+    size, task_seed, task_options: arguments with which each task is made.
+    options: options of all optimizers; an optimizer that lacks one of them is refused.
+    metrics: losses that measure every improvement, whichever loss is minimized.
+
+    Raises OptionError (a ValueError) if a list is empty or names something twice.
+    """
+
+    tasks: tuple[str, ...]
+    configurations: tuple[Configuration, ...]
+    losses: tuple[str, ...] = ("mse",)
+    seeds: int = 10
+    budget: int = 5000
+    size: int = 224
+    task_seed: int = 0
+    task_options: dict[str, Any] = field(default_factory=dict)
+    options: dict[str, Any] = field(default_factory=dict)
+    metrics: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        whole_number("seeds", self.seeds, 1)
+        whole_number("budget", self.budget, 1)
+        labels = tuple(configuration.label for configuration in self.configurations)
+        named = {"task": self.tasks, "optimizer": labels, "loss": self.losses}
+        for what, names in named.items():
+            if not names:
+                raise OptionError(f"a comparison needs at least one {what}; name one")
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise OptionError(f"the {what} {twice[0]!r} is named twice; name each once")
+
+    @property
+    def keep(self) -> Keep:
+        """What every run records."""
+        return Keep(metrics=self.metrics, film=True, summary=False, checkpoint=False)
+
+    def runs(self) -> Iterator[RunKey]:
+        """All runs, seeds outermost, so that the finished runs can be compared at any time."""
+        for seed in range(self.seeds):
+            for task in self.tasks:
+                for loss in self.losses:
+                    for configuration in self.configurations:
+                        yield RunKey(task, loss, configuration.label, seed)
+
+    def configuration(self, label: str) -> Configuration:
+        """The configuration with this label."""
+        return next(each for each in self.configurations if each.label == label)
+
+    def options_of(self, configuration: Configuration) -> dict[str, Any]:
+        """Options of the plan, overridden by those of the configuration."""
+        return {**self.options, **configuration.options}
+
+    def sources(self) -> dict[str, str]:
+        """Fingerprints of the user's files that it names, by reference.
+
+        Those of modules are of the files as they were loaded, those of models as they are now.
+        """
+        names = {configuration.name for configuration in self.configurations}
+        found = {name: optimizers.source_of(name) for name in sorted(names)}
+        for task in self.tasks:
+            if renderer_task.is_function(task, self.task_options):
+                found[task] = FunctionRenderer(task).fingerprint
+        options = map(self.options_of, self.configurations)
+        return of_files(found) | of_models(*options)
+
+    def check_optimizers(self) -> None:
+        """Check names and options of all optimizers; nothing is rendered.
+
+        Raises UnknownNameError, OptionError (both ValueErrors), ImportError for a missing package.
+        """
+        for configuration in self.configurations:
+            _check_options(configuration, self.options_of(configuration))
+
+    def check(self, out: Path) -> Checked:
+        """Make every task, loss and optimizer once; returns settings of all runs, and targets.
+
+        out: folder of the comparison, which may have the targets of an earlier call.
+
+        Raises UnknownNameError, OptionError and other ValueErrors, ImportError for a missing
+        package, OSError for missing weights.  Warns of a budget below one population, and of
+        what the optimizers warn of, once of each.
+        """
+        self.check_optimizers()
+        settings: dict[RunKey, dict[str, Any]] = {}
+        targets: dict[str, KeptTarget] = {}
+        versions: dict[str, str] = {}
+        said: set[str] = set()
+        for name in self.tasks:
+            task = make_task(name, self.size, self.task_seed, self.task_options)
+            for configuration in self.configurations:  # a model may be of another version
+                model_for(self.options_of(configuration).get("learned"), task)
+            target = target_of(task, target_file(out, name))
+            targets[name] = kept_of(task, target)
+            mine = [key for key in self.runs() if key.task == name]
+            named = {*(key.loss for key in mine), *self.metrics}
+            made = {loss: losses_module.make(loss, target) for loss in named}
+            versions |= of_losses(made.values())
+            seen = set()
+            for key in mine:
+                configuration = self.configuration(key.configuration)
+                options = self.options_of(configuration)
+                budget = configuration.budget or self.budget
+                if (key.loss, key.configuration) not in seen:
+                    seen.add((key.loss, key.configuration))
+                    with said_once(said):
+                        versions |= _try_optimizer(
+                            configuration, budget, task.dim, target, key.loss, options
+                        )
+                known = settings_of(
+                    task, target, configuration.name, made[key.loss].name, budget, key.seed,
+                    self.task_options, options, self.keep,
+                )  # fmt: skip
+                settings[key] = json.loads(json.dumps(known))  # as it is read back
+        ordered = {key: settings[key] for key in self.runs()}
+        return Checked(ordered, targets, versions, frozenset(said))
+
+
+def target_file(out: Path, task: str, kind: str = "ckpt") -> Path:
+    """File of the target of a task in the folder of a comparison; kind: "ckpt" or "png"."""
+    return out / TARGETS / f"{as_file_name(task)}.{kind}"
+
+
+def _check_options(configuration: Configuration, options: dict[str, Any]) -> None:
+    given = ("self", "dim", "target", "loss", "seed")
+    check_names(options, given, "is a setting of the comparison, not of one optimizer")
+    known = optimizers.options(configuration.name)
+    unknown = sorted(set(options) - set(known)) if known else []
+    if unknown and unknown[0] not in configuration.options:
+        raise OptionError(
+            f"{configuration.name} has no option {unknown[0]!r}; give it to one optimizer only, "
+            f"as NAME:{unknown[0]}={options[unknown[0]]}"
+        )
+    optimizers.check(configuration.name, options)
+
+
+def _try_optimizer(
+    configuration: Configuration,
+    budget: int,
+    dim: int,
+    target: Any,
+    loss: str,
+    options: dict[str, Any],
+) -> dict[str, str]:
+    """Make it, which raises if it cannot be; warn of a budget below one population.
+
+    Returns the fingerprint of the weights of its encoder, see `of_weights`.
+    """
+    name = configuration.name
+    if "budget" in optimizers.options(name):  # a run gives it, too: populations may depend on it
+        options = {"budget": budget, **options}
+    optimizer = optimizers.make(name, dim, target, loss=loss, seed=0, **options)
+    if budget < optimizer.popsize:
+        warn_user(
+            f"the budget of {budget} renders is below one population of {configuration.label}, "
+            f"which is {optimizer.popsize} for {dim} parameters: the optimizer never learns, all "
+            "of its candidates are of its first population; give more renders, or a smaller popsize"
+        )
+    return of_weights(optimizer)

@@ -1,0 +1,218 @@
+"""Reads a comparison back from its directory."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shlex
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_lab.compare.configuration import Configuration
+from fide_lab.compare.directory import digest, read_record, runs_of
+from fide_lab.compare.one_run import ERROR, examine
+from fide_lab.compare.plan import RunKey
+from fide_lab.compare.versions import warn_of_mixed
+from fide_plugins.errors import FideError, UnknownNameError
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.recording.parallel import WORKERS
+from fide_plugins.types import Float64
+
+__all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
+
+AXES = ("renders", "seconds", "rounds")
+"""Horizontal axes of a convergence curve; rounds: see `recording.parallel`."""
+
+
+class NoResultsError(FideError, FileNotFoundError):
+    """A folder holds no comparison, or nothing of it that can be reported."""
+
+
+class AllFailedError(NoResultsError):
+    """Nothing can be reported because runs failed."""
+
+    @classmethod
+    def check(cls, results: Results) -> None:
+        """Raise it if runs failed and none is finished."""
+        failed = sum(run.status == "failed" for run in results.runs)
+        if failed and not any(run.status == "finished" for run in results.runs):
+            raise cls(
+                f"no run in {results.path} is finished, and {failed} of {len(results.runs)} "
+                f"failed; {ERROR} in their directories has the tracebacks"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Best loss so far of one run, as a step function with m steps.
+
+    at: position of the steps along each of `AXES`, (m,).
+    ends: end of the run along each of `AXES`.
+    loss: (m,), of each improvement, so decreasing.  Only a run whose samples per pixel rise
+        (`least_spp`) renders its best candidate again, and compares what follows with that loss.
+    metrics: other losses of the same images by name, (m,).
+    """
+
+    at: dict[str, Float64]
+    ends: dict[str, float]
+    loss: Float64
+    metrics: dict[str, Float64]
+
+    def value(self, axis: str, x: npt.ArrayLike, metric: str | None = None) -> Float64:
+        """Value at each of `x`: NaN before the first step, the last value after the end."""
+        values = self.loss if metric is None else self.metrics[metric]
+        index = np.searchsorted(self.at[axis], x, side="right") - 1
+        padded = np.append(values, np.nan)  # index -1 gives NaN
+        result: Float64 = padded[index]
+        return result
+
+    def loss_at(self, axis: str, x: float) -> float:
+        """Best loss at x; infinity before the first finite one."""
+        value = float(self.value(axis, [x])[0])
+        return np.inf if np.isnan(value) else value
+
+    def reaches(self, axis: str, loss: float) -> float:
+        """Position of the first value that is at most `loss`; infinity if there is none."""
+        hits = np.flatnonzero(self.loss <= loss)
+        return float(self.at[axis][hits[0]]) if len(hits) else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """One run of a comparison as its directory holds it.
+
+    key: which run; folder: its run directory.
+    status: "finished", "failed", "unfinished", "missing" or "damaged"; why: what went wrong.
+    run: contents of `run.json`.
+    curve: None unless the run is finished.
+    """
+
+    key: RunKey
+    folder: Path
+    status: Literal["finished", "failed", "unfinished", "missing", "damaged"]
+    why: str = ""
+    run: dict[str, Any] = field(default_factory=dict)
+    curve: Curve | None = None
+
+    @property
+    def totals(self) -> dict[str, Any]:
+        """Totals of a finished run."""
+        totals: dict[str, Any] = self.run["totals"]
+        return totals
+
+    @property
+    def final(self) -> float:
+        """Noise-free loss of the best candidate; infinity if no loss was finite."""
+        loss = self.totals["reference_loss"]
+        return np.inf if loss is None else float(loss)
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All runs of a comparison, in the order of its plan, and its record.
+
+    path: folder of the comparison.
+    settings: what all runs share: image size, budget, targets, options, metrics.
+    calls: each call of the command: command line, time, versions, machine.
+    versions, machine: those of the last call.
+    runs: one entry for each task, loss, configuration and seed that was planned.
+    not_shown: labels of the configurations that `of` has left out.
+    """
+
+    path: Path
+    settings: dict[str, Any]
+    calls: list[dict[str, Any]]
+    versions: dict[str, str]
+    machine: dict[str, Any]
+    runs: list[StoredRun]
+    not_shown: tuple[str, ...] = ()
+
+    @property
+    def optimizers(self) -> list[str]:
+        """Labels of the configurations, in the order of the plan."""
+        return list(dict.fromkeys(run.key.configuration for run in self.runs))
+
+    def of(self, optimizers: Iterable[str]) -> Results:
+        """The same comparison with the runs of these optimizers only, in the order of the plan.
+
+        Raises UnknownNameError, or another OptionError (both ValueErrors), for one that it has not.
+        """
+        wanted = [Configuration.parse(text).label for text in optimizers]
+        for label in wanted:
+            if label not in self.optimizers:
+                raise UnknownNameError.of(f"optimizer of {self.path}", label, self.optimizers)
+        runs = [run for run in self.runs if run.key.configuration in wanted]
+        rest = tuple(label for label in self.optimizers if label not in wanted)
+        return replace(self, runs=runs, not_shown=(*self.not_shown, *rest))
+
+
+def read(path: str | os.PathLike[str]) -> Results:
+    """Read the comparison in the folder `path`.
+
+    Warns of runs of several versions of a user's file, which do not belong together.
+    Raises NoResultsError (a FileNotFoundError) if there is none, RunDirectoryError (a
+    FileExistsError) if its record is damaged.
+    """
+    folder = Path(path)
+    record = read_record(folder)
+    if record is None and read_run(folder) is not None:
+        quoted = shlex.quote(str(folder))
+        raise NoResultsError(
+            f"{folder} holds a single run, and a report is of a comparison; look at the run by: "
+            f"fide watch {quoted} or: fide solutions {quoted}"
+        )
+    if record is None:
+        raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
+    runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
+    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.status == "finished"])
+    return Results(
+        folder,
+        record["settings"],
+        record["calls"],
+        record.get("versions", {}),
+        record.get("machine", {}),
+        runs,
+    )
+
+
+def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
+    folder = out / key.folder
+    error = folder / ERROR
+    try:
+        run = read_run(folder) or {}
+        state = examine(folder, run.get("settings", {}))
+        if state.kind == "finished":
+            if digest(run["settings"]) != identity:
+                raise ValueError(f"it holds a run with other settings: {run['settings']}")
+            return StoredRun(key, folder, "finished", "", run, _curve(folder, run))
+        if error.exists():
+            return StoredRun(key, folder, "failed", error.read_text("utf-8", "replace"), run)
+    except (RunDirectoryError, OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
+        return StoredRun(key, folder, "damaged", str(problem) or repr(problem))
+    if state.kind == "damaged":
+        return StoredRun(key, folder, "damaged", state.why)
+    return StoredRun(key, folder, "unfinished" if state.kind == "started" else "missing")
+
+
+def _curve(folder: Path, run: dict[str, Any]) -> Curve:
+    with open(folder / "improvements.csv", newline="", encoding="utf-8") as file:
+        names, *rows = csv.reader(file)
+    table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
+    columns = dict(zip(names, table, strict=True))
+    totals = run["totals"]
+    at = {
+        "renders": columns.pop("evaluation") + 1,
+        "seconds": columns.pop("seconds"),
+        "rounds": columns.pop(f"round_of_{WORKERS}"),
+    }
+    ends = {
+        "renders": float(totals["evaluations"]),
+        "seconds": float(totals["wall_s"]),
+        "rounds": float(totals["rounds"]),
+    }
+    return Curve(at, ends, columns.pop("loss"), columns)

@@ -1,0 +1,151 @@
+"""Every optimizer by name: FIDE, its rivals, and what others register.
+
+    >>> from fide_lab import optimizers
+    >>> optimizers.names()[:4]
+    ['bipop-cma-es', 'cma', 'composite-bo', 'dfols']
+    >>> opt = optimizers.make("cma", 3, popsize=8, seed=0)
+    >>> opt.ask().shape
+    (8, 3)
+
+``"nevergrad:NAME"`` and ``"optuna:NAME"`` are any optimizer of these frameworks, by the name that
+it has there; ``"FILE.py:NAME"`` and ``"module:NAME"`` one of the user's, see `baselines.own`.
+Importing this module imports none of them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from fide_lab.baselines import FAMILIES, PLACES as BASELINES
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime.reference import is_reference
+from fide_plugins.runtime.registry import Registry
+
+if TYPE_CHECKING:
+    from fide_plugins.space import Space
+    from fide_plugins.types import Optimizer
+
+__all__ = ["check", "load", "make", "names", "options", "register", "source_of"]
+
+PLACES: Mapping[str, str] = {"fide": "fide_plugins.fide:FIDE", **BASELINES}
+"""Where the classes of ours are."""
+_REGISTRY: Registry[Any] = Registry("optimizer", [f"{family}:NAME" for family in FAMILIES])
+for _name, _place in PLACES.items():
+    _REGISTRY.register(_name, _place)
+
+
+def names() -> list[str]:
+    """Names of all optimizers, sorted; those of the frameworks are not among them."""
+    return _REGISTRY.names()
+
+
+def register(name: str, cls: Callable[..., Optimizer] | str) -> None:
+    """Make the class `cls`, or the one at ``"module:attribute"``, known by `name`.
+
+    It may be a function that makes an optimizer, too; `load` needs a class.  A class with a true
+    attribute `takes_space` gets the `Space`, where there is one; others its number of parameters.
+
+    Raises OptionError (a ValueError) for a name with a colon, or a `cls` that is neither
+    callable nor "module:attribute".
+    """
+    _REGISTRY.register(name, cls)
+
+
+def check(name: str, settings: Iterable[str]) -> None:
+    """Check a name and those of `settings`, without making an optimizer.
+
+    Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
+    """
+    known = options(name)
+    unknown = sorted(set(settings) - set(known)) if known else []
+    if unknown:
+        listed = ", ".join(known)
+        raise OptionError(f"{name} has no option {unknown[0]!r}; its options: {listed}")
+
+
+def make(name: str, dim: int | Space, target: object = None, **settings: Any) -> Optimizer:
+    """Optimizer `name` over [0, 1]^dim for `target`, with its own `settings`.
+
+    dim: number of parameters; or a space, of which most optimizers see the number only, and those
+        that have an option `groups` also which blocks of parameters are exchangeable.
+
+    Raises UnknownNameError, or OptionError listing the options there are (both ValueErrors).
+    """
+    check(name, settings)
+    cls = _resolve(name)
+    takes_space = getattr(cls, "takes_space", False)
+    space = dim if takes_space else getattr(dim, "dim", dim)
+    blocks = getattr(dim, "largest_family", None)
+    if blocks and space is not dim and "groups" in options(name):
+        settings = {"groups": blocks, **settings}
+    optimizer: Optimizer = cls(space, target, **settings)
+    return optimizer
+
+
+def load(
+    name: str,
+    path: str | os.PathLike[str],
+    *,
+    device: str | None = None,
+    loss: object = None,
+) -> Optimizer:
+    """Optimizer `name` as it was saved at `path`.
+
+    device: on which it goes on; a checkpoint fits any.  None: as its class chooses.  Classes whose
+        `load` has no such option choose themselves.
+    loss: a user's own, which a checkpoint cannot hold; None: it holds its name.
+    """
+    cls = _resolve(name)
+    takes_device = "device" in inspect.signature(cls.load).parameters
+    chosen: dict[str, Any] = {"device": device} if takes_device and device is not None else {}
+    if loss is not None:
+        chosen["loss"] = loss
+    loaded: Optimizer = cls.load(path, **chosen)
+    return loaded
+
+
+def options(name: str) -> list[str]:
+    """Names of the options of optimizer `name`; empty where it takes any."""
+    known: set[str] = set()
+    resolved = _resolve(name)
+    if hasattr(resolved, "option_names"):
+        return list(resolved.option_names())
+    classes: tuple[Any, ...] = inspect.getmro(resolved) if inspect.isclass(resolved) else ()
+    for maker in [cls.__init__ for cls in classes] or [resolved]:
+        # an __init__ with **options hands them to the next class
+        parameters = inspect.signature(maker).parameters.values()
+        known.update(p.name for p in parameters if p.kind is p.KEYWORD_ONLY)
+        if all(p.kind is not p.VAR_KEYWORD for p in parameters):
+            return sorted(known)
+    return []
+
+
+def source_of(name: str) -> str | None:
+    """Fingerprint of the file of the user's class `name`; None for any other optimizer."""
+    found = getattr(_resolve(name), "source", None)
+    return found if isinstance(found, str) else None
+
+
+def _resolve(name: str) -> Any:
+    """Class of that name, or function that makes such an optimizer."""
+    if isinstance(name, str) and name not in names():
+        family, _, method = name.partition(":")
+        if family in FAMILIES and method:
+            return _of_family(family, method)
+        if family not in FAMILIES and is_reference(name):
+            from fide_lab.baselines.own import own
+
+            return own(name)
+    return _REGISTRY.resolve(name)
+
+
+@cache
+def _of_family(family: str, method: str) -> Any:
+    """Class of the optimizer `method` of a framework; always the same one."""
+    from fide_lab.baselines import frameworks
+
+    return getattr(frameworks, family)(method)

@@ -1,0 +1,176 @@
+"""Quantiles and rank statistics of a few runs; no means, since losses have heavy tails.
+
+SciPy and NumPy compute all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from fide_lab.compare.results import Curve
+from fide_plugins.types import Float64
+
+__all__ = ["QUANTILES", "Bands", "Paired", "Success", "adjusted", "bands", "paired", "quantiles"]
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_POINTS = 120  # points of a band, more than the eye can distinguish
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """Quantiles over runs of the best loss so far; x: (n,); values: (5, n), by `QUANTILES`."""
+
+    x: Float64
+    values: Float64
+
+
+@dataclass(frozen=True)
+class Success:
+    """Number of n runs that reached a loss, and Wilson's 95 % interval of the success rate."""
+
+    reached: int
+    n: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, reached: int, n: int) -> Success:
+        """Success rate of `reached` out of `n` >= 1."""
+        interval = stats.binomtest(reached, n).proportion_ci(method="wilson")
+        return cls(reached, n, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Paired comparison of the runs of two configurations.
+
+    n: number of pairs; worse: number of pairs in which the first has the higher loss.
+    p: p-value of the two-sided Wilcoxon signed-rank test, exact for few pairs.  Pairs without a
+        difference have ranks, too (Pratt 1959).
+    effect: matched-pairs rank-biserial correlation, from -1 (lower in every pair) to 1 (higher).
+    ratio: median of the ratios of losses, without pairs of two infinite ones; may be infinite.
+        NaN if there is no such pair, or a loss is zero or negative.
+    adjusted: p adjusted for multiple tests.
+    """
+
+    n: int
+    worse: int
+    p: float
+    effect: float
+    ratio: float
+    adjusted: float = np.nan
+
+    @property
+    def smallest_p(self) -> float:
+        """The smallest p-value that n pairs can give."""
+        return min(1.0, 2.0 ** (1 - self.n))
+
+
+def quantiles(values: npt.ArrayLike, q: Sequence[float] = QUANTILES) -> Float64:
+    """Interpolated quantiles along the first axis; infinity counts as the highest value.
+
+    >>> quantiles([1.0, 2.0, np.inf], [0.5, 1.0])
+    array([ 2., inf])
+    """
+    array = np.asarray(values, np.float64)
+    found = np.quantile(np.where(np.isposinf(array), _HUGE, array), q, axis=0)
+    result: Float64 = np.where(found > _HUGE / 1e6, np.inf, found)
+    return result
+
+
+_HUGE = 1e300
+
+
+def bands(curves: Sequence[Curve], axis: str, failed: int = 0) -> Bands:
+    """Quantiles of `curves` and of `failed` runs at geometrically spaced points along an axis.
+
+    A failed run, and one that never had a finite loss, counts as infinite.  The band starts where
+    all others have a loss, and ends at the end of the median run of `curves`.  A run that has
+    ended keeps its last loss.
+    """
+    begun = [curve for curve in curves if len(curve.loss)]
+    if not begun:
+        return Bands(np.zeros(0), np.zeros((len(QUANTILES), 0)))
+    begin = max(float(curve.at[axis][0]) for curve in begun)
+    end = float(np.median([curve.ends[axis] for curve in curves]))
+    begin, end = max(begin, end * 1e-6), max(begin, end)
+    x = np.geomspace(begin, end, _POINTS) if end > begin else np.array([begin])
+    x = np.unique(np.floor(x)) if axis != "seconds" else x
+    x[0], x[-1] = begin, end  # exact, without rounding errors
+    never = np.full((len(curves) - len(begun) + failed, len(x)), np.inf)
+    return Bands(x, quantiles([*(curve.value(axis, x) for curve in begun), *never]))
+
+
+def paired(losses: npt.ArrayLike, others: npt.ArrayLike) -> Paired:
+    """Compare `losses` (n,) with `others` (n,) pair by pair.
+
+    The test ranks differences of logarithms, so that 0.001 against 0.002 counts as much as 0.1
+    against 0.2.  If a loss is negative, it ranks differences of losses.  A loss of zero is better
+    than any other, and an infinite one worse, by more than any other difference; two of a kind are
+    equal.
+    """
+    values = np.array([losses, others], np.float64)
+    a, b = np.where(np.isfinite(values), values, np.inf)
+    least = min(a.min(), b.min())
+    differences = _differences(a, b) if least < 0 else _differences(_log(a), _log(b))
+    worse = int((differences > 0).sum())
+    ratio = _median_ratio(a, b) if least > 0 else np.nan
+    if not differences.any():
+        return Paired(len(a), worse, 1.0, 0.0, ratio)
+    ranks = stats.rankdata(np.abs(differences))
+    effect = float((ranks * np.sign(differences)).sum() / ranks.sum())
+    return Paired(len(a), worse, _signed_rank(differences), effect, ratio)
+
+
+def _signed_rank(differences: Float64) -> float:
+    """Two-sided p-value; with ties or zeros and few pairs, exact over all sign changes.
+
+    SciPy's test leaves out zeros unless it is told otherwise; both ways must rank them.
+    """
+    sizes = np.abs(differences)
+    regular = sizes.all() and len(np.unique(sizes)) == len(sizes)
+    if regular or len(sizes) > 12:
+        return float(stats.wilcoxon(differences, zero_method="pratt").pvalue)
+    ranks = stats.rankdata(sizes)
+
+    def statistic(signed: Float64, axis: int) -> Float64:
+        total: Float64 = (ranks * np.sign(signed)).sum(axis=axis)
+        return total
+
+    test = stats.permutation_test(
+        (differences,), statistic, permutation_type="samples", n_resamples=np.inf, vectorized=True
+    )
+    return float(test.pvalue)
+
+
+def adjusted(p: Sequence[float]) -> list[float]:
+    """p-values adjusted for multiple tests, by Benjamini and Hochberg's false discovery rate."""
+    if not p:
+        return []
+    values: list[float] = stats.false_discovery_control(p).tolist()
+    return values
+
+
+def _log(losses: Float64) -> Float64:
+    """Logarithms of losses (n,) >= 0; that of 0 is minus infinity."""
+    with np.errstate(divide="ignore"):
+        return np.log(losses)
+
+
+def _differences(a: Float64, b: Float64) -> Float64:
+    """Differences a - b (n,), finite: an infinite difference becomes larger than all others."""
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
+        found = np.where(a == b, 0.0, a - b)
+    largest = np.abs(found[np.isfinite(found)]).max(initial=0.0)
+    return np.where(np.isinf(found), np.copysign(2.0 * largest + 1.0, found), found)
+
+
+def _median_ratio(a: Float64, b: Float64) -> float:
+    """Median of a / b > 0 (n,) without pairs of two infinite values; NaN if none is left."""
+    told = np.isfinite(a) | np.isfinite(b)
+    return float(np.median(a[told] / b[told])) if told.any() else np.nan

@@ -1,0 +1,34 @@
+"""One run: ask, render, evaluate, tell, for every optimizer; timed, recorded, resumable.
+
+    >>> from fide_lab import run as harness
+    >>> result = harness.run("voronoi", "cma", budget=30, size=32, seed=0)
+    >>> result.evaluations
+    30
+    >>> result.best_loss == result.losses.min().item()
+    True
+
+`run` does everything.  `prepare` checks the arguments, opens the run directory and resumes; it
+returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `execute` failed runs.
+What a run records, and its directory, are in `recording`.
+
+================  ==================================================================
+`prepare`         makes a `Run` from names and options, all checked
+`task`            what is fitted: the protocol of a task
+`renderer_task`   a user's renderer as a task
+`user_optimizer`  any object with `ask` and `tell` as an optimizer
+`loop`            the run loop
+`judge`           noise-free evaluation of the result
+`pixel_samples`   rule for the number of samples per pixel
+`fidelity`        applies that rule in a run
+`film`            the film of a run: which images it keeps
+================  ==================================================================
+"""
+
+from __future__ import annotations
+
+from fide_lab.run.loop import Run
+from fide_lab.run.prepare import prepare, run
+from fide_plugins.recording.record import Keep, Progress, RunResult
+from fide_plugins.recording.signals import Interrupted
+
+__all__ = ["Interrupted", "Keep", "Progress", "Run", "RunResult", "prepare", "run"]

@@ -1,0 +1,374 @@
+"""Makes a run from names and options: task, target, loss, optimizer and directory, all checked."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from fide_lab import optimizers
+from fide_lab.run import renderer_task
+from fide_lab.run.fidelity import Fidelity
+from fide_lab.run.loop import Run
+from fide_lab.run.task import Task, TaskInfo
+from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
+from fide_lab.suite import read as read_suite
+from fide_plugins import losses as losses_module
+from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
+from fide_plugins.learning.hypotheses import with_model
+from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.losses.base import ImageLoss
+from fide_plugins.recording import kept_target
+from fide_plugins.recording.directory import RunDirectory
+from fide_plugins.recording.kept_target import KeptTarget
+from fide_plugins.recording.record import Keep, Progress, Record, RunResult
+from fide_plugins.recording.run_checkpoint import is_saved
+from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.types import Float32, Optimizer
+from fide_plugins.validation.images import as_target
+from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.points import whole_number
+
+__all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
+
+
+def run(
+    task: str | Task,
+    optimizer: str | Callable[..., AskTell] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    on_progress: Callable[[Progress], None] | None = None,
+    **settings: Any,
+) -> RunResult:
+    """Fit `task` with `optimizer`, and return the result.
+
+    loss, budget, seed, settings: arguments of `prepare`, which raises their errors.
+    on_progress: called after each piece of a generation.
+
+    Raises also what `Run.execute` raises.
+    """
+    return prepare(task, optimizer, loss, budget, seed, **settings).execute(on_progress)
+
+
+def prepare(
+    task: str | Task,
+    optimizer: str | Callable[..., AskTell] = "fide",
+    loss: str | Callable[..., object] = "mse",
+    budget: int = 5000,
+    seed: int = 0,
+    *,
+    size: int | tuple[int, int] = 224,
+    task_seed: int = 0,
+    task_options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 5.0,
+    command: Sequence[str] | None = None,
+    keep: Keep | None = None,
+    target: Float32 | None = None,
+) -> Run:
+    """Check the arguments, and make or resume a run; one image is rendered at most.
+
+    Parameters
+    ----------
+    task
+        name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
+        renderer, see `renderer_task.make`; or a `Task`.
+    size, task_seed, task_options
+        arguments of a task that is given by name; a user's renderer has its own size.  The option
+        `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
+        `pixel_samples`.
+    optimizer
+        name in `fide_lab.optimizers`; ``FILE.py:NAME`` for a user's class, see
+        `baselines.own`; or a callable that is called as a class of one would be:
+        ``(dim, target, loss=, seed=, **options)``.  What it makes needs `ask` and `tell`; all
+        else is optional, see `user_optimizer.UserOptimizer`.
+    loss
+        name in `fide_plugins.losses`, or a callable images -> (n,).
+    budget
+        number of candidates to render.  With `least_spp`, one in eighteen is rendered twice, which
+        does not count.
+    seed
+        seed of the optimizer, and of the renderer's noise.
+    options
+        options of the optimizer, such as popsize.
+    out
+        run directory; None writes nothing.
+    resume
+        continue the run in `out` if there is one; otherwise start it.  The budget may be a larger
+        one, unless the optimizer depends on it.
+    checkpoint_every
+        seconds between checkpoints, at least twenty times the time to write one.  A process that
+        is killed loses at most the results since the last one.  0: after every piece.
+    command
+        command line to record.
+    keep
+        what to record in addition to the losses; see `Keep`.
+    target
+        picture to be found, (H, W, 3), which all runs of a comparison have; None: that of the task,
+        which is kept in `out`.
+
+    Raises
+    ------
+    OptionError, ImageError, RunDirectoryError, CheckpointError and other ValueErrors; OSError if
+    `out` cannot be written; ImportError if the task needs a package that is not installed;
+    RenderError if its target cannot be rendered.
+    """
+    budget, seed = whole_number("budget", budget, 1), whole_number("seed", seed, 0)
+    task_options, options, keep = dict(task_options or {}), dict(options or {}), keep or Keep()
+    _check_optimizer(optimizer, options)
+    if isinstance(task, str):
+        task = make_task(task, size, task_seed, task_options)
+    resumed = resume and out is not None and is_saved(out)
+    search_options = _options_of(optimizer, options, task, resumed)
+    fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
+    file = None if out is None or target is not None else Path(out) / kept_target.NAME
+    target = target_of(task, file) if target is None else as_target(target)
+    judge = losses_module.resolve(loss, target, device=options.get("device"))
+    metrics = {name: losses_module.make(name, target) for name in keep.metrics}
+    settings = settings_of(
+        task, target, optimizer, judge.name, budget, seed, task_options, options, keep
+    )
+    rounds = _rounds(optimizer, task, target, options, budget, seed, out)
+    searcher = _make_optimizer(optimizer, task, target, loss, seed, budget, search_options)
+    record, directory = Record(), None
+    if out is not None:
+        _check_reloads(optimizer, searcher)
+        may_change = () if rounds or _depends_on_budget(optimizer) else ("budget",)
+        directory = RunDirectory(
+            out, settings, resume=resume, command=_words(command), may_change=may_change,
+            sources=_sources(task, optimizer, options, searcher, [judge, *metrics.values()]),
+        )  # fmt: skip
+        kept = None if file is None else kept_of(task, target)
+        record, searcher = _started(directory, record, searcher, fidelity, budget, kept)
+    return Run(
+        task, target, searcher, judge, settings, record, directory, checkpoint_every, keep, metrics,
+        fidelity, rounds,
+    )  # fmt: skip
+
+
+def _check_optimizer(optimizer: str | Callable[..., AskTell], options: Mapping[str, Any]) -> None:
+    """Raise ValueError for an optimizer that is no use, and for options that the run gives it."""
+    given: tuple[str, ...] = ("loss", "seed")
+    if isinstance(optimizer, str):
+        optimizers.options(optimizer)  # raises
+        given = ("self", "dim", "target", *given)  # a user's callable may name its own options so
+    check_names(options, given, "is an argument of the run, not an option of its optimizer")
+
+
+def _options_of(
+    optimizer: str | Callable[..., AskTell], options: dict[str, Any], task: Task, resumed: bool
+) -> dict[str, Any]:
+    """Options as the optimizer gets them; resumed: whether it goes on from a saved state."""
+    if optimizer == "fide":
+        return search_options(options, task, resumed=resumed)
+    return with_model(options, task)
+
+
+def _sources(
+    task: Task,
+    optimizer: str | Callable[..., AskTell],
+    options: Mapping[str, Any],
+    searcher: Optimizer,
+    losses: Sequence[ImageLoss],
+) -> dict[str, str]:
+    """Fingerprints of what a run depends on: the user's files, weights of networks, and losses.
+
+    searcher: what was made of `optimizer` and the options.
+    """
+    files = {TaskInfo.of(task).name: fingerprint_of(task)}
+    if isinstance(optimizer, str):
+        files[optimizer] = optimizers.source_of(optimizer)
+    return of_files(files) | of_models(options) | of_weights(searcher) | of_losses(losses)
+
+
+def _rounds(
+    optimizer: str | Callable[..., AskTell],
+    task: Task,
+    target: Float32,
+    options: dict[str, Any],
+    budget: int,
+    seed: int,
+    out: str | os.PathLike[str] | None,
+) -> Rounds | None:
+    """Rounds of learning before the search, which FIDE alone can have."""
+    if optimizer != "fide":
+        return None
+    space = TaskInfo.of(task).search_space or task.dim
+    return rounds_of(task, space, target, options, budget=budget, seed=seed, out=out)
+
+
+def _check_reloads(optimizer: str | Callable[..., AskTell], searcher: Optimizer) -> None:
+    """OptionError if the optimizer cannot be loaded again from a run directory."""
+    if not isinstance(optimizer, str):
+        raise OptionError(
+            "a run with a directory needs its optimizer by name, to load it again; "
+            "see fide_lab.optimizers.register"
+        )
+    if isinstance(searcher, UserOptimizer):
+        searcher.check_saves()
+
+
+def _started(
+    directory: RunDirectory,
+    record: Record,
+    searcher: Optimizer,
+    fidelity: Fidelity | None,
+    budget: int,
+    kept: KeptTarget | None,
+) -> tuple[Record, Optimizer]:
+    """As `_restored`, and the run is written down with what is kept; if refused, the lock ends."""
+    with ExitStack() as refused:
+        refused.callback(directory.close)
+        record, searcher = _restored(directory, record, searcher, fidelity)
+        _check_budget(budget, record, directory)
+        directory.begin(kept)
+        refused.pop_all()
+    return record, searcher
+
+
+def _restored(
+    directory: RunDirectory, record: Record, searcher: Optimizer, fidelity: Fidelity | None
+) -> tuple[Record, Optimizer]:
+    """Record and optimizer that the directory holds; those given, where it holds none."""
+    name, device = directory.settings["optimizer"], directory.settings["options"].get("device")
+    saved = directory.restore(lambda path: optimizers.load(name, path, device=device))
+    if saved is not None:
+        dim = searcher.dim
+        record = saved[0]
+        searcher = complete(saved[1], dim, record.evaluations, record.best)
+        if searcher.dim != dim:
+            raise CheckpointError(f"{directory.path}: an optimizer of {searcher.dim} parameters")
+    if fidelity is not None and record.fidelity is not None:
+        fidelity.load_state_dict(record.fidelity)
+    return record, searcher
+
+
+def _check_budget(budget: int, record: Record, directory: RunDirectory) -> None:
+    """OptionError if the budget is below what has been rendered already."""
+    if record.evaluations > budget:
+        raise OptionError(
+            f"the run in {directory.path} has {record.evaluations} renders already, and the "
+            f"budget is {budget}: give at least as many, or name another directory"
+        )
+
+
+def make_task(
+    name: str, size: int | tuple[int, int], seed: int, options: Mapping[str, Any]
+) -> Task:
+    """Make the task `name` of `fide_tasks`, that of a user's renderer, or a problem of a suite.
+
+    Its option `spp` is the largest number of samples.
+
+    Raises OptionError (a ValueError) for an option that a problem of a suite does not leave open.
+    """
+    if "suite" in options:
+        if others := sorted(options.keys() - {"suite", "least_spp"}):
+            raise OptionError(f"a suite is fixed and does not leave {others[0]} open; leave it out")
+        scene, target_seed = read_suite(options["suite"]).problem(name)
+        return make_task(scene.task or scene.name, scene.size, target_seed, scene.options)
+    if renderer_task.is_own(name, options):
+        return renderer_task.make(name, seed, options)
+    import fide_tasks
+
+    own = {key: value for key, value in options.items() if key != "least_spp"}
+    return fide_tasks.make(name, size, seed, **own)
+
+
+def settings_of(
+    task: Task,
+    target: Float32,
+    optimizer: str | Callable[..., AskTell],
+    loss: str,
+    budget: int,
+    seed: int,
+    task_options: Mapping[str, Any],
+    options: Mapping[str, Any],
+    keep: Keep,
+) -> dict[str, Any]:
+    """What defines a run, as its directory records it: other settings, another run."""
+    info = TaskInfo.of(task)
+    settings = {
+        "task": info.name,
+        "task_seed": info.seed,
+        "task_options": {k: v for k, v in task_options.items() if k not in info.incidental_options},
+        "size": list(target.shape[:2]),
+        "dim": task.dim,
+        "target": hashlib.sha256(target.tobytes()).hexdigest()[:16],
+        "optimizer": optimizer if isinstance(optimizer, str) else own_name(optimizer),
+        "options": dict(options),
+        "loss": loss,
+        "budget": budget,
+        "seed": seed,
+    }
+    if info.renderer is not None:
+        settings["renderer"] = info.renderer
+    if info.search_space is not None:
+        settings["space"] = info.search_space.to_dict()
+    if keep.metrics:
+        settings["metrics"] = list(keep.metrics)
+    return settings
+
+
+def _make_optimizer(
+    optimizer: str | Callable[..., AskTell],
+    task: Task,
+    target: Float32,
+    loss: str | Callable[..., object],
+    seed: int,
+    budget: int,
+    options: dict[str, Any],
+) -> Optimizer:
+    options = {"loss": loss, "seed": seed, **options}
+    if isinstance(optimizer, str):
+        if _depends_on_budget(optimizer):
+            options = {"budget": budget, **options}
+        space = TaskInfo.of(task).search_space or task.dim
+        return complete(optimizers.make(optimizer, space, target, **options), task.dim)
+    return complete(optimizer(task.dim, target, **options), task.dim)
+
+
+def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
+    """Whether another budget means another run, not only a longer one."""
+    return not isinstance(optimizer, str) or "budget" in optimizers.options(optimizer)
+
+
+def kept_of(task: Task, target: Float32) -> KeptTarget:
+    """A target of the task, as it is kept."""
+    return KeptTarget(target, renderer_task.source_of_target(task))
+
+
+def target_of(task: Task, file: Path | None = None) -> Float32:
+    """The target of a task: the one that is kept in the file, if the task still has it.
+
+    A target from the same source is not rendered again, since noise may be in it.  Any other is
+    made again, and must agree with the kept one but for rounding.
+
+    Raises RenderError if the renderer fails; CheckpointError if the file is damaged.
+    """
+    kept = None if file is None else kept_target.read(file)
+    if (
+        kept is not None
+        and kept.source is not None
+        and kept.source == renderer_task.source_of_target(task)
+    ):
+        return kept.image
+    try:
+        target = as_target(task.target)
+    except FideError:
+        raise
+    except RuntimeError as error:
+        raise RenderError(f"{own_name(task)} failed to render its target: {error}") from error
+    return kept.image if kept is not None and kept_target.agree(kept.image, target) else target
+
+
+def _words(command: Sequence[str] | None) -> list[str] | None:
+    return None if command is None else list(command)

@@ -1,0 +1,308 @@
+"""Whatever start a user gives is rendered first, as it was given, and `best` is never worse."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import nevergrad as ng
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from PIL import Image
+
+from fide_adapters.nevergrad import ParametrizedFIDE
+from fide_adapters.optuna import FIDESampler
+from fide_plugins import FIDE, Choice, Float, Int, Space, fit
+from fide_plugins.cli import main
+from fide_plugins.types import Float32, Float64
+
+Params: TypeAlias = dict[str, Any]
+
+SPACE = Space(
+    x=Float(-1, 1), gray=Float(0.01, 1, log=True), rows=Int(1, 6),
+    shape=Choice("disk", "square", "bar"),
+)  # fmt: skip
+ANSWER: Params = {"x": 0.3, "gray": 0.8, "rows": 3, "shape": "square"}
+GUESS: Params = {"x": 0.28, "gray": 0.77, "rows": 3, "shape": "square"}
+DISTRIBUTIONS: dict[str, BaseDistribution] = {
+    "x": FloatDistribution(-1, 1),
+    "gray": FloatDistribution(0.01, 1, log=True),
+    "rows": IntDistribution(1, 6),
+    "shape": CategoricalDistribution(["disk", "square", "bar"]),
+}
+V, U = np.mgrid[-1:1:12j, -1:1:16j]
+RENDERS = 14
+
+SCENE = """
+import numpy as np
+from fide_plugins import Choice, Float, Int, Space
+
+space = Space(
+    x=Float(-1, 1), gray=Float(0.01, 1, log=True), rows=Int(1, 6),
+    shape=Choice("disk", "square", "bar"),
+)
+v, u = np.mgrid[-1:1:12j, -1:1:16j]
+
+
+def render(p):
+    far = {"disk": np.hypot(u - p["x"], v), "bar": abs(u - p["x"])}.get(
+        p["shape"], np.maximum(abs(u - p["x"]), abs(v))
+    )
+    inside = 1 / (1 + np.exp(20 * (far - 0.5)))
+    return inside * p["gray"] + (1 - inside) * (0.25 + 0.25 * np.cos(np.pi * p["rows"] * v))
+"""
+
+
+def draw(p: Params) -> Float64:
+    """What the scene renders."""
+    names: dict[str, Any] = {}
+    exec(SCENE, names)
+    image: Float64 = names["render"](p)
+    return image
+
+
+TARGET: Float32 = draw(ANSWER).astype(np.float32)
+
+
+class Found(NamedTuple):
+    """What became of a guess.
+
+    guess: as it was given.  first: parameters rendered first.  at_guess, best: losses.
+    """
+
+    guess: Params
+    first: Params
+    at_guess: float
+    best: float
+
+
+class Rendered:
+    """The renderer, and what it was asked for."""
+
+    def __init__(self) -> None:
+        self.params: list[Params] = []
+        self.losses: list[float] = []
+
+    def __call__(self, p: Params) -> Float32:
+        image = draw(p).astype(np.float32)  # as it is compared
+        self.params.append(dict(p))
+        self.losses.append(float(np.square(image - TARGET.astype(np.float64)).mean()))
+        return image
+
+    def found(self, best: float | None, guess: Params = GUESS) -> Found:
+        assert best is not None
+        return Found(guess, self.params[0], self.losses[0], best)
+
+
+# -- ways of giving a start ------------------------------------------------------------------------
+
+
+def asked(render: Rendered, seed: int, n: int | None) -> Found:
+    opt = FIDE(SPACE, TARGET, x0=GUESS, seed=seed)
+    while opt.evaluations < RENDERS:
+        X = opt.ask(n)
+        opt.tell(X, [render(SPACE.decode(x)) for x in X])
+    assert opt.best is not None
+    return render.found(opt.best.loss)
+
+
+def fitted(render: Rendered, seed: int, x0: Any = GUESS, guess: Params = GUESS) -> Found:
+    result = fit(render, TARGET, SPACE, x0=x0, budget=RENDERS, workers=0, seed=seed)
+    assert result.best is not None
+    return render.found(result.best.loss, guess)
+
+
+def in_stages(render: Rendered, seed: int, by: Callable[[Any], Any]) -> Found:
+    """A second fit begins where a first one ended, with another seed."""
+    first = fit(draw, TARGET, SPACE, budget=RENDERS, workers=0, seed=seed)
+    assert isinstance(first.params, dict)
+    return fitted(render, seed + 100, by(first), first.params)
+
+
+def retargeted(render: Rendered, seed: int, options: Params) -> Found:
+    """The same picture again: where the first search ended."""
+    opt = FIDE(SPACE, TARGET, seed=seed, **options)
+    for _ in range(3):
+        X = opt.ask()
+        opt.tell(X, [draw(SPACE.decode(x)) for x in X])
+    assert opt.best is not None and opt.best.params is not None
+    guess = opt.best.params
+    opt.retarget(TARGET)
+    X = opt.ask()
+    opt.tell(X, [render(SPACE.decode(x)) for x in X])
+    return render.found(opt.best.loss, guess)
+
+
+def suggest(trial: Any) -> Params:
+    return {
+        "x": trial.suggest_float("x", -1, 1),
+        "gray": trial.suggest_float("gray", 0.01, 1, log=True),
+        "rows": trial.suggest_int("rows", 1, 6),
+        "shape": trial.suggest_categorical("shape", ["disk", "square", "bar"]),
+    }
+
+
+def enqueued(render: Rendered, seed: int, space: dict[str, BaseDistribution] | None) -> Found:
+    sampler = FIDESampler(TARGET, seed=seed, search_space=space)
+    study = optuna.create_study(sampler=sampler)
+    study.enqueue_trial(GUESS)
+    study.optimize(lambda t: sampler.tell_image(t, render(suggest(t))), n_trials=RENDERS)
+    assert sampler.counts(study) == {"member": RENDERS, "image": RENDERS}  # the guess is one
+    return render.found(study.best_value)
+
+
+def parametrized(guess: Params | None) -> Any:
+    made = ng.p.Dict(
+        x=ng.p.Scalar(lower=-1, upper=1),
+        gray=ng.p.Log(lower=0.01, upper=1),
+        rows=ng.p.Scalar(lower=1, upper=6).set_integer_casting(),
+        shape=ng.p.Choice(["disk", "square", "bar"]),
+    )
+    made.random_state.seed(7)
+    if guess is not None:
+        made.value = guess
+    return made
+
+
+def by_nevergrad(render: Rendered, seed: int, suggested: bool) -> Found:
+    parametrization = parametrized(None if suggested else GUESS)
+    optimizer = ParametrizedFIDE(target=TARGET, seed=seed)(parametrization, budget=RENDERS)
+    if suggested:
+        optimizer.suggest(GUESS)
+    for _ in range(RENDERS):
+        candidate = optimizer.ask()
+        optimizer.tell(candidate, render(candidate.value))
+    return render.found(optimizer.recommend().loss)
+
+
+def by_shell(command: list[str], seed: int, capsys: pytest.CaptureFixture[str]) -> Found:
+    """By one render, and by several; `x_best` says which one it was."""
+    Path("scene.py").write_text(SCENE)
+    image = np.rint(255 * TARGET).astype(np.uint8)
+    Image.fromarray(image).save("target.png")
+    totals = []
+    for budget in (1, RENDERS):
+        words = [*command, "--set", f"x0={json.dumps(GUESS)}", "--seed", seed, "--budget", budget]
+        assert main([str(word) for word in [*words, "--out", budget, "--json"]]) == 0
+        totals.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
+    one, all_ = totals
+    return Found(GUESS, SPACE.decode(one["x_best"]), one["best_loss"], all_["best_loss"])
+
+
+FIT = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", "0"]
+WAYS: dict[str, Callable[[Rendered, int], Found]] = {
+    "ask()": lambda render, seed: asked(render, seed, None),
+    "ask(3)": lambda render, seed: asked(render, seed, 3),
+    "fit": fitted,
+    "fit, a point": lambda render, seed: fitted(render, seed, SPACE.encode(GUESS)),
+    "result.params": lambda render, seed: in_stages(render, seed, lambda first: first.params),
+    "result.best.x": lambda render, seed: in_stages(render, seed, lambda first: first.best.x),
+    "retarget": lambda render, seed: retargeted(render, seed, {}),
+    "retarget, losses": lambda render, seed: retargeted(render, seed, {"proposer": "none"}),
+    "optuna": lambda render, seed: enqueued(render, seed, None),
+    "optuna, its space": lambda render, seed: enqueued(render, seed, DISTRIBUTIONS),
+    "nevergrad, value": lambda render, seed: by_nevergrad(render, seed, suggested=False),
+    "nevergrad, suggest": lambda render, seed: by_nevergrad(render, seed, suggested=True),
+}
+
+
+def check(found: Found) -> None:
+    """The contract."""
+    for name, value in found.guess.items():
+        expected = pytest.approx(value, rel=1e-12) if isinstance(value, float) else value
+        assert found.first[name] == expected, name
+    assert found.best <= found.at_guess * (1 + 1e-6)
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> None:
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("way", WAYS)
+def test_a_start_is_rendered_first_and_best_is_never_worse(way: str, seed: int) -> None:
+    check(WAYS[way](Rendered(), seed))
+
+
+@pytest.mark.parametrize("command", [FIT, ["run", "scene.py:render"]], ids=["fit", "run"])
+def test_so_it_is_in_the_shell(
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    check(by_shell(command, 0, capsys))
+
+
+# -- where the search goes on ----------------------------------------------------------------------
+
+
+def test_the_search_begins_at_the_first_enqueued_trial() -> None:
+    """All workers know it from the storage; a later one is a point like any other."""
+    storage = optuna.storages.InMemoryStorage()
+    values = []
+    for worker in range(3):
+        sampler = FIDESampler(TARGET, seed=0, sigma0=0.01)
+        study = optuna.create_study(
+            study_name="s", storage=storage, sampler=sampler, load_if_exists=True
+        )
+        if not worker:
+            study.enqueue_trial({"x": 0.28, "gray": 0.5})
+            study.enqueue_trial({"x": -0.9, "gray": 0.02})
+        for _ in range(2):
+            trial = study.ask()
+            values.append([trial.suggest_float("x", -1, 1), trial.suggest_float("gray", 0.01, 1)])
+            study.tell(trial, sampler.tell_image(trial, np.full(TARGET.shape, values[-1][1])))
+    assert values[:2] == [[0.28, 0.5], [-0.9, 0.02]]
+    np.testing.assert_allclose(values[2:], np.tile([0.28, 0.5], (4, 1)), atol=0.1)
+    newcomer = FIDESampler(TARGET, seed=0, sigma0=0.01)
+    assert newcomer.counts(study) == {"member": 5, "injected": 1, "image": 6}
+
+
+@pytest.mark.parametrize(
+    "enqueue", [{"x": 0.2}, {"x": 0.2, "gray": "dark"}, {"x": 7.0, "gray": 0.5}]
+)
+def test_an_enqueued_trial_that_is_no_point_of_the_space_is_no_start(enqueue: Params) -> None:
+    space = {name: DISTRIBUTIONS[name] for name in ("x", "gray")}
+    sampler = FIDESampler(TARGET, seed=0, search_space=space)
+    study = optuna.create_study(sampler=sampler)
+    assert sampler.counts(study) == {}
+    study.enqueue_trial(enqueue)
+    study.ask()
+    trial = study.ask()
+    plain = optuna.create_study(sampler=FIDESampler(TARGET, seed=0, search_space=space))
+    plain.ask()
+    expected = plain.ask().relative_params
+    assert trial.relative_params == expected
+
+
+@pytest.mark.parametrize(
+    "parametrization",
+    [
+        ng.p.Array(shape=(3,), lower=0, upper=1),
+        ng.p.Array(shape=(3,)),
+        ng.p.Dict(a=ng.p.Log(lower=1e-3, upper=10), b=ng.p.Choice([1, 2, 3])),
+    ],
+)
+def test_an_initial_value_that_nevergrad_has_chosen_is_no_guess(parametrization: Any) -> None:
+    optimizer = ParametrizedFIDE(seed=0)(parametrization, budget=9)
+    with pytest.warns(Warning, match="has no target"):
+        optimizer.ask()
+    assert optimizer.fide.guess is None
+
+
+def test_an_initial_value_without_bounds_is_one() -> None:
+    parametrization = ng.p.Array(init=[3.0, -40.0, 0.1])
+    optimizer = ParametrizedFIDE(target=TARGET, seed=0)(parametrization, budget=9)
+    np.testing.assert_array_equal(optimizer.ask().value, [3.0, -40.0, 0.1])

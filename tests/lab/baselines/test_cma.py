@@ -1,0 +1,145 @@
+"""CMA-ES: the library's own results, and restarts."""
+
+from __future__ import annotations
+
+import sys
+
+import cma
+import numpy as np
+import pytest
+
+from fide_lab import baselines
+from fide_lab.baselines.cma import CMA
+from fide_plugins.errors import DependencyError
+from fide_plugins.types import Float64
+
+
+def rosenbrock(X: Float64) -> Float64:
+    Y = 4.0 * X - 2.0
+    value: Float64 = (100 * (Y[:, 1:] - Y[:, :-1] ** 2) ** 2 + (1 - Y[:, :-1]) ** 2).sum(axis=1)
+    return value
+
+
+def test_it_is_the_library_to_the_last_bit() -> None:
+    rng = np.random.default_rng(11)
+    reference = cma.CMAEvolutionStrategy(
+        np.full(6, 0.5),
+        0.2,
+        {
+            "bounds": [0, 1],
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "seed": np.nan,
+            "verbose": -9,
+            "popsize": 12,
+        },
+    )
+    ours = CMA(6, popsize=12, sigma0=0.2, seed=11)
+    for _ in range(60):
+        X, Y = ours.ask(), np.array(reference.ask())
+        np.testing.assert_array_equal(X, Y)
+        ours.tell(X, losses=rosenbrock(X))
+        reference.tell(list(Y), rosenbrock(Y).tolist())
+    np.testing.assert_array_equal(ours.recommend(), reference.result.xfavorite)
+
+
+@pytest.mark.parametrize("largest", [1e308, np.finfo(float).max, -3.0])
+def test_the_library_gets_finite_losses_with_the_same_ranking(
+    largest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[list[float]] = []
+    opt = CMA(2, popsize=4)
+    monkeypatch.setattr(opt._es, "tell", lambda X, losses: told.append(losses))
+    opt.tell(opt.ask(), losses=[-5.0, largest, np.nan, np.inf])
+    (losses,) = told
+    assert losses[:2] == [-5.0, largest] and np.isfinite(losses).all()
+    assert losses[2] == losses[3] >= largest
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("dim", [2, 5, 10])
+def test_rosenbrock_is_solved(dim: int) -> None:
+    """By most searches: from four dimensions on there is a second minimum."""
+    solved = 0
+    for seed in range(5):
+        opt = CMA(dim, seed=seed)
+        while opt.evaluations < 6000 and (opt.best is None or opt.best.loss > 1e-8):
+            X = opt.ask()
+            opt.tell(X, losses=rosenbrock(X))
+        solved += opt.best is not None and opt.best.loss <= 1e-8
+    assert solved >= 3
+
+
+@pytest.mark.parametrize(("restarts", "sizes"), [("same", {10}), ("none", {10})])
+def test_restarts_with_the_same_population(restarts: str, sizes: set[int]) -> None:
+    opt = CMA(2, popsize=10, restarts=restarts, seed=0)
+    while opt.evaluations < 3000:
+        X = opt.ask()
+        assert len(X) in sizes
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    assert opt.starts == 1 if restarts == "none" else opt.starts >= 3
+    assert opt.best is not None and opt.best.loss < 1e-12
+
+
+def test_ipop_doubles_the_population() -> None:
+    opt = CMA(2, popsize=6, restarts="ipop", seed=0)
+    sizes = []
+    while opt.evaluations < 3000:
+        X = opt.ask()
+        sizes.append(len(X))
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    asked = list(dict.fromkeys(sizes))
+    assert len(asked) >= max(4, opt.starts - 1)  # the last one may not have been asked yet
+    assert asked == [6 * 2**i for i in range(len(asked))]
+    assert opt.starts >= 3
+
+
+def test_constant_losses_restart_without_complaint() -> None:
+    opt = CMA(3, seed=0)
+    for _ in range(200):
+        X = opt.ask()
+        opt.tell(X, losses=np.zeros(len(X)))
+        assert X.min() >= 0.0 and X.max() <= 1.0
+    assert opt.starts > 1
+
+
+def test_a_restart_ignores_what_was_asked_before_it() -> None:
+    opt = CMA(2, popsize=8, seed=0)
+    late = opt.ask()
+    while opt.starts == 1:
+        X = opt.ask()
+        opt.tell(X, losses=((X - 0.4) ** 2).sum(axis=1))
+    mean = opt.recommend()
+    opt.tell(late, losses=np.zeros(8))
+    np.testing.assert_array_equal(opt.recommend(), mean)
+    assert opt.best is not None and opt.best.loss == 0.0
+
+
+def test_an_optimum_in_the_corner_of_the_box() -> None:
+    opt = CMA(4, seed=0)
+    while opt.evaluations < 1500:
+        X = opt.ask()
+        opt.tell(X, losses=X.sum(axis=1))
+    assert opt.best is not None and opt.best.loss < 1e-6
+
+
+def test_the_recommendation_is_of_the_search_that_found_the_best() -> None:
+    """Two basins: most searches end in the worse one, and the last is seldom the best."""
+
+    def basins(X: Float64) -> Float64:
+        near, far = ((X - 0.15) ** 2).sum(axis=1), ((X - 0.8) ** 2).sum(axis=1)
+        losses: Float64 = np.minimum(50 * near, 0.05 + far)
+        return losses
+
+    opt = CMA(2, popsize=6, sigma0=0.1, seed=0)
+    while opt.starts < 12 or opt.best is None or (opt.best.loss > 1e-9 and opt.starts < 100):
+        X = opt.ask()
+        opt.tell(X, losses=basins(X))
+    assert opt.best is not None and opt.best.loss < 1e-9
+    np.testing.assert_allclose(opt.recommend(), 0.15, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["CMA", "BIPOP", "LQCMA"])
+def test_without_the_package_it_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(DependencyError, match=r"pip install cma .*extra lab"):
+        getattr(baselines, name)(3)

@@ -1,0 +1,260 @@
+"""DiBO: diffusion against normal laws, trajectory balance, proxies, rounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fide_lab.baselines.dibo import DiBO, Diffusion, Round, RoundOptions
+from fide_lab.baselines.dibo.diffusion import program_betas
+from fide_lab.baselines.dibo.likelihood import program_likelihood, program_sigmas
+from fide_lab.baselines.dibo.networks import Ensemble, NoisePredictor
+from fide_lab.baselines.dibo.round import trajectory_balance
+from fide_lab.baselines.networks import make
+from fide_plugins.errors import OptionError
+
+DOUBLE = torch.float64
+
+
+def log_normal(x: Tensor, mean: Tensor | float, std: Tensor | float) -> Tensor:
+    """Log-density of independent normal laws."""
+    law = torch.distributions.Normal(mean, std)
+    density: Tensor = law.log_prob(x)  # type: ignore[no-untyped-call]
+    return density
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+class NormalData:
+    """The exact noise predictor for data from N(0, variance) in each coordinate."""
+
+    def __init__(self, diffusion: Diffusion, variance: float) -> None:
+        self.diffusion, self.variance = diffusion, variance
+
+    def __call__(self, x: Tensor, t: Tensor) -> Tensor:
+        position = t * self.diffusion.steps  # between steps, ln sigma is linear
+        i = position.floor().long().clamp(max=self.diffusion.steps - 2)
+        logs = self.diffusion.sigma.log()
+        sigma = (logs[i] + (position - i) * (logs[i + 1] - logs[i])).exp()
+        abar = (1 / (1 + sigma**2))[:, None]
+        return (1 - abar).sqrt() * x / (abar * self.variance + 1 - abar)
+
+
+def test_the_schedule() -> None:
+    diffusion = Diffusion(30, DOUBLE)
+    assert diffusion.beta[0].item() == 0.02 and diffusion.beta[-1].item() == 1e-4
+    torch.testing.assert_close(diffusion.beta.diff().std(), torch.zeros((), dtype=DOUBLE))
+    torch.testing.assert_close(diffusion.abar[0], (1 - diffusion.beta).prod())
+    torch.testing.assert_close(diffusion.abar[-1], 1 - diffusion.beta[-1])
+
+
+def test_the_schedule_of_the_program_leaves_its_cleanest_noise() -> None:
+    diffusion = Diffusion(30, DOUBLE, betas=program_betas(30))
+    ends = torch.tensor([0.0199 * 31 / 30 + 1e-4, 0.0199 * 2 / 30 + 1e-4], dtype=DOUBLE)
+    torch.testing.assert_close(diffusion.beta[[0, -1]], ends)
+    cleanest = 0.0199 / 30 + 1e-4  # of its 31 variances; no step takes it away
+    torch.testing.assert_close(diffusion.abar[-1], (1 - ends[1]) * (1 - cleanest))
+    torch.testing.assert_close(diffusion.sigma, program_sigmas(30).flip(0)[:30])
+
+
+def test_noising_keeps_a_standard_normal_law_and_denoising_too() -> None:
+    diffusion = Diffusion(30, DOUBLE)
+    x = torch.randn(20_000, 2, generator=seeded(), dtype=DOUBLE)
+    noised = diffusion.noise(x, seeded(1))
+    assert noised.shape == (31, 20_000, 2) and torch.equal(noised[-1], x)
+    assert abs(noised[0].std() - 1) < 0.02
+    kept = (noised[0] * x).mean()
+    torch.testing.assert_close(kept, diffusion.abar[0].sqrt(), atol=0.02, rtol=0.0)
+    chains = diffusion.denoise(NormalData(diffusion, 1.0), x, seeded(2))
+    assert torch.equal(chains[0], x) and abs(chains[-1].std() - 1) < 0.02
+
+
+@pytest.mark.parametrize("variance", [1.0, 0.3])
+def test_the_likelihood_is_that_of_a_known_normal_law(variance: float) -> None:
+    diffusion = Diffusion(30, DOUBLE)
+    x = torch.randn(50, 3, generator=seeded(), dtype=DOUBLE)
+    found = diffusion.log_likelihood(NormalData(diffusion, variance), x, seeded(1))
+    low, high = diffusion.sigma[-1] ** 2, diffusion.sigma[0] ** 2
+    stretch = ((variance + high) / (variance + low)).sqrt()  # of the linear flow
+    known = log_normal(x * stretch, 0.0, float((1 + high).sqrt())) + stretch.log()
+    torch.testing.assert_close(found, known.sum(dim=1), atol=2e-3, rtol=0.0)
+    if variance == 1.0:  # the model is then the standard normal law itself, but for sigma's low end
+        exact = log_normal(x, 0.0, 1.0).sum(dim=1)
+        torch.testing.assert_close(found, exact, atol=2e-3, rtol=0.0)
+
+
+def test_its_gradient_without_the_divergence() -> None:
+    diffusion = Diffusion(30, DOUBLE)
+    x = torch.randn(5, 3, generator=seeded(), dtype=DOUBLE).requires_grad_()
+    (slope,) = torch.autograd.grad(diffusion.log_likelihood(NormalData(diffusion, 1.0), x).sum(), x)
+    torch.testing.assert_close(slope, -x.detach(), atol=2e-3, rtol=0.0)
+
+
+def test_the_noise_of_the_program_is_that_of_its_schedule() -> None:
+    sigmas = program_sigmas(30)
+    assert sigmas.shape == (31,) and (sigmas.diff() > 0).all()
+    torch.testing.assert_close(
+        sigmas[[0, -1]], torch.tensor([0.02764, 0.6302], dtype=DOUBLE), rtol=1e-3, atol=0.0
+    )
+
+
+def test_the_likelihood_of_the_program_is_its_odes_the_other_way_round() -> None:
+    """Of a linear model: one step of fourth order is its Taylor series, to that order."""
+    sigmas = program_sigmas(30)
+    clean, noisy = float(sigmas[0]), float(sigmas[-1])
+
+    def linear(x: Tensor, t: Tensor) -> Tensor:  # the flow is then -0.4 y / sqrt(1 + sigma^2)
+        return -0.4 * x
+
+    x = torch.randn(50, 3, generator=seeded(), dtype=DOUBLE)
+    found = program_likelihood(linear, x, 30, seeded(1))
+    along = float(np.arcsinh(clean) - np.arcsinh(noisy))
+    at_the_end = log_normal(x * np.exp(-0.4 * along), 0.0, clean).sum(dim=1)
+    gained = -0.4 * (clean - noisy) * 3  # of x, without the factor of y
+    torch.testing.assert_close(found, at_the_end + gained, rtol=1e-4, atol=0.0)
+    without = program_likelihood(linear, x, 30)
+    torch.testing.assert_close(found - without, torch.full_like(x[:, 0], gained))
+
+
+def test_its_time_runs_from_the_clean_end_to_the_noisy_one() -> None:
+    seen: list[float] = []
+
+    def predict(x: Tensor, t: Tensor) -> Tensor:
+        seen.append(float(t[0]))
+        return 0 * x
+
+    program_likelihood(predict, torch.zeros(2, 3, dtype=DOUBLE), 30)
+    assert seen[0] == 1.0 and seen[-1] == 0.0 and sorted(seen, reverse=True) == seen
+
+
+def test_it_pulls_to_the_mean_of_the_buffer_as_the_exact_one_does_not() -> None:
+    diffusion, far = Diffusion(30, DOUBLE), torch.full((1, 20), 2.0, dtype=DOUBLE)
+    model, alpha = NormalData(diffusion, 1.0), 1e-4
+    points = torch.cat([far, 0 * far])
+    theirs = alpha * program_likelihood(model, points, 30)
+    exact = alpha * diffusion.log_likelihood(model, points)
+    assert theirs[0] - theirs[1] < -1.0
+    assert -0.01 < exact[0] - exact[1] < 0.0
+
+
+def test_the_ratio_of_chains_is_that_of_their_transition_laws() -> None:
+    diffusion = Diffusion(5, DOUBLE)
+    p, q = NormalData(diffusion, 1.0), NormalData(diffusion, 0.2)
+    states = diffusion.noise(torch.randn(7, 2, generator=seeded(), dtype=DOUBLE), seeded(1))
+    expected = torch.zeros(7, dtype=DOUBLE)
+    for i in range(5):
+        t = torch.full((7,), i / 5, dtype=DOUBLE)
+        for predict, sign in ((p, 1), (q, -1)):
+            mean = diffusion.mean(states[i], predict(states[i], t), i)
+            std = diffusion.beta[i].sqrt()
+            expected += sign * log_normal(states[i + 1], mean, std).sum(dim=1)
+    torch.testing.assert_close(diffusion.log_ratio(states, p, q), expected)
+    torch.testing.assert_close(diffusion.log_ratio(states, q, q), torch.zeros(7, dtype=DOUBLE))
+
+
+def test_trajectory_balance_is_zero_at_its_optimum_and_only_there() -> None:
+    ratio = torch.randn(9, generator=seeded(), dtype=DOUBLE)
+    log_z = torch.tensor(0.7, dtype=DOUBLE, requires_grad=True)
+    reward = 0.7 + 0.1 * ratio
+    loss = trajectory_balance(log_z, ratio, reward, alpha=0.1)
+    loss.backward()  # type: ignore[no-untyped-call]
+    assert loss.item() < 1e-30 and log_z.grad is not None and abs(log_z.grad) < 1e-15
+    off = trajectory_balance(log_z, ratio, reward + 2.0, alpha=0.1)
+    torch.testing.assert_close(off, torch.tensor(2.0, dtype=DOUBLE))
+
+
+def test_the_reward_is_higher_where_the_ensemble_disagrees() -> None:
+    ensemble = make(lambda: Ensemble(3, 16, gamma=2.0), seeded(), DOUBLE)
+    x = torch.rand(6, 3, generator=seeded(), dtype=DOUBLE)
+    values = torch.stack([member(x)[:, 0] for member in ensemble.members])
+    torch.testing.assert_close(ensemble(x), values.mean(0) + 2.0 * values.std(0))
+    assert sum(p.numel() for p in ensemble.parameters()) == 5 * (4 * 16 + 3 * 17 * 16 + 17)
+
+
+def test_the_noise_predictor_knows_the_time() -> None:
+    network = make(lambda: NoisePredictor(3, 32), seeded(), DOUBLE)
+    x = torch.rand(6, 3, generator=seeded(), dtype=DOUBLE)
+    early, late = (network(x, torch.full((6,), t, dtype=DOUBLE)) for t in (0.0, 0.5))
+    assert early.shape == (6, 3) and not torch.allclose(early, late)
+
+
+def small_round(**changes: Any) -> Round:
+    """A buffer of points around 0 whose value falls from (0.8, 0.8)."""
+    x = torch.randn(120, 2, generator=seeded(), dtype=DOUBLE)
+    y = -(x - 0.8).square().sum(dim=1)
+    small = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
+    epochs = {"proxy_epochs": 25, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 20}
+    usual = {"alpha": 1e-4, "gamma": 1.0, "likelihood": "authors", "schedule": "authors"}
+    options = RoundOptions.checked(**{**small, **epochs, **usual, **changes})
+    return Round(options, (x - x.mean(0)) / x.std(0), (y - y.mean()) / y.std(), seeded(3))
+
+
+def test_a_round_proposes_near_the_best_of_its_buffer() -> None:
+    round_ = small_round()
+    found = round_.candidates(10)
+    assert found.shape == (10, 2)
+    best = round_.x[round_.y.argmax()]
+    distance = (found - best).norm(dim=1).median()
+    assert distance < 0.6 * (round_.x - best).norm(dim=1).median()
+    scores = round_._score(found)
+    assert scores.min() > round_._score(round_.x).median()
+
+
+def test_the_prior_is_frozen_while_the_posterior_learns() -> None:
+    round_ = small_round(posterior_epochs=3)
+    before = {k: v.clone() for k, v in round_.prior.state_dict().items()}
+    posterior = round_.posterior
+    assert all(torch.equal(v, before[k]) for k, v in round_.prior.state_dict().items())
+    t = torch.zeros(4, dtype=DOUBLE)
+    x = torch.rand(4, 2, generator=seeded(), dtype=DOUBLE)
+    doubled = 2 * round_.prior(x, t)  # where it began: the prior and a copy of it
+    assert not torch.equal(posterior(x, t), doubled)
+    torch.testing.assert_close(posterior(x, t), doubled, atol=0.3, rtol=0.3)
+    assert torch.equal(small_round(posterior_epochs=0).posterior(x, t), doubled)
+
+
+def test_the_buffer_keeps_the_best() -> None:
+    opt = DiBO(2, seed=0, popsize=20, initial=60, buffer=50)
+    losses = np.random.default_rng(0).random(60)
+    for i in range(3):
+        opt.tell(opt.ask(), losses=losses[20 * i : 20 * i + 20])
+    np.testing.assert_array_equal(opt._losses, np.sort(losses)[:50])
+
+
+@pytest.mark.thorough
+def test_it_minimizes() -> None:
+    tiny = {"width": 16, "proxy_width": 32, "diffusion_steps": 6, "batch": 32, "proposals": 2}
+    epochs = {"proxy_epochs": 20, "prior_epochs": 10, "posterior_epochs": 3, "search_epochs": 10}
+    options: dict[str, Any] = {"popsize": 20, "initial": 60, **tiny, **epochs}
+    opt = DiBO(3, seed=0, **options)
+    medians = []
+    while opt.evaluations < 120:
+        X = opt.ask()
+        losses = ((X - 0.7) ** 2).sum(axis=1)
+        opt.tell(X, losses=losses)
+        medians.append(float(np.median(losses)))
+    assert max(medians[3:]) < 0.7 * np.mean(medians[:3])  # of the rounds, and of uniform points
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"likelihood": "none"},
+        {"schedule": "none"},
+        {"initial": 1},
+        {"buffer": 0},
+        {"alpha": 0.0},
+        {"precision": "half"},
+        {"proposals": 0},
+    ],
+    ids=str,
+)
+def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(options))):
+        DiBO(2, **options)

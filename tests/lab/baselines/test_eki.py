@@ -1,0 +1,124 @@
+"""Ensemble Kalman inversion: the closed form of the Kalman update, and what it solves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fide_lab.baselines.eki import EKI, annealed, kalman_update
+from fide_plugins.types import Float32, Float64
+
+
+def test_the_step_is_the_formula_in_the_space_of_the_features() -> None:
+    rng = np.random.default_rng(0)
+    x, e, misfit = rng.random((9, 4)), rng.random((9, 20)), rng.random((9, 20))
+    c_xe = np.cov(x.T, e.T)[:4, 4:]
+    c_ee = np.cov(e.T)
+    gain = c_xe @ np.linalg.inv(c_ee + 0.3 * np.eye(20))
+    np.testing.assert_allclose(kalman_update(x, e, misfit, 0.3), x + misfit @ gain.T, rtol=1e-9)
+
+
+def test_on_a_linear_gaussian_problem_it_is_kalmans_posterior() -> None:
+    rng = np.random.default_rng(1)
+    mean, spread, gamma = np.array([0.2, -1.0, 0.5]), np.array([1.0, 0.5, 2.0]), 0.4
+    G, data = rng.standard_normal((5, 3)), rng.standard_normal(5)
+    x = mean + spread * rng.standard_normal((20_000, 3))
+    updated = kalman_update_in_blocks(x, x @ G.T, data, gamma, rng)
+    prior = np.diag(spread**2)
+    gain = prior @ G.T @ np.linalg.inv(G @ prior @ G.T + gamma * np.eye(5))
+    np.testing.assert_allclose(updated.mean(axis=0), mean + gain @ (data - G @ mean), atol=0.03)
+    np.testing.assert_allclose(np.cov(updated.T), (np.eye(3) - gain @ G) @ prior, atol=0.05)
+
+
+def kalman_update_in_blocks(
+    x: Float64, e: Float64, data: Float64, gamma: float, rng: np.random.Generator
+) -> Float64:
+    """Many ensembles of 200, each updated by itself."""
+    parts = [slice(i, i + 200) for i in range(0, len(x), 200)]
+    several = [kalman_update(x[p], e[p], data - e[p], gamma, rng) for p in parts]
+    return np.concatenate(several)
+
+
+def test_the_noise_follows_the_data_misfit_controller() -> None:
+    """Phi is 2 and 4 for three features, so <Phi> = 3 and Var Phi = 1."""
+    misfit = np.array([[2.0, 0.0, 0.0], [2.0, 2.0, 0.0]])
+    assert annealed(misfit) == np.sqrt(2 / 3)  # below 2 <Phi> / f = 2
+    far_apart = np.array([[0.0, 0.0, 0.0], [0.0, 6.0, 0.0]])  # Phi: 0 and 18
+    assert annealed(far_apart) == 6.0  # 2 <Phi> / f, below sqrt(2 * 81 / 3) = 7.3
+
+
+def test_an_ensemble_without_progress_is_given_up() -> None:
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=2)
+    images = np.full((6, 16, 16, 3), 0.5, np.float32)
+    for started in (1, 1, 2):
+        opt.tell(opt.ask(), images, np.full(6, 0.5))
+        assert opt.starts == started
+
+
+def test_a_collapsed_ensemble_stays_finite() -> None:
+    x = np.full((6, 3), 0.4)
+    e = np.full((6, 8), 0.2)
+    np.testing.assert_array_equal(kalman_update(x, e, np.ones((6, 8)), 0.0), x)
+
+
+def picture(X: Float64) -> Float32:
+    waves = np.random.default_rng(3).random((X.shape[1], 16 * 16 * 3))
+    images: Float32 = (0.5 + 0.4 * np.sin(X @ waves)).astype(np.float32).reshape(-1, 16, 16, 3)
+    return images
+
+
+def test_a_smooth_problem_is_solved_and_another_ensemble_begins() -> None:
+    target = picture(np.array([[0.3, 0.6, 0.4, 0.7]]))[0]
+    opt = EKI(4, target, seed=0, popsize=20)
+    while opt.starts == 1:
+        X = opt.ask()
+        opt.tell(X, picture(X))
+        assert opt.evaluations < 2000
+    assert opt.best is not None and opt.best.loss < 1e-6
+    assert opt.ask().std() > 0.05
+    np.testing.assert_allclose(opt.recommend(), [0.3, 0.6, 0.4, 0.7], atol=1e-2)
+
+
+def restarted(*then: float) -> EKI:
+    """One of which an ensemble that had the loss 0.5 is over; losses of the generations since."""
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=1)
+    images = np.full((6, 16, 16, 3), 0.5, np.float32)
+    for loss in (0.5, 0.5, *then):
+        opt.tell(opt.ask(), images, np.full(6, loss))
+    assert opt.starts == 2
+    return opt
+
+
+def test_it_recommends_the_mean_of_the_best_ensemble() -> None:
+    begun, better, worse = restarted(), restarted(0.4), restarted(0.6)
+    np.testing.assert_array_equal(better.recommend(), better.ask().mean(axis=0))
+    np.testing.assert_array_equal(worse.recommend(), begun.recommend())
+    assert not np.array_equal(worse.recommend(), worse.ask().mean(axis=0))
+
+
+def test_an_ensemble_without_a_loss_is_not_kept() -> None:
+    opt = EKI(3, picture(np.full((1, 3), 0.3))[0], seed=0, popsize=6, patience=1)
+    opt.tell(opt.ask(), np.full((6, 16, 16, 3), 0.5, np.float32), np.full(6, np.inf))
+    assert opt.starts == 2
+    np.testing.assert_array_equal(opt.recommend(), opt.ask().mean(axis=0))
+
+
+def test_the_ensemble_that_is_over_is_saved() -> None:
+    opt = restarted(0.6)
+    state = opt.state_dict()
+    again = EKI(**opt.settings())
+    again.load_state_dict(state)
+    np.testing.assert_array_equal(again.recommend(), opt.recommend())
+    for odd in ({**state, "search": 3}, {**state, "search": {"own": 3}}):
+        with pytest.raises(ValueError, match="state"):
+            again.load_state_dict(odd)
+
+
+def test_every_member_is_evaluated_once() -> None:
+    opt = EKI(2, picture(np.full((1, 2), 0.3))[0], seed=0, popsize=5)
+    first, second = opt.ask(), opt.ask()
+    np.testing.assert_array_equal(first, second)
+    opt.tell(first, picture(first))
+    members = opt.ask()
+    opt.tell(second, picture(second))  # late: it is not of this generation
+    np.testing.assert_array_equal(opt.ask(), members)

@@ -1,0 +1,174 @@
+"""ZeroGrads: the network, one step by hand, and what it minimizes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_lab.baselines.networks import make
+from fide_lab.baselines.zerograds import Proxy, ZeroGrads
+from fide_plugins.errors import OptionError
+from fide_plugins.types import Float64
+from fide_plugins.validation import key_value
+
+
+def valley(X: Float64) -> Float64:
+    value: Float64 = ((X - 0.8) ** 2).sum(axis=1)
+    return value
+
+
+def proxy(dim: int) -> Proxy:
+    return make(lambda: Proxy(dim), torch.Generator().manual_seed(0))
+
+
+def test_the_network_has_three_hidden_layers_of_64() -> None:
+    shapes = [tuple(p.shape) for p in proxy(5).parameters()]
+    assert shapes == [(64, 5), (64,), (64, 64), (64,), (64, 64), (64,), (1, 64), (1,)]
+    assert proxy(5)(torch.zeros(7, 5)).shape == (7,)
+
+
+def test_the_last_output_passes_a_leaky_relu_too() -> None:
+    network = proxy(2)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.zero_()
+        network.layers[-1].bias.fill_(-3.0)  # type: ignore[operator]
+    torch.testing.assert_close(network(torch.rand(4, 2)), torch.full((4,), -0.03))
+
+
+def test_its_gradient_is_that_of_finite_differences() -> None:
+    network = proxy(3).double()
+    x, h = torch.tensor([0.2, 0.7, 0.4], dtype=torch.float64), 1e-6
+    differences = [
+        (network((x + h * e)[None]) - network((x - h * e)[None])) / (2 * h)
+        for e in torch.eye(3, dtype=torch.float64)
+    ]
+    torch.testing.assert_close(network.gradient(x), torch.cat(differences).detach())
+
+
+def test_a_step_by_hand() -> None:
+    opt = ZeroGrads(3, seed=4, batch=3, smooth=False, learning_rate=0.01, proxy_rate=3e-3)
+    network = make(lambda: Proxy(3), torch.Generator())
+    network.load_state_dict(opt._proxy.state_dict())
+    theta = torch.full((3,), 0.5)
+    of_theta = torch.optim.Adam([theta], lr=0.01)
+    of_network = torch.optim.Adam(network.parameters(), lr=3e-3)
+    scale = None
+    for _ in range(4):
+        X = opt.ask()
+        losses = valley(X)
+        np.testing.assert_array_equal(X[-1], theta.numpy().astype(np.float64))
+        np.testing.assert_allclose(X[:3] + X[3:6], 2 * X[[-1] * 3], atol=1e-12)  # antithetic
+        opt.tell(X, losses=losses)
+        for _ in range(3):
+            theta.grad = network.gradient(theta)
+            of_theta.step()
+        scale = losses[:6].mean() if scale is None else scale
+        for _ in range(3):
+            of_network.zero_grad()
+            predicted = network(torch.tensor(X[:6], dtype=torch.float32))
+            error = predicted - torch.tensor(losses[:6] / scale, dtype=torch.float32)
+            error.square().mean().backward()
+            of_network.step()
+    np.testing.assert_allclose(opt.recommend(), theta.numpy(), rtol=1e-6)
+
+
+def test_smoothing_moves_what_is_rendered_and_not_what_is_learned() -> None:
+    opt = ZeroGrads(50, seed=0, batch=40, sigma0=0.05)
+    X = opt.ask()
+    learned = np.array([opt._unshifted[x.tobytes()] for x in X[:80]])
+    np.testing.assert_allclose(learned[:40] + learned[40:], 1.0, atol=1e-12)
+    np.testing.assert_allclose((X[:80] - learned).std(), 0.005, rtol=0.05)
+    np.testing.assert_allclose(learned.std(), 0.05, rtol=0.05)
+
+
+def test_the_size_of_losses_does_not_matter() -> None:
+    one, other = ZeroGrads(2, seed=0), ZeroGrads(2, seed=0)
+    for _ in range(5):
+        X, Y = one.ask(), other.ask()
+        np.testing.assert_allclose(X, Y, atol=1e-6)
+        one.tell(X, losses=valley(X))
+        other.tell(Y, losses=4096.0 * valley(Y))
+
+
+def test_without_a_scale_losses_are_learned_as_they_are() -> None:
+    """The same as with losses whose first mean is 1, and the sizes of losses then matter."""
+    scaled, raw = ZeroGrads(3, seed=2), ZeroGrads(3, seed=2, scale="none")
+    X = raw.ask()
+    np.testing.assert_array_equal(scaled.ask(), X)
+    mean = valley(X[:-1]).mean()  # without the parameter itself
+    for _ in range(5):
+        scaled.tell(X, losses=valley(X))
+        raw.tell(X, losses=valley(X) / mean)
+        X = raw.ask()
+        np.testing.assert_array_equal(scaled.ask(), X)
+    raw.tell(X, losses=valley(X))
+    scaled.tell(X, losses=valley(X))
+    weights = [opt._proxy.state_dict()["layers.0.weight"] for opt in (raw, scaled)]
+    assert not torch.equal(*weights)
+
+
+@pytest.mark.parametrize("scale", ["first", "none"])
+def test_a_saved_scale_goes_on(scale: str, tmp_path: Path) -> None:
+    opt = ZeroGrads(3, seed=1, scale=scale)
+    for saved in range(3):  # before the first step, too
+        opt.save(tmp_path / str(saved))
+        X = opt.ask()
+        opt.tell(X, losses=9.0 * valley(X))
+    for saved in range(3):
+        again = ZeroGrads.load(tmp_path / str(saved))
+        assert again.scale == scale
+        while again.evaluations < opt.evaluations:
+            X = again.ask()
+            again.tell(X, losses=9.0 * valley(X))
+        np.testing.assert_array_equal(again.recommend(), opt.recommend())
+
+
+def test_the_command_line_says_none() -> None:
+    name, value = key_value.parse("scale=none")
+    assert ZeroGrads(2, **{name: value}).scale == "none"
+
+
+def test_it_goes_downhill_and_stays_in_the_box() -> None:
+    opt = ZeroGrads(4, seed=0, learning_rate=5e-3)
+    while opt.evaluations < 2000:
+        X = opt.ask()
+        assert X.min() >= 0.0 and X.max() <= 1.0
+        opt.tell(X, losses=valley(X))
+    assert valley(opt.recommend()[None])[0] < 0.12 < valley(np.full((1, 4), 0.5))[0] / 3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"batch": 0},
+        {"learning_rate": 0.0},
+        {"proxy_rate": -1.0},
+        {"smooth": 1},
+        {"scale": None},
+        {"scale": "last"},
+        {"popsize": 2},
+        {"popsize": 20.5},
+        {"popsize": 20, "batch": 10},
+        {"popsize": 21, "batch": 9},
+    ],
+    ids=str,
+)
+def test_options_out_of_range_are_named(options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(options))):
+        ZeroGrads(2, **options)
+
+
+@pytest.mark.parametrize(("popsize", "batch"), [(3, 1), (4, 1), (12, 5), (20, 9), (21, 10)])
+def test_the_batch_is_the_largest_that_fits_the_population(popsize: int, batch: int) -> None:
+    opt, same = ZeroGrads(3, popsize=popsize, seed=0), ZeroGrads(3, batch=batch, seed=0)
+    assert (opt.batch, opt.popsize) == (batch, 2 * batch + 1)
+    for _ in range(3):
+        X = opt.ask()
+        np.testing.assert_array_equal(X, same.ask())
+        opt.tell(X, losses=valley(X))
+        same.tell(X, losses=valley(X))

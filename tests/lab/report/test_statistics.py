@@ -1,0 +1,275 @@
+"""Statistics against numbers worked out by hand and against SciPy."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+
+from fide_lab.report import statistics
+from fide_lab.report.panel import panels
+from fide_lab.report.statistics import Success, adjusted, bands, paired, quantiles
+
+from .conftest import curve, failed, missing, result, results
+
+pytestmark = pytest.mark.figures
+
+
+def test_a_curve_is_a_step_function() -> None:
+    c = curve([2, 5, 9], [3.0, 2.0, 1.0], 20)
+    values = c.value("renders", [1, 2, 4, 5, 8.9, 9, 20, 99])
+    np.testing.assert_array_equal(values, [np.nan, 3, 3, 2, 2, 1, 1, 1])
+    assert c.value("seconds", [0.5])[0] == 2.0
+    assert [c.reaches("renders", loss) for loss in (3, 2.5, 2, 0.5)] == [2, 5, 5, np.inf]
+
+
+def test_bands_are_quantiles_of_the_best_loss_at_each_number_of_renders() -> None:
+    rng = np.random.default_rng(0)
+    losses = rng.lognormal(size=(7, 50))
+    best = np.minimum.accumulate(losses, axis=1)
+    curves = []
+    for row in best:
+        falls = np.flatnonzero(np.diff(row, prepend=np.inf) < 0)
+        curves.append(curve((falls + 1).tolist(), row[falls].tolist(), 50))
+    found = bands(curves, "renders")
+    assert found.x[0] == 1 and found.x[-1] == 50 and (np.diff(found.x) > 0).all()
+    expected = np.quantile(best[:, found.x.astype(int) - 1], statistics.QUANTILES, axis=0)
+    np.testing.assert_allclose(found.values, expected)
+
+
+def test_a_band_begins_where_all_have_begun_and_ends_with_the_median_run() -> None:
+    early, late = curve([1, 3], [1.0, 0.5], 10), curve([4], [0.7], 30)
+    found = bands([early, late, late], "seconds")
+    assert found.x[0] == pytest.approx(0.4) and found.x[-1] == pytest.approx(3.0)
+    assert found.values[2].tolist() == [0.7] * len(found.x)
+    assert len(bands([curve([], [], 10)], "renders").x) == 0
+
+
+def test_a_run_without_a_loss_is_an_infinite_one_of_a_band() -> None:
+    runs, never = [curve([1, 3], [1.0, 0.5], 10)] * 4, curve([], [], 10)
+    found = bands([*runs, never], "renders")
+    assert found.x[0] == 1 and found.x[-1] == 10
+    for values in (found.values, bands(runs, "renders", failed=1).values):
+        assert values[2, -1] == 0.5 and values[3, -1] == 0.5 and values[4, -1] == np.inf
+    assert np.isinf(bands(runs[:1], "renders", failed=2).values[2]).all()
+
+
+def test_quantiles_take_infinity_for_the_highest_value() -> None:
+    np.testing.assert_array_equal(quantiles([1, 2, np.inf], [0, 0.5, 1]), [1, 2, np.inf])
+    np.testing.assert_array_equal(quantiles([1, np.inf, np.inf], [0.5]), [np.inf])
+    np.testing.assert_array_equal(quantiles([1, 3, np.inf, np.inf], [0.5]), [np.inf])
+
+
+def test_success_has_wilson_s_interval() -> None:
+    rate = Success.of(8, 10)  # Wilson's interval of 8 in 10 by the formula
+    z = stats.norm.ppf(0.975)
+    center = (0.8 + z**2 / 20) / (1 + z**2 / 10)
+    half = z / (1 + z**2 / 10) * np.sqrt(0.8 * 0.2 / 10 + z**2 / 400)
+    assert (rate.low, rate.high) == pytest.approx((center - half, center + half))
+    assert Success.of(0, 3).low == 0.0 and Success.of(3, 3).high == 1.0
+
+
+def test_the_rank_test_is_scipy_s_of_logarithms() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.lognormal(size=(2, 10))
+    found = paired(a, b)
+    assert found.p == stats.wilcoxon(np.log(a / b)).pvalue
+    assert found.worse == (a > b).sum() and found.ratio == pytest.approx(np.median(a / b))
+
+
+def by_all_signs(differences: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    """The two-sided p of the signed-rank test from its definition."""
+    ranks = stats.rankdata(np.abs(differences))
+    seen = abs((ranks * np.sign(differences)).sum())
+    signs = itertools.product((-1, 1), repeat=len(differences))
+    size = ranks * (differences != 0)
+    return float(np.mean([abs((size * s).sum()) >= seen - 1e-9 for s in signs]))
+
+
+LEVELS = st.sampled_from([0.5, 1.0, 1.5, 2.0, 4.0])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(LEVELS, LEVELS), min_size=2, max_size=7))
+def test_ties_and_zeros_are_exact_too(pairs: list[tuple[float, float]]) -> None:
+    a, b = np.array(pairs).T
+    found = paired(a, b)
+    assert found.p == pytest.approx(by_all_signs(np.log(a) - np.log(b)), abs=1e-9)
+    mirrored = paired(b, a)
+    assert mirrored.p == pytest.approx(found.p) and mirrored.effect == pytest.approx(-found.effect)
+    assert -1 <= found.effect <= 1
+
+
+@pytest.mark.parametrize("n", [3, 5, 6, 10])
+def test_better_in_every_pair_is_as_sure_as_n_pairs_can_be(n: int) -> None:
+    found = paired(np.arange(1, n + 1) * 2.0, np.arange(1, n + 1) ** 0.5)
+    assert found.effect == 1.0 and found.worse == n
+    assert found.p == pytest.approx(found.smallest_p) == pytest.approx(2 * 0.5**n)
+
+
+def test_equal_losses_are_no_difference() -> None:
+    found = paired([1.0, 2.0], [1.0, 2.0])
+    assert (found.p, found.effect, found.ratio, found.worse) == (1.0, 0.0, 1.0, 0)
+
+
+def test_zero_and_infinite_losses() -> None:
+    found = paired([0.0, 0.2, 0.3], [0.1, 0.4, 0.8])
+    assert found.effect == -1.0 and np.isnan(found.ratio)
+    assert paired([np.inf, 5.0, np.inf], [1.0, 2.0, 3.0]).effect == 1.0
+    assert paired([np.inf], [np.inf]).p == 1.0
+
+
+def test_an_exact_answer_is_judged_on_the_scale_of_all_others() -> None:
+    """A loss of 0 counts as one far below the others."""
+    others = [2.1e-3, 2e-3, 2e-3, 2e-3, 2e-3, 1.5e-3]
+    exact = paired([0.02, 0.0, 0.0, 0.0, 0.0, 0.0211], others)
+    near = paired([0.02, 1e-16, 1e-16, 1e-16, 1e-16, 0.0211], others)
+    assert exact.p == pytest.approx(near.p) and exact.worse == near.worse
+    assert exact.effect == pytest.approx(near.effect)
+    assert paired([0.0, 0.0], [0.0, 0.0]).p == 1.0
+
+
+def test_negative_losses_are_compared_themselves() -> None:
+    found = paired([-1.0, -5.0, 2.0], [-2.0, -3.0, 2.5])  # differences 1, -2, -0.5
+    assert found.worse == 1 and found.effect == pytest.approx((2 - 3 - 1) / 6)
+
+
+def test_the_ratio_to_an_infinite_loss_is_no_invented_number() -> None:
+    assert paired([np.inf] * 3, [0.1, 0.2, 0.3]).ratio == np.inf
+    assert np.isnan(paired([np.inf, np.inf], [np.inf, np.inf]).ratio)
+    mixed = paired([np.inf, 0.4, 0.4], [np.inf, 0.1, 0.2])
+    assert mixed.ratio == pytest.approx(3.0) and mixed.worse == 2
+
+
+def test_no_finite_difference_is_larger_than_an_infinite_one() -> None:
+    found = paired([np.inf, 1e-9, 2e-9], [0.1, 0.9, 0.8])  # ranks 3, -2, -1
+    assert found.effect == 0.0 and found.worse == 1
+
+
+def test_pairs_without_a_difference_have_ranks_whatever_their_number() -> None:
+    a = np.array([1.0] * 6 + [1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 0.55, 1.9])
+    exact = by_all_signs(np.log(a))
+    assert paired(a, np.ones(14)).p == pytest.approx(exact, abs=0.01)
+    assert abs(stats.wilcoxon(np.log(a)).pvalue - exact) > 0.05, "which leaves zeros out"
+    assert paired(a[4:], np.ones(10)).p == pytest.approx(by_all_signs(np.log(a[4:])))
+
+
+def test_adjusting_is_benjamini_and_hochberg_s() -> None:
+    assert adjusted([]) == []
+    assert adjusted([0.01, 0.02, 0.9]) == pytest.approx([0.03, 0.03, 0.9])
+
+
+def test_a_panel_says_who_won_and_how_surely() -> None:
+    good, bad = [0.1 * 1.01**s for s in range(8)], [0.2 * 1.03**s for s in range(8)]
+    runs = [result("good", s, v) for s, v in enumerate(good)]
+    runs += [result("bad", s, v) for s, v in enumerate(bad)]
+    runs += [result("same", s, v * (1.001 if s % 2 else 1 / 1.0015)) for s, v in enumerate(good)]
+    (panel,) = panels(results(runs), {})
+    assert [row.label for row in panel.lowest] == ["same"]
+    rows = {row.label: row for row in panel.rows}
+    assert panel.significant(rows["bad"]) and not panel.significant(rows["good"])
+    tests = panel.against_winner
+    assert tests["bad"].p == pytest.approx(2**-7) and tests["bad"].adjusted == pytest.approx(2**-6)
+    assert panel.threshold == rows["good"].median and not panel.stated
+    assert panel.success(rows["bad"]).reached == 0 and panel.to_target(rows["bad"]) == np.inf
+    assert panel.success(rows["good"]).reached == 4
+
+
+def test_success_is_judged_without_noise() -> None:
+    unlucky, lucky, both, none = (result("a", s, v) for s, v in enumerate([0.1, 0.3, 0.1, 0.3]))
+    for run, told in ((unlucky, 0.25), (lucky, 0.15), (both, 0.15), (none, 0.25)):
+        assert run.curve is not None
+        run.curve.loss[-1] = told
+    (panel,) = panels(results([unlucky, lucky, both, none]), {"mse": 0.2})
+    reached = [panel.renders_to_target(run) for run in panel.rows[0].runs]
+    assert reached == [10, np.inf, 10, np.inf] and panel.success(panel.rows[0]).reached == 2
+    assert both.curve is not None
+    both.curve.at["renders"][-1] = 4  # told so earlier than the best was found
+    assert panel.renders_to_target(both) == 4
+
+
+def test_nobody_succeeds_where_no_loss_was_finite() -> None:
+    (panel,) = panels(results([result("a", 0, None)]), {})
+    assert panel.success(panel.rows[0]).reached == 0
+
+
+def test_thresholds_that_are_stated() -> None:
+    runs = [result("a", s, 0.1 * s) for s in range(5)]
+    runs += [result("a", s, 0.1 * s, task="u") for s in range(5)]
+    first, second = panels(results(runs), {"mse": 0.15, "u/mse": 0.35})
+    assert (first.threshold, second.threshold, first.stated) == (0.15, 0.35, True)
+    assert first.success(first.rows[0]).reached == 2
+    assert second.success(second.rows[0]).reached == 4
+    assert second.to_target(second.rows[0]) == 10
+
+
+def test_runs_of_other_budgets_are_compared_where_the_shorter_ends() -> None:
+    long = [result("long", s, 0.01) for s in range(6)]
+    short = [result("short", s, 0.5, end=8) for s in range(6)]  # it never came to its 10th render
+    for run in short:
+        assert run.curve is not None
+        run.curve.loss[:] = run.curve.loss[0] * 0.9
+    (panel,) = panels(results([*long, *short]), {})
+    assert [row.label for row in panel.lowest] == ["long"]
+    assert panel.against_winner["short"].effect == -1.0, "at 8 renders the short one was ahead"
+
+
+def test_pairs_are_runs_of_one_seed_and_the_missing_are_left_out() -> None:
+    runs = [result("a", s, 0.1 + s) for s in range(4)] + [result("b", s, 1.0 + s) for s in (1, 3)]
+    (panel,) = panels(results(runs), {})
+    assert panel.against_winner[next(iter(panel.against_winner))].n == 2
+
+
+def test_a_run_without_a_finite_loss_counts_as_infinite() -> None:
+    runs = [result("a", s, v) for s, v in enumerate([0.1, 0.2, None])]
+    (panel,) = panels(results(runs), {})
+    assert panel.rows[0].median == 0.2 and panel.rows[0].ranked[-1].final == np.inf
+
+
+def test_no_optimizer_gains_by_failing() -> None:
+    """One that fails wherever it would be bad is no better than the same one without failures."""
+    finals = [0.1 + s / 100 for s in range(10)]
+    runs = [result("plain", s, v) for s, v in enumerate(finals)]
+    lucky = [result("lucky", s, v) if v < 0.135 else failed("lucky", s)
+             for s, v in enumerate(finals)]  # fmt: skip
+    (panel,) = panels(results([*runs, *lucky]), {})
+    rows = {row.label: row for row in panel.rows}
+    assert [row.label for row in panel.lowest] == ["plain"]
+    assert rows["lucky"].median == np.inf and rows["lucky"].planned == 10
+    assert panel.threshold == np.inf, "no second median is finite"
+    (panel,) = panels(results([*runs, *lucky]), {"mse": 0.125})
+    good, bad = (panel.success(rows[name]) for name in ("plain", "lucky"))
+    assert (bad.reached, bad.n) == (good.reached, good.n) == (3, 10)
+    assert panel.to_target(rows["lucky"]) == np.inf
+    test = panel.against_winner["lucky"]
+    assert test.n == 10 and test.worse == 6 and test.effect > 0
+
+
+def test_missing_runs_are_no_failures() -> None:
+    runs = [result("a", s, 0.1) for s in range(4)] + [result("b", s, 0.2) for s in range(2)]
+    (panel,) = panels(results([*runs, missing("b", 2), missing("b", 3)]), {})
+    rows = {row.label: row for row in panel.rows}
+    assert rows["b"].median == 0.2 and panel.success(rows["b"]).n == 2
+    assert panel.against_winner["b"].n == 2
+
+
+def test_an_optimizer_without_a_finished_run_is_listed_and_compared() -> None:
+    runs = [result("a", s, 0.1 + s / 100) for s in range(6)]
+    runs += [*(failed("b", s) for s in range(6)), *(missing("c", s) for s in range(6))]
+    (panel,) = panels(results(runs), {})
+    assert [row.label for row in panel.every] == ["a", "b", "c"]
+    assert [row.label for row in panel.rows] == ["a"]
+    assert panel.significant(panel.every[1]) and set(panel.against_winner) == {"b"}
+    assert panel.against_winner["b"].ratio == np.inf
+
+
+def test_equal_medians_have_no_single_winner_and_infinite_ones_none() -> None:
+    runs = [result(name, s, v) for name, v in (("a", 0.3), ("b", 0.1), ("c", 0.1))
+            for s in range(3)]  # fmt: skip
+    (panel,) = panels(results(runs), {})
+    assert [row.label for row in panel.lowest] == ["b", "c"]
+    (panel,) = panels(results([result("a", 0, None), result("b", 0, None)]), {})
+    assert panel.lowest == () and panel.winner is None and panel.against_winner == {}

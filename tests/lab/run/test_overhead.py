@@ -1,0 +1,91 @@
+"""What the run loop costs beside the optimizer."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_lab import optimizers, run as harness
+from fide_plugins import losses
+from fide_plugins.types import Float64
+
+LIMIT_CALLS, LIMIT_MS = 20, 0.2  # for one render; 14 calls and 0.045 ms in November 2026
+
+
+class Tint:
+    name, dim, seed = "tint", 40, 0
+    target = np.full((32, 32, 3), 0.25, np.float32)
+
+    def render(self, X: Float64, seed: Any = None) -> Any:
+        return np.broadcast_to(X[:, :3][:, None, None, :], (len(X), 32, 32, 3)).astype(np.float32)
+
+
+def by_hand(budget: int) -> Callable[[], object]:
+    """A run of CMA-ES by ask and tell, ready to start."""
+    task, loss = Tint(), losses.resolve("mse", Tint.target)
+    optimizer = optimizers.make("cma", task.dim, task.target, seed=0)
+
+    def execute() -> None:
+        while optimizer.evaluations < budget:
+            X = optimizer.ask()[: budget - optimizer.evaluations]
+            images = task.render(X)
+            optimizer.tell(X, images, loss.compute(images))
+
+    return execute
+
+
+def by_the_harness(budget: int, out: Path) -> Callable[[], object]:
+    """The same run, with record, folder and film; without checkpoints, which follow a clock."""
+    keep = harness.Keep(("mse", "perceptual"), film=True, summary=False, checkpoint=False)
+    run = harness.prepare(
+        Tint(), "cma", "mse", budget, 0, out=out, keep=keep, checkpoint_every=math.inf
+    )
+    return run.execute
+
+
+@pytest.mark.thorough
+def test_the_loop_adds_few_calls_to_each_render(
+    counted_calls: Callable[[Counter[str]], AbstractContextManager[None]], tmp_path: Path
+) -> None:
+    """Calls are counted, which no other program and no disk can change; begin and end left out."""
+
+    def added(budget: int) -> int:
+        count: Counter[str] = Counter()
+        runs = by_hand(budget), by_the_harness(budget, tmp_path / str(budget))
+        numbers = []
+        for execute in runs:
+            count.clear()
+            with counted_calls(count):
+                execute()
+            numbers.append(count["calls"])
+        return numbers[1] - numbers[0]
+
+    added(100)  # what is done once in a process
+    calls = (added(1800) - added(600)) / 1200
+    assert calls < LIMIT_CALLS, f"the loop adds {calls:.1f} calls of functions to each render"
+
+
+@pytest.mark.slow
+def test_the_loop_adds_at_most_a_fifth_of_a_millisecond_to_cma_es(tmp_path: Path) -> None:
+    """CPU time of this thread, the least of many runs: others make runs slower, never faster."""
+
+    def seconds(execute: Callable[[], object]) -> float:
+        start = time.thread_time()
+        execute()
+        return time.thread_time() - start
+
+    bases, wholes = [], []
+    for number in range(30):
+        bases.append(seconds(by_hand(600)))
+        wholes.append(seconds(by_the_harness(600, tmp_path / str(number))))
+    added_ms = 1e3 * (min(wholes) - min(bases)) / 600
+    print(f"the loop adds {added_ms:.3f} ms to each render")
+    assert added_ms < LIMIT_MS
