@@ -93,7 +93,9 @@ def _disc(cell: Row, rng: np.random.Generator) -> tuple[Float64, Solution]:
 
     clean = render(truth)
     target = np.clip(clean + rng.normal(0, NOISE["disc"], clean.shape), 0, 1)
-    found = fit(render, target, _DISC, budget=cell["renders"], workers=0, seed=cell["seed"])
+    found = fit(
+        render, target, _DISC, budget=cell["renders"], until="budget", workers=0, seed=cell["seed"]
+    )
     assert found.best is not None
     return _DISC.encode(truth), found.best
 

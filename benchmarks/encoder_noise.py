@@ -1,6 +1,6 @@
 """How much of a distance is noise, and how it affects the order.
 
-Makes a table of docs/measurements/encoders_quality.md:
+Makes a table of lab/reports/encoders_quality.md:
 
     python benchmarks/encoder_noise.py
 

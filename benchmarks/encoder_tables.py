@@ -1,4 +1,4 @@
-"""The tables of docs/measurements/encoders_quality.md and others, from rows of `encoders.py`."""
+"""The tables of lab/reports/encoders_quality.md and others, from rows of `encoders.py`."""
 
 from __future__ import annotations
 

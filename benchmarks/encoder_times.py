@@ -1,4 +1,4 @@
-"""Times of encoders and losses: tables of docs/measurements/encoders_times.md.
+"""Times of encoders and losses: tables of lab/reports/encoders_times.md.
 
     python benchmarks/encoder_times.py images               # per image, each encoder and loss
     python benchmarks/encoder_times.py split voronoi spline # where FIDE's time goes

@@ -1,4 +1,4 @@
-"""Which encoder, which loss: tables of docs/measurements/encoders_quality.md, encoders_other.md.
+"""Which encoder, which loss: tables of lab/reports/encoders_quality.md, encoders_other.md.
 
     python benchmarks/encoders.py encoders voronoi spline robot
     python benchmarks/encoders.py losses voronoi spline robot

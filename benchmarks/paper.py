@@ -56,7 +56,7 @@ BACKBONES: Configurations = {PRETRAINED: ("fide", {"preset": "paper", "encoder":
 """The published method with features of a pretrained network instead of its patches."""
 COARSE: Configurations = {"dual annealing, step 0.01": ("dual-annealing", {"step": 0.01})}
 """On Robot, where neither step is clearly the better one."""
-STEPS = {"voronoi": 0.01}  # of dual annealing: the best in docs/measurements/baselines.md
+STEPS = {"voronoi": 0.01}  # of dual annealing: the best in lab/reports/baselines.md
 USUAL_STEP = 0.001
 SLOW = (PUBLISHED, PRETRAINED, DIBO, DIBO_LONG)
 CHEAP = tuple(name for name in RACERS if name not in SLOW)

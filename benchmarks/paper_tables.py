@@ -34,7 +34,7 @@ from rows import Row, read
 from task_pictures import joined, save
 
 MARKS = ("1000", "5000", "10000", "25000")
-SOLVED = {"voronoi": 1e-3, "robot": 2e-5}  # mean squared errors, as in docs/measurements/moves.md
+SOLVED = {"voronoi": 1e-3, "robot": 2e-5}  # mean squared errors, as in lab/reports/moves.md
 
 
 def main() -> None:

@@ -5,7 +5,7 @@
     python -m pytest benchmarks/speed_suite.py --benchmark-only --benchmark-compare
 
 This suite is not part of the tests: its times, although CPU times, need an otherwise idle machine.
-`tests/speed` counts the work instead.  The limits in docs/measurements/time.md are checked.
+`tests/speed` counts the work instead.  The limits in lab/reports/time.md are checked.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ def solved(scene: Scene, way: str, renders: int, seed: int, noise: float) -> Sol
         def one(p: dict[str, Any]) -> Any:
             return render(p, noise, rng)
 
-        best = fit(one, target, space, budget=renders, workers=0, seed=seed).best
+        best = fit(one, target, space, budget=renders, until="budget", workers=0, seed=seed).best
     else:
         opt = FIDE(space, target, seed=seed)
         while opt.evaluations < renders:

@@ -109,5 +109,5 @@ if not TYPE_CHECKING:  # a type checker would take every name for one that exist
 
 
 def __dir__() -> list[str]:
-    """Names of everything here, loaded or not."""
-    return sorted({*globals(), *__all__, *_ATTRIBUTES})
+    """Public names, loaded or not."""
+    return sorted({*__all__, *_ATTRIBUTES})

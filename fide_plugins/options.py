@@ -1,7 +1,7 @@
 """Options of FIDE, and the presets.
 
 `paper` is the published method, literally.  The other presets trade time for accuracy; what each of
-them brings is measured in `docs/measurements/speed.md`.
+them brings is measured in `lab/reports/speed.md`.
 
 `FIDE` takes every option by its own name, whichever group it is in.  Few users need more than those
 of `Options` itself; the groups hold what ablations change.

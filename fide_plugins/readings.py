@@ -26,12 +26,11 @@ from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.solved import is_solved
 
 __all__ = ["Readings"]
 
 _ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
-_ROUNDING = (1 / 255) ** 2 / 12  # MSE between a picture and itself in 8 bits
-_LEVEL = 1 / 255 + 1e-6  # one step of 8 bits, as two numbers in single precision may differ
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 
@@ -115,37 +114,31 @@ class Readings(Saved):
         """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
         state, best = self.state, self.state.best
         since = state.evaluations - state.retargeted_at
+        known = state.moves.known
+        others, apart = known.optima.others(known.exchangeability.distance)
         facts = Facts(
             evaluations=state.evaluations,
             best=None if best is None else best.solution.loss,
             improved_at=state.improved_at,
             horizon=max(_STALLED * state.search.popsize, since // 4),
             ended=state.moves.ended,
-            forgotten=state.moves.known.optima.forgotten,
-            grain=self._grain_left(),
+            forgotten=known.optima.forgotten,
+            others=others,
+            apart=apart,
             solved=self._is_solved(),
+            grain=self._grain_left(),
             same=self.same_images.number,
         )
         return status_of(facts)
 
     def _grain_left(self) -> float | None:
         """Standard deviation of a pixel, if only noise keeps the best image from the target."""
-        grain, best = self.state.grain, self.state.best
-        image = None if best is None else best.solution.image
-        if image is None or grain.variance is None or not grain.is_all(image, self.views.target):
-            return None
-        return float(np.sqrt(grain.variance))
+        image = None if self.state.best is None else self.state.best.solution.image
+        return None if image is None else self.state.grain.left(image, self.views.target)
 
     def _is_solved(self) -> bool:
-        """Whether the best image equals the target to 8 bits, whatever the loss is.
-
-        In a large picture the mean does not show a small object, so no pixel that counts may
-        differ by more than one step.
-        """
         image = None if self.state.best is None else self.state.best.solution.image
-        if image is None or self.views.largest_error(image) > _LEVEL:
-            return False
-        return self.views.squared_error(image) <= _ROUNDING
+        return image is not None and is_solved(self.views, image)
 
     @one_at_a_time
     def solutions(self, k: int = 5) -> list[Solution]:

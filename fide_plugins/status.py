@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 __all__ = ["Facts", "Status", "status_of"]
 
+_NEXT = "fit again with another seed and compare the losses, or give more renders"
+
 
 @dataclass(frozen=True, slots=True)
 class Status:
@@ -39,10 +41,12 @@ class Facts:
     ended: how many searches ended in each of the distinct places, the best place first.  Only
         those count that had begun elsewhere: not those of moves that keep most parameters.
     forgotten: how many ended in other places, which are no longer remembered.
-    grain: standard deviation of a pixel of the renderer, if the best image differs from the target
-        by such noise alone; None otherwise, and where that is not known (`views.grain`).
-    solved: whether the image equals the target to 8 bits: no pixel that counts differs by more than
-        1/255, and their mean squared error is at most that of rounding, (1/255)^2 / 12.
+    others: lowest loss of the other places; None: there is none.
+    apart: how far these are from the best place at most, in the parameter that differs most, as a
+        fraction of its range.
+    grain: standard deviation of a pixel, if the best image differs from the target by independent
+        noise of its pixels alone; None otherwise, and where nobody knows (`views.grain`).
+    solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have, see `views.same_images`; 0
         otherwise.
     """
@@ -53,6 +57,8 @@ class Facts:
     horizon: int
     ended: Sequence[int]
     forgotten: int = 0
+    others: float | None = None
+    apart: float = 0.0
     grain: float | None = None
     solved: bool = False
     same: int = 0
@@ -64,13 +70,14 @@ def status_of(facts: Facts) -> Status:
     if best is None:
         return Status("waiting", "No candidate with a finite loss has been told yet.")
     if facts.solved:
-        return Status("solved", f"Solved: the image equals the target to 8 bits, loss {best:.3g}.")
+        return Status("solved", f"Solved: the image equals the target to the eye, loss {best:.3g}.")
     if facts.grain is not None:
         return Status(
             "noise",
-            f"At the noise floor: loss {best:.3g}. The image differs from the target from pixel to "
-            "pixel only, hardly more than two renders of one candidate do (standard deviation of "
-            f"a pixel {facts.grain:.2g}). More samples per pixel would tell more.",
+            f"At the noise floor: loss {best:.3g}. The image differs from the target by "
+            "independent noise of single pixels only (standard deviation of a pixel "
+            f"{facts.grain:.2g}). More samples per pixel, or a target with less noise, would tell "
+            "more.",
         )
     if facts.same:
         return Status(
@@ -88,19 +95,34 @@ def _stalled(best: float, facts: Facts) -> Status:
     stalled = f"No improvement since evaluation {facts.improved_at:,}: loss {best:.3g}."
     same, total = (facts.ended or [0])[0], sum(facts.ended) + facts.forgotten
     if total == 0:
-        return Status("stalled", stalled)
+        return Status("stalled", f"{stalled} No search has ended so far: give more renders.")
     if same >= 3 and 2 * same > total:
         what = f"{same} of {total} searches from different starting points ended at this answer."
         return Status("agreed", f"{stalled} {what}")
     if total == 1:
-        return Status("stalled", f"{stalled} No second search began elsewhere so far.")
+        return Status(
+            "stalled",
+            f"{stalled} It is the answer of one search, no second one began elsewhere, so there "
+            f"may be a better one: {_NEXT}.",
+        )
     if same == total:
         few = f"{total} searches from different starting points ended at this answer"
-        return Status("unsure", f"{stalled} {few}, too few to be sure.")
+        return Status("unsure", f"{stalled} {few}, too few to be sure: {_NEXT}.")
     others = sum(n > 0 for n in facts.ended[1:])
     number = f"more than {others}" if facts.forgotten else f"{others}"
     return Status(
         "unsure",
         f"{stalled} Of {total} searches from different starting points {same or 'none'} ended at "
-        f"this answer, the others at {number}: there may be a better one.",
+        f"this answer, the others at {number}{_disagreement(facts)}, so there may be a better one: "
+        f"{_NEXT}.",
+    )
+
+
+def _disagreement(facts: Facts) -> str:
+    """How far the answers of the searches differ."""
+    if facts.others is None:
+        return ""
+    return (
+        f" (the best of these has loss {facts.others:.3g}; parameters differ by up to "
+        f"{facts.apart:.0%} of their range)"
     )

@@ -27,7 +27,7 @@ from fide_plugins.cli import main
 from fide_plugins.types import Float32, Float64
 
 # The same cases every time, so that a change is judged by what it changes; a longer run, see
-# docs/measurements/extremes.md, looks for new ones.
+# lab/reports/extremes.md, looks for new ones.
 hypothesis.settings.register_profile("same", derandomize=True)
 if "FIDE_CASES" not in os.environ:
     hypothesis.settings.load_profile("same")

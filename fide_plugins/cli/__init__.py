@@ -1,7 +1,7 @@
 """The command ``fide``.
 
-Exit codes: 0 done; 1 a run failed; 2 wrong usage, with one line on standard error; 130 and 143
-stopped by Ctrl-C and SIGTERM, with everything saved.
+Exit codes: 0 done; 1 a run failed, or its output could not be written; 2 wrong usage, with one line
+on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything saved.
 
 ===================  ===================================================================
 `NAME_command`       one module for each command: its arguments and its execution
@@ -13,7 +13,9 @@ stopped by Ctrl-C and SIGTERM, with everything saved.
 `live`               the page of a run in the browser, while the command goes on
 `progress`           progress of a run: a bar in a terminal, lines elsewhere
 `availability`       which tasks, optimizers, encoders and losses can be used here
+`suggestions`        what was meant by a flag or a name that is not known
 `messages`           text for a terminal
+`streams`            standard streams that are closed or full
 ===================  ===================================================================
 """
 
@@ -27,6 +29,8 @@ from typing import Any, NoReturn
 
 from fide_plugins import __version__
 from fide_plugins.cli.messages import complain
+from fide_plugins.cli.streams import OutputError, lose, standard_streams
+from fide_plugins.cli.suggestions import suggestion
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime import laboratory
 
@@ -34,6 +38,7 @@ __all__ = ["commands", "main", "module_of"]
 
 COMMANDS = {
     "fit": "fit a picture of your own, with your renderer or a model",
+    "check": "look at your renderer before a fit",
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
     "watch": "show a run in the browser while it goes on",
@@ -57,7 +62,19 @@ def module_of(command: str) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own) and return its exit code."""
-    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        with standard_streams():
+            return _main(sys.argv[1:] if argv is None else list(argv))
+    except BrokenPipeError:  # such as: fide list tasks | head -1
+        lose(sys.stdout)
+        return 0
+    except OutputError as error:  # such as: fide list tasks > /dev/full
+        lose(sys.stdout)
+        complain("fide", f"cannot write to standard output: {error}")
+        return 1
+
+
+def _main(argv: list[str]) -> int:
     parser = _parser()
     try:
         if not argv:
@@ -84,9 +101,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("fide", "stopped")
         return 130
-    except BrokenPipeError:  # such as: fide list tasks | head -1
-        sys.stderr.close()
-        return 0
 
 
 class _Usage(Exception):
@@ -112,10 +126,19 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        raise _Usage(self.prog, message)
+        raise _Usage(self.prog, message + suggestion(message, self, _parsers))
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)
+
+
+def _parsers() -> dict[str, argparse.ArgumentParser]:
+    """The arguments of each command, by its name."""
+    parsers: dict[str, argparse.ArgumentParser] = {}
+    for name in commands():
+        parsers[name] = argparse.ArgumentParser(add_help=False)
+        module_of(name).add_arguments(parsers[name])
+    return parsers
 
 
 def _parser() -> _Parser:

@@ -65,7 +65,7 @@ def lists(text: str) -> list[Any]:
 
 
 def names(text: str) -> list[str]:
-    """Parse names separated by commas; those in brackets, as of ``cma:x0=[0,1]``, are of a name."""
+    """Parse names separated by commas; those in brackets, ``fide:x0=[0,1]``, are of a name."""
     found = [name.strip() for name in _parts(text)]
     if not all(found):
         raise argparse.ArgumentTypeError(f"names separated by commas, not {text!r}")
@@ -73,10 +73,10 @@ def names(text: str) -> list[str]:
 
 
 def _parts(text: str) -> list[str]:
-    """Split at the commas that are not within brackets."""
+    """Split at the commas that are not within brackets or braces."""
     parts, depth = [""], 0
     for character in text:
-        depth += (character == "[") - (character == "]")
+        depth += (character in "[{") - (character in "]}")
         if character == "," and not depth:
             parts.append("")
         else:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import wait
 from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.pictures import as_told, canonical
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
-from fide_plugins.fitting.workers.base import LOOK, late
 from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch
 
@@ -61,21 +60,10 @@ def outcomes(
     renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
     limit = None if timeout is None else seconds_of("timeout", timeout)
     pool = workers_for(renderer, workers, None, limit)
-    found: list[Outcome] = []
     try:
-        for first in range(0, len(X), max(1, workers)):
-            tasks = [pool.submit(x) for x in X[first : first + max(1, workers)]]
-            for task in tasks:
-                while not task.done() and late(pool, [task], limit) is None:
-                    wait([task], None if limit is None else LOOK)
-                if task.done():
-                    found.append(pool.outcome(task))
-                else:
-                    pool.abandon(task)
-                    found.append(Failed(f"it did not end within {limit:g} s (--timeout)"))
+        return list(gathered(pool, X, limit))
     finally:
         pool.close()
-    return found
 
 
 def _shown(failed: Failed) -> str:

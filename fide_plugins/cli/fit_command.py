@@ -2,7 +2,7 @@ r"""Fit your own picture: with a renderer of your own, or with a model that draw
 
     fide fit target.png --renderer scene.py:render --space space.toml --workers 8 --out runs/scene
     fide fit target.png --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
-    fide fit front.png side.png --renderer scene.py:render --time 10m --until-stalled
+    fide fit front.png side.png --renderer scene.py:render --time 10m --until stalled
     fide fit photo.jpg --model voronoi --cells 60
 
 --renderer is FILE.py:NAME (or module:NAME), a function of a dictionary of parameters that returns
@@ -28,7 +28,7 @@ import argparse
 
 from fide_plugins.cli import fit_renderer
 from fide_plugins.cli.arguments import add_run_arguments, add_space_argument, setting, whole
-from fide_plugins.cli.messages import complain
+from fide_plugins.cli.messages import as_typed, complain
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime import laboratory
 
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         size="longer side of the picture, at most (as it is; with --model 224)",
         optimizer=None,
         budget=None,
-        renders="number of renders (2000; with --model 5000; with --time or --until-stalled: any)",
+        renders="number of renders (2000; with --model 5000; with --time or --until stalled: any)",
         side=None,
     )
 
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     own = parser.add_argument_group("your renderer")
     add_space_argument(own)
     add = own.add_argument
-    add("--workers", type=whole(0), metavar="N", help="renders at a time (8)")
+    add("--workers", type=whole(0), metavar="N", help="renders at a time (one a core, at most 8)")
     add(
         "--timeout",
         metavar="TIME",
@@ -75,8 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="values that are black and white: 0 10, or auto, from the target (0 1)")  # fmt: skip
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     add("--stop-at", type=float, metavar="LOSS", help="loss at which to stop")
-    add("--until-stalled", action="store_true", default=None,
-        help="stop when nothing more is to be expected")  # fmt: skip
+    until = own.add_mutually_exclusive_group()
+    until.add_argument("--until", choices=("solved", "stalled", "budget"),
+        help="stop also when solved, or when nothing more is to be expected; budget: by other "
+        "limits alone (solved)")  # fmt: skip
+    until.add_argument("--until-stalled", action="store_true", default=None,
+        help="former name of --until stalled")  # fmt: skip
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
 
@@ -115,4 +119,15 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
     for name in names:
         if getattr(args, name) is not None:
             flag = "--" + name.replace("_", "-")
-            raise OptionError(f"{flag} has no meaning with {given}; leave it out")
+            remedy = _by_run(args) if name == "optimizer" else "leave it out"
+            raise OptionError(f"{flag} has no meaning with {given}; {remedy}")
+
+
+def _by_run(args: argparse.Namespace) -> str:
+    """The command that fits the same picture with another optimizer."""
+    if len(args.targets) > 1 or args.optimizer == "fide" or not laboratory.is_here():
+        return "leave it out, since fide fit searches with fide"
+    what = [args.renderer] if args.renderer else ["--command", args.templates[0]]
+    space = [] if args.space is None else ["--space", args.space]
+    words = ["fide", "run", *what, *space, "--target", args.targets[0]]
+    return f"to search with another one: {as_typed([*words, '--optimizer', args.optimizer])}"

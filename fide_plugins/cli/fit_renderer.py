@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 __all__ = ["OWN", "execute"]
 
 OWN = (
-    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until_stalled", "encoder",
-    "learned", "value_range",
+    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until", "until_stalled",
+    "encoder", "learned", "value_range",
 )  # fmt: skip
 """Arguments that no model has."""
-_BUDGET, _WORKERS = 2000, 8
+_BUDGET = 2000
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -95,16 +95,19 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.extra_renders import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
+    from fide_plugins.fitting.workers.choice import default_number
     from fide_plugins.recording.json_record import read_run
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
-    targets, *counting = pictures(
+    targets, mask, weights = pictures(
         args.targets, args.size, args.mask, args.weights, raw=values is not None
     )
-    endless = args.budget is None and (args.time is not None or args.until_stalled)
+    until = args.until or "solved"
+    stalled = bool(args.until_stalled)
+    endless = args.budget is None and (args.time is not None or stalled or until == "stalled")
     budget = None if endless else args.budget or _BUDGET
-    workers = _WORKERS if args.workers is None else args.workers
+    workers = default_number() if args.workers is None else args.workers
     out = free_directory(args, Path(args.targets[0]).stem)
 
     def check(optimizer: FIDE) -> None:
@@ -118,11 +121,11 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         render,
         targets[0] if len(targets) == 1 else targets,
         space,
-        stopping=Stopping.of(budget, args.time, args.stop_at, bool(args.until_stalled)),
+        stopping=Stopping.of(budget, args.time, args.stop_at, until, stalled),
         workers=workers,
         seed=args.seed,
         timeout=timeout,
-        options=_options(args) | _given(*counting, values),
+        options=_options(args) | _given(mask, weights, values),
         out=out,
         resume=args.resume,
         command=command,

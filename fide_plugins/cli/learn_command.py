@@ -32,11 +32,12 @@ from fide_plugins.cli.messages import (
     warnings_as_notes,
 )
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
+from fide_plugins.cli.progress import interval
 from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
 
 __all__ = ["add_arguments", "execute"]
 
-_EVERY = 5.0  # seconds between lines
+_EVERY = 5.0  # seconds between lines in a terminal
 _KEPT = "what was rendered and learned is kept in"
 
 
@@ -209,13 +210,13 @@ def _task(args: argparse.Namespace) -> Any:
 
 
 class _Lines:
-    """Lines of progress on standard error: one a pass, and one every few seconds elsewhere."""
+    """Lines of progress on standard error: one a pass, and one now and then elsewhere."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now, self._last = now, now()
 
     def __call__(self, progress: Any) -> None:
-        late = self._now() - self._last >= _EVERY
+        late = self._now() - self._last >= interval(_EVERY)
         is_pass = progress.stage in ("train", "emulate")
         rendered = progress.stage == "render" and progress.done == progress.total
         if late or is_pass or rendered:

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
+from fide_plugins.cli.streams import lose
 from fide_plugins.errors import FideError
 
 __all__ = [
@@ -64,20 +65,20 @@ def complain(who: str, message: object) -> int:
 
 
 def note(text: str) -> None:
-    """Print a line to standard error; if nobody reads it any longer, the work goes on without."""
+    """Print a line to standard error; where that cannot be, the work goes on without."""
     try:
         print(text, file=sys.stderr, flush=True)
-    except BrokenPipeError:
-        _print_no_more()
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            _lose_output_there()
+        lose(sys.stderr)
 
 
-def _print_no_more() -> None:
-    """What is printed to standard error is lost from now on, and to output if that is the same."""
-    with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
-        error, output = sys.stderr.fileno(), sys.__stdout__
-        if output is not None and os.path.sameopenfile(output.fileno(), error):
-            os.dup2(nowhere.fileno(), output.fileno())
-        os.dup2(nowhere.fileno(), error)
+def _lose_output_there() -> None:
+    """Lose standard output, too, if it is the pipe that nobody reads."""
+    with suppress(OSError, ValueError, AttributeError):
+        if os.path.sameopenfile(sys.stdout.fileno(), sys.stderr.fileno()):
+            lose(sys.stdout)
 
 
 @contextmanager

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from fide_plugins.cli.messages import note, number
 from fide_plugins.recording.record import PARTS, Progress, Report
 
-__all__ = ["lines", "reporting", "shares"]
+__all__ = ["interval", "lines", "reporting", "shares"]
 
-_EVERY = 5.0  # seconds between lines
+_FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
 _FEW = 8  # renders that an estimate of the time left needs
 
 
@@ -27,8 +27,13 @@ def reporting(what: str) -> Iterator[Report]:
         yield _Lines(what)
 
 
+def interval(in_terminal: float) -> float:
+    """Seconds between lines: `in_terminal` where somebody looks on, a minute elsewhere."""
+    return in_terminal if sys.stderr.isatty() else _EVERY
+
+
 def lines(what: str) -> Report:
-    """Function that prints a line about the progress of `what` every few seconds."""
+    """Function that prints a line about the progress of `what` once a minute."""
     return _Lines(what)
 
 
@@ -103,15 +108,16 @@ def _joined(*parts: str) -> str:
 
 class _Lines:
     def __init__(self, what: str) -> None:
-        self._what, self._pace, self._last = what, _Pace(), time.monotonic()
+        self._what, self._pace = what, _Pace()
+        self._next = time.monotonic() + min(_FIRST, _EVERY)
 
     def __call__(self, progress: Progress) -> None:
         pace, now = self._pace, time.monotonic()
         pace.note(progress)
         at_end = 0 < progress.budget <= progress.evaluations
-        if now - self._last < _EVERY and not at_end:
+        if now < self._next and not at_end:
             return
-        self._last = now
+        self._next = now + _EVERY
         done = f"{progress.evaluations}/{progress.budget}".removesuffix("/0")
         doing = progress.doing or shares(progress)
         facts = pace.facts(progress), pace.left(progress)

@@ -17,6 +17,7 @@
 `pictures`       images of several views
 `callbacks/`     who watches it, and who stops it
 `progress`       a bar in a terminal
+`checking/`      what to know of a renderer before a fit
 ===============  ==============================================================================
 
 Nothing is imported here: worker processes load `rendering`, and no PyTorch.

@@ -67,8 +67,20 @@ class Failure:
     names_params: bool = False
 
     def __str__(self) -> str:
-        call = "" if self.names_params else f"render({self.params})"
-        return "\n".join(filter(None, [self.reason, call, self.details]))
+        return "\n".join(filter(None, [self.reason, self._call, self.details]))
+
+    @property
+    def brief(self) -> str:
+        """The same without a traceback or a program's output, but for its last line."""
+        end = self.details.rpartition("\n")[2].strip()
+        told = not end or end in self.reason
+        return "\n".join(
+            filter(None, [self.reason if told else f"{self.reason}: {end}", self._call])
+        )
+
+    @property
+    def _call(self) -> str:
+        return "" if self.names_params else f"render({self.params})"
 
 
 @dataclass
@@ -104,7 +116,8 @@ class Failures:
         rule = self._rule()
         if rule and self.first is not None:
             raise GivenUpError(
-                f"given up: {rule}; {self.count} failed so far, the first one: {self.first}"
+                f"given up: {rule}; {self.count} failed so far, the first one, which a warning has "
+                f"shown whole: {self.first.brief}"
             )
 
     def _rule(self) -> str:

@@ -149,7 +149,7 @@ class Fitting:
         """
         interrupts.hold()
         try:
-            self._write("finished" if error is None else stopped)
+            self._write("finished" if error is None else stopped, stopped)
         except Exception as unsaved:
             if error is not None:
                 note_unsaved(error, unsaved)
@@ -166,7 +166,7 @@ class Fitting:
             raise _with_result(error, result)
         return result
 
-    def _write(self, status: str) -> None:
+    def _write(self, status: str, stopped: str) -> None:
         """Write everything, each file also where another fails; raises the first error of them."""
         saved, record, optimizer = self.saved, self.record, self.optimizer
         if saved is None:
@@ -179,9 +179,10 @@ class Fitting:
                 saved.write_tables(record, optimizer)
         except Exception:
             with suppress(Exception):
-                saved.leave("failed" if status == "finished" else status, record, optimizer)
+                left = "failed" if status == "finished" else status
+                saved.leave(left, record, optimizer, stopped)
             raise
-        saved.leave(status, record, optimizer)
+        saved.leave(status, record, optimizer, stopped)
 
     def _stop_workers(self, interrupts: Interrupts) -> None:
         """Stop them; a second signal does not wait for that."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
@@ -293,5 +293,5 @@ class Loop:
         self.failures.note(failed, self._renderer.params(x))
         self.failures.check()
 
-    def _state(self) -> tuple[int, float, float]:
-        return self.record.evaluations, self.record.wall_s, self.record.best_loss
+    def _state(self) -> tuple[Sequence[float], float, float]:
+        return self.record.losses, self.record.wall_s, self.record.best_loss

@@ -18,7 +18,7 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers.choice import default_number, workers_for
 from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
@@ -39,7 +39,7 @@ def fit(
     budget: int | None = 2000,
     time: float | str | None = None,
     stop_at: float | None = None,
-    workers: int = 8,
+    workers: int | None = None,
     executor: object = None,
     views: Sequence[object] | None = None,
     mask: object = None,
@@ -48,6 +48,7 @@ def fit(
     out: str | os.PathLike[str] | None = None,
     seed: int | None = None,
     *,
+    until: str = "solved",
     until_stalled: bool = False,
     timeout: float | str | None = None,
     resume: bool = False,
@@ -76,8 +77,9 @@ def fit(
     workers
         renders at a time.  They run in as many processes of their own, which are killed and
         replaced where they hang or die.  0: in this process, one after the other, which costs
-        least where a render takes milliseconds.  Where `render` cannot be pickled, threads take
-        the place of processes, with a warning.
+        least where a render takes milliseconds.  None: one for each core that this process may use,
+        at most 8; with an `executor` of other than processes 8.  Where `render` cannot be pickled,
+        threads take the place of processes, with a warning.
     executor
         where to render instead: "threads" (for a `render` that only waits, for a program or a
         server), any executor of `concurrent.futures`, or Dask's Client; `workers` says how many
@@ -94,11 +96,16 @@ def fit(
     seed
         same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  With
         more the order in which renders arrive matters, too.  None draws one.
+    until
+        "solved": stop also when the image equals the target but for what no eye sees
+        (`views.solved`), or differs from it by noise of its pixels alone and the parameters are
+        known as well as that noise allows.  "stalled": stop also when nothing more is to be
+        expected: renders and target differ by noise of the renderer alone, several searches ended
+        at the same answer, or the loss has not improved by a tenth for 150 generations (1,200
+        renders of four parameters, 2,250 of 40) and half of all evaluations.  "budget": none of
+        these.
     until_stalled
-        stop also when nothing more is to be expected: the image equals the target to 8 bits, the
-        loss is at the noise floor, several searches ended at the same answer, or the loss has not
-        improved by a tenth for 150 generations (1,200 renders of four parameters, 2,250 of 40) and
-        half of all evaluations.
+        True: the former name of ``until="stalled"``.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.
@@ -143,7 +150,7 @@ def fit(
         render,
         _with_views(target, views),
         space,
-        stopping=Stopping.of(budget, time, stop_at, until_stalled),
+        stopping=Stopping.of(budget, time, stop_at, until, until_stalled),
         workers=workers,
         executor=executor,
         callbacks=callbacks,
@@ -162,7 +169,7 @@ def prepare(
     space: Space | int,
     *,
     stopping: Stopping,
-    workers: int = 8,
+    workers: int | None = None,
     executor: object = None,
     callbacks: object = (),
     out: str | os.PathLike[str] | None = None,
@@ -189,7 +196,7 @@ def prepare(
     watchers = Callbacks(callbacks)
     check_progress(progress)
     limit = None if timeout is None else seconds_of("timeout", timeout)
-    number = whole_number("workers", workers, 0)
+    number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
     options = dict(options or {})
     given = ("self", "dim", "target", "seed")
     check_names(options, given, "is no option of the optimizer, but an argument of the fit")

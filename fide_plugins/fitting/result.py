@@ -33,8 +33,8 @@ class Result:
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
         search.
-    stopped: why it ended: "budget", "time", "stop_at", "until_stalled", "callback", "interrupted"
-        or "failed".
+    stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
+        "callback", "interrupted" or "failed".
     out: run directory; None without.
     optimizer: goes on where the fit has ended, by ask and tell.
     """

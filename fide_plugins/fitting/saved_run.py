@@ -123,8 +123,8 @@ class SavedRun:
             values = side_by_side(shown(optimizer, record.image))
         self._directory.write_tables(record, best, values)
 
-    def leave(self, status: str, record: Record, optimizer: FIDE) -> None:
-        """Write totals; status: "finished", "interrupted" or "failed"."""
+    def leave(self, status: str, record: Record, optimizer: FIDE, stopped: str) -> None:
+        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`."""
         target = optimizer.evaluator.target
         result = result_of(
             self._directory.settings,
@@ -134,7 +134,7 @@ class SavedRun:
             status=str(optimizer.status),
             clipped=optimizer.clipped,
         )
-        writes = [lambda: self._directory.write_run(status, result)]
+        writes = [lambda: self._directory.write_run(status, result, stopped)]
         if status == "finished" and not isinstance(optimizer.target, list):
             writes.insert(0, lambda: self._directory.write_summary(result, target))
         try_each(*writes)

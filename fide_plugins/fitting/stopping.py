@@ -3,16 +3,20 @@
 Budget, time and the other rules are no settings: a fit that was stopped by one of them goes on with
 ``resume=True`` and a larger number.
 
-================  =================================================================================
-`budget`          evaluations, those before resuming included; failed renders do not count
-`time`            seconds of fitting, those before resuming included
-`stop_at`         the best loss is at most this
-`until_stalled`   nothing more is to be expected (see `_is_stalled`)
-================  =================================================================================
+==================  ===============================================================================
+`budget`            evaluations, those before resuming included; failed renders do not count
+`time`              seconds of fitting, those before resuming included
+`stop_at`           the best loss is at most this
+`until="solved"`    the image equals the target but for what no eye sees (`views.solved`), or what
+                    is left is noise and the search has found its answer as well as the noise allows
+`until="stalled"`   the same, or nothing more is to be expected (see `_is_stalled`)
+`until="budget"`    none of these: budget, time and `stop_at` alone
+==================  ===============================================================================
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +30,9 @@ from fide_plugins.validation.points import whole_number
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Stopping"]
+__all__ = ["UNTIL", "Stopping"]
 
-_OVER = ("solved", "noise", "agreed")
+UNTIL = ("solved", "stalled", "budget")
 _PATIENCE = 150  # generations: a dozen moves or so
 
 
@@ -39,35 +43,62 @@ class Stopping:
     budget: int | None
     seconds: float | None = None
     stop_at: float | None = None
-    until_stalled: bool = False
+    until: str = "solved"
 
     @classmethod
-    def of(cls, budget: object, time: object, stop_at: Any, until_stalled: bool) -> Stopping:
-        """Rules as a user gives them; raises OptionError (a ValueError)."""
+    def of(
+        cls,
+        budget: object,
+        time: object,
+        stop_at: Any,
+        until: object = "solved",
+        until_stalled: bool = False,
+    ) -> Stopping:
+        """Rules as a user gives them; raises OptionError (a ValueError).
+
+        until_stalled: the former name of ``until="stalled"``.
+        """
         number = None if budget is None else whole_number("budget", budget, 1)
         seconds = None if time is None else seconds_of("time", time)
-        if not switch("until_stalled", until_stalled) and number is None and seconds is None:
+        if until not in UNTIL:
+            raise OptionError(f"until must be {', '.join(map(repr, UNTIL))}, not {until!r}")
+        if switch("until_stalled", until_stalled):
+            if until == "budget":
+                raise OptionError(
+                    "until_stalled=True is the former name of until='stalled', which contradicts "
+                    "until='budget': leave out one of them"
+                )
+            until = "stalled"
+        if until != "stalled" and number is None and seconds is None:
             raise OptionError(
-                "budget=None needs another rule by which the fit ends: give time or until_stalled"
+                "budget=None needs another rule by which the fit ends for sure: give time or "
+                "until='stalled'"
             )
-        return cls(number, seconds, _loss(stop_at), until_stalled)
+        return cls(number, seconds, _loss(stop_at), str(until))
 
     def reached(
-        self, evaluations: int, seconds: float, best: float, improved: bool, optimizer: FIDE
+        self, losses: Sequence[float], seconds: float, best: float, improved: bool, optimizer: FIDE
     ) -> str | None:
         """Name of the rule that says that it is over; None: none of them.
 
+        losses: of all evaluations; best: the lowest one.
         improved: whether the last evaluation was the best so far.
+
+        `until` is looked at after each improvement and after as many evaluations as a generation
+        has; the name is then "solved", "noise" or "stalled".
         """
-        if self.budget is not None and evaluations >= self.budget:
+        if self.budget is not None and len(losses) >= self.budget:
             return "budget"
         if self.seconds is not None and seconds >= self.seconds:
             return "time"
         if self.stop_at is not None and best <= self.stop_at:
             return "stop_at"
-        if self.until_stalled and (improved or evaluations % optimizer.popsize == 0):
-            return "until_stalled" if _is_stalled(optimizer) else None
-        return None
+        if self.until == "budget" or not (improved or len(losses) % optimizer.popsize == 0):
+            return None
+        code = optimizer.status.code
+        if code == "solved" or (code == "noise" and _is_settled(losses, best, optimizer)):
+            return code
+        return "stalled" if self.until == "stalled" and _is_stalled(code, optimizer) else None
 
     def record(self) -> dict[str, Any]:
         """The rules, for a file."""
@@ -75,25 +106,38 @@ class Stopping:
             "budget": self.budget,
             "time": self.seconds,
             "stop_at": self.stop_at,
-            "until_stalled": self.until_stalled or None,
+            "until": self.until,
         }
         return {name: value for name, value in rules.items() if value is not None}
 
 
-def _is_stalled(optimizer: FIDE) -> bool:
+def _is_settled(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
+    """Whether the search knows the answer as well as noise of the target allows.
+
+    By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
+    parameters and n pixels, on average (the chi-squared law).  So many candidates as a generation
+    has must be as good: then the best of them is far nearer to the lowest loss.  Where renders have
+    noise of their own, their losses scatter by more, and that is rarely so.
+    """
+    within = best + abs(best) * optimizer.dim / optimizer.views.counted
+    return int(np.count_nonzero(np.asarray(losses) <= within)) >= optimizer.popsize
+
+
+def _is_stalled(code: str, optimizer: FIDE) -> bool:
     """Whether nothing more is to be expected.
 
-    Solved, at the noise floor, or several searches ended at the same answer: at once.  Otherwise if
-    the loss has not improved by a tenth for 150 generations and for as many evaluations as it took
-    to get there: stalls are overcome by moves, each of which takes some ten generations and mostly
-    fails.
+    At the noise floor of renders with noise, or several searches ended at the same answer: at once.
+    Otherwise if the loss has not improved by a tenth for 150 generations and for as many
+    evaluations as it took to get there: stalls are overcome by moves, each of which takes some ten
+    generations and mostly fails.
     """
-    status = optimizer.status
-    if status.code in ("waiting", "improving"):
+    if code in ("waiting", "improving"):
         return False
     state = optimizer.state
+    if code == "agreed" or (code == "noise" and state.grain.variance):
+        return True
     since, took = state.evaluations - state.improved_at, state.improved_at - state.retargeted_at
-    return status.code in _OVER or since >= max(took, _PATIENCE * optimizer.popsize)
+    return since >= max(took, _PATIENCE * optimizer.popsize)
 
 
 def _loss(stop_at: Any) -> float | None:

@@ -314,7 +314,7 @@ class Model:
         if state["emulator"] is not None:
             emulator = Emulator((h, w), state["periodic"], blocks)
             emulator.load(state["emulator"])
-        return cls(
+        model = cls(
             network,
             None if state["space"] is None else Space.from_dict(state["space"]),
             (height, width),
@@ -329,6 +329,12 @@ class Model:
             emulator,
             state["picture"],
         )
+        str(model.report)  # raises for one that says nothing
+        gray = torch.full((1, 3, h, w), 0.5)
+        of_gray = network.vectors(gray), network.sample(gray, 1, torch.Generator())
+        if not all(bool(values.isfinite().all()) for values in of_gray):
+            raise ValueError("its weights are finite, but not what they make of a gray picture")
+        return model
 
 
 def _without_units(space: Space) -> dict[str, Kind]:

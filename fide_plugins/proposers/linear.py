@@ -37,7 +37,7 @@ for being near what is known to be good, and the search would narrow before it h
 
 The weights say how local the fit is: a fit that counts all candidates alike is true on average over
 the distribution, one that counts only the best is true near the target, and greedy.
-`docs/measurements/ablation.md` has the measurements.
+`lab/reports/ablation.md` has the measurements.
 
 Everything is computed from G, in n dimensions: an image costs n scalar products once, a generation
 one system of n equations for each channel subset (`proposers.ridge`), for any number of features.

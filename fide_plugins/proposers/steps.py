@@ -42,7 +42,7 @@ class GaussNewtonSteps:
 
     forward: the model.
     least_promise: share of the residual that a step must promise to remove, in [0, 1].  It and the
-        number of steps were measured, see `docs/measurements/moves.md`.
+        number of steps were measured, see `lab/reports/moves.md`.
 
     The model is fitted only when somebody asks for steps.
     """

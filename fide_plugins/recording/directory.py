@@ -11,6 +11,7 @@
     frame-N.png    the best image after N renders, small, if a film is kept
     reference.png  the image that judged the best candidate of a noisy task
     summary.png    target, first render, best image, curve
+    before-N/      results of a call that ended before there was a run.ckpt; another began anew
     run.ckpt       state of the loop; names the file of its optimizer
     optimizer-N-M.ckpt   the optimizer after N evaluations, with M candidates pending; -N-M-F after
                    F renders that gave no image
@@ -27,6 +28,7 @@ import shlex
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from fnmatch import fnmatchcase
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -51,6 +53,7 @@ from fide_plugins.recording.run_checkpoint import (
     write_checkpoint,
 )
 from fide_plugins.runtime import files, machine
+from fide_plugins.runtime.warn import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
@@ -151,10 +154,13 @@ class RunDirectory:
 
         load: makes the optimizer of its file.
 
-        Raises CheckpointError (a ValueError) if it is damaged, or missing beside results of a run.
+        A run that ended before there was a state, on a disk that was full, begins anew; its results
+        are moved into a folder of their own.
+
+        Raises CheckpointError (a ValueError) if the state is damaged, or was removed.
         """
         if not is_saved(self.path):
-            self._check_is_new()
+            self._begin_anew()
             return None
         record, file = read_record(self.path, self.settings["dim"], self.settings["size"])
         return record, self._optimizer(file, load)
@@ -170,16 +176,26 @@ class RunDirectory:
                 "it back, or start again in another directory"
             ) from error
 
-    def _check_is_new(self) -> None:
-        """Raise CheckpointError if there are results of a run, which a new one would overwrite."""
+    def _begin_anew(self) -> None:
+        """Move results away that no state belongs to; CheckpointError if there was one."""
         table = self.path / "curve.csv"
-        n = table.read_bytes().count(b"\n") - 1 if self._run["resumed"] and table.exists() else 0
-        if n > 0:
+        there = self._run["resumed"] and table.exists()
+        n = files.read_regular(table).count(b"\n") - 1 if there else 0
+        if n <= 0:
+            return
+        if self._run.get("saved", True):
             raise CheckpointError(
                 f"{self.path} holds results of {n} renders, but no {CHECKPOINT}, from which the "
-                "run could go on: it was removed (copy it back), or the run was stopped before it "
-                "was written; start again in another directory"
+                "run could go on: copy it back, or start again in another directory"
             )
+        folder = next(p for i in count(1) if not (p := self.path / f"before-{i}").exists())
+        folder.mkdir()
+        for name in ("run.json", *results_in(self.path)):
+            (self.path / name).rename(folder / name)
+        warn_user(
+            f"{self.path} holds results of {n} renders, which ended before their state could be "
+            f"written: they are in {folder.name} now, and the run begins anew"
+        )
 
     def _check_no_other_files(self) -> None:
         """Raise RunDirectoryError if there are results, of no run that is known."""
@@ -269,15 +285,24 @@ class RunDirectory:
 
         files.write_bytes(self.path / "summary.png", summary(result, target))
 
-    def write_run(self, status: str = "running", result: RunResult | None = None) -> None:
-        """Write `run.json`."""
+    def write_run(
+        self,
+        status: str = "running",
+        result: RunResult | None = None,
+        stopped: str | None = None,
+    ) -> None:
+        """Write `run.json`; stopped: the rule by which the run has ended, where it has several."""
         self._run |= {
             "status": status,
+            "saved": is_saved(self.path),  # so that one which is removed is missed
             "versions": machine.versions(),
             "machine": machine.machine(),
             "load": machine.load(),
             "written": now(),
         }
+        self._run.pop("stopped", None)
+        if stopped is not None:
+            self._run["stopped"] = stopped
         if result is not None:
             self._run["totals"] = {**result.summary(), **result.details()}
         if status == "finished":

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import FideError
+from fide_plugins.runtime.files import RefusedFileError, read_regular
 
 __all__ = [
     "FORMAT",
@@ -57,11 +58,11 @@ def read_json(
     if not path.exists():
         return None
     try:
-        record: dict[str, Any] = json.loads(path.read_text("utf-8"))
+        record: dict[str, Any] = json.loads(read_regular(path).decode())
         if record["format"] != FORMAT:
             raise ValueError(f"format {record['format']!r}, and this version reads {FORMAT}")
         check(record)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (RefusedFileError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
             f"{path} is not the record of a {kind} of this version ({error}); "
             "copy that file back, or name another directory"
@@ -82,7 +83,7 @@ def check_settings(there: dict[str, Any], here: dict[str, Any], what: str) -> No
 
 def checksum(path: Path) -> str:
     """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_regular(path)).hexdigest()
 
 
 def now() -> str:

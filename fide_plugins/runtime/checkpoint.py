@@ -21,17 +21,16 @@ import json
 import math
 import os
 import re
-import stat
 import struct
 import sys
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 
 from fide_plugins.errors import CheckpointError
 
-from .files import atomic_writer
+from .files import RefusedFileError, atomic_writer, open_regular
+from .schema import IMPOSSIBLE
 
 __all__ = ["VERSION", "VERSION_REMEDY", "read", "write"]
 
@@ -77,7 +76,10 @@ def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
     checkpoint, is truncated or damaged, or is of another version or kind.
     """
     name = os.fspath(path)
-    body = _body(name, Path(path))
+    try:
+        body = _body(name)
+    except RefusedFileError as error:
+        raise CheckpointError(f"{error} that `save` wrote") from None
     try:
         (length,) = _LENGTH.unpack_from(body)
         if length > len(body) - _LENGTH.size:
@@ -87,9 +89,9 @@ def read(path: str | os.PathLike[str], kind: str) -> dict[str, Any]:
             _refuse(name, f"it holds a {tree['kind']!r}, not a {kind!r}", "load it with that class")
         arrays = _arrays(name, body, _LENGTH.size + length, tree["arrays"])
         state = _decode(tree["state"], arrays)
-    except CheckpointError:
+    except (CheckpointError, MemoryError):
         raise
-    except (ValueError, TypeError, KeyError, IndexError, struct.error, RecursionError) as error:
+    except (*IMPOSSIBLE, struct.error) as error:
         raise CheckpointError(f"{name}: a checkpoint with impossible contents ({error})") from error
     if not isinstance(state, dict):
         _refuse(name, f"its state is a {type(state).__name__}, not a dict")
@@ -100,14 +102,12 @@ def _refuse(name: str, why: str, remedy: str = "start again, or use an earlier c
     raise CheckpointError(f"{name}: cannot load this checkpoint: {why}; {remedy}")
 
 
-def _body(name: str, path: Path) -> memoryview:
+def _body(name: str) -> memoryview:
     """Body of the file, after checks of magic, version, length and checksum.
 
     Reads the body only if the header is valid.
     """
-    if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():
-        _refuse(name, "it is a device or a pipe", "name a file that `save` wrote")
-    with path.open("rb") as file:
+    with open_regular(name) as file:
         header, size = file.read(_HEADER.size), os.fstat(file.fileno()).st_size - _HEADER.size
         length, checksum = _header(name, header)
         if size < length:

@@ -1,4 +1,4 @@
-"""Atomic writes and file locks.
+"""Atomic writes, reading of files that may be anybody's, and file locks.
 
 The library writes all files with :func:`atomic_writer`: the bytes go to a temporary file in the
 same folder, are flushed to the disk, and the file is renamed to its final name.  A reader, or the
@@ -11,6 +11,7 @@ import errno
 import os
 import re
 import secrets
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -24,15 +25,22 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 __all__ = [
+    "MOST_BYTES",
+    "RefusedFileError",
     "atomic_writer",
+    "check_regular",
     "check_writable",
     "is_locked",
     "locked",
+    "open_regular",
+    "read_regular",
     "remove_leftovers",
     "write_bytes",
     "write_text",
 ]
 
+MOST_BYTES = 2**28
+"""Most bytes of a file that is read whole: a sparse one of a terabyte costs nobody anything."""
 _SUFFIX = ".tmp"
 _TEMPORARY = re.compile(r"\.(.+)\.[0-9a-f]{12}\.tmp")
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EBADF)
@@ -40,6 +48,10 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.
 _OF_ANOTHER = (errno.EWOULDBLOCK, errno.EACCES)
 """Errors where another process has the lock."""
 _MOMENT = 0.005  # seconds; `is_locked` has a lock for some microseconds
+
+
+class RefusedFileError(OSError):
+    """What is not read: no regular file, which might be waited for or have no end, or too large."""
 
 
 @contextmanager
@@ -88,6 +100,48 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     write_bytes(path, text.encode())
 
 
+def open_regular(path: str | os.PathLike[str], *, links: bool = True) -> IO[bytes]:
+    """Open a file to be read, without waiting for anybody; `links`: through symbolic ones, too.
+
+    Raises RefusedFileError (an OSError) for a pipe, a socket or a device, IsADirectoryError for a
+    folder, and other OSErrors.
+    """
+    flags = os.O_RDONLY | _O_BINARY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0)
+    flags |= 0 if links else _NO_LINKS
+    check_regular(path, links=links)  # some devices act when they are opened
+    file = os.fdopen(os.open(path, flags), "rb")
+    try:
+        _check_regular(path, os.fstat(file.fileno()))  # it may be another one by now
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def check_regular(path: str | os.PathLike[str], *, links: bool = True) -> None:
+    """Raise what `open_regular` raises, for what opens the file by itself."""
+    _check_regular(path, os.stat(path, follow_symlinks=links))
+
+
+def _check_regular(path: str | os.PathLike[str], about: os.stat_result) -> None:
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(f"cannot read {os.fspath(path)}: it is a folder; name a file")
+    if not stat.S_ISREG(about.st_mode):
+        what = "a link" if stat.S_ISLNK(about.st_mode) else "a pipe, a socket or a device"
+        raise RefusedFileError(f"cannot read {os.fspath(path)}: it is {what}; name a file")
+
+
+def read_regular(
+    path: str | os.PathLike[str], most: int = MOST_BYTES, *, links: bool = True
+) -> bytes:
+    """Contents of a file, see `open_regular`; RefusedFileError for more than `most` bytes."""
+    with open_regular(path, links=links) as file:
+        data = file.read(most + 1) if os.fstat(file.fileno()).st_size <= most else None
+    if data is None or len(data) > most:  # a file of /proc has no size
+        raise RefusedFileError(f"cannot read {os.fspath(path)}: it has more than {most:,} bytes")
+    return data
+
+
 def check_writable(folder: str | os.PathLike[str]) -> None:
     """Make `folder` if it is missing; raise OSError unless a file can be written there."""
     path = Path(folder)
@@ -121,6 +175,7 @@ def remove_leftovers(
 
 
 _O_BINARY = getattr(os, "O_BINARY", 0)  # Windows would translate line ends without it
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0)  # a lock is made: a link would lead out of its folder
 
 
 def _sync_folder(folder: Path) -> None:
@@ -165,7 +220,7 @@ def is_locked(path: str | os.PathLike[str]) -> bool | None:
     if fcntl is None:
         return None
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        descriptor = os.open(path, os.O_RDONLY | _NO_LINKS | os.O_NONBLOCK)
     except OSError:
         return None
     try:
@@ -250,6 +305,6 @@ def _lock(path: str | os.PathLike[str], wait: bool) -> _Held | None:
 
 def _open_to_lock(path: str | os.PathLike[str]) -> int:
     try:
-        return os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+        return os.open(path, os.O_CREAT | os.O_RDWR | _NO_LINKS, 0o666)
     except PermissionError:  # the file of another user, in a folder of several
-        return os.open(path, os.O_RDONLY)
+        return os.open(path, os.O_RDONLY | os.O_NONBLOCK | _NO_LINKS)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import os
 import platform
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 __all__ = ["cores", "cpu_name", "load", "machine", "version_of", "versions"]
 
+_GROUPS, _MOUNTED = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 _PACKAGES = (
     "fide-plugins",
     "torch",
@@ -84,8 +87,44 @@ def cpu_name() -> str:
     return platform.processor() or platform.machine()
 
 
-def cores() -> int:
-    """Cores this process may run on."""
+def cores(groups: Path = _GROUPS, mounted: Path = _MOUNTED) -> int:
+    """Cores this process may use: those it may run on, at most the quota of its control groups.
+
+    groups: file with these groups, one a line; mounted: their folder.  A quota of one core and a
+    half is two.
+    """
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        allowed = len(os.sched_getaffinity(0))
+    else:
+        allowed = os.cpu_count() or 1
+    return max(1, math.ceil(min([allowed, *_quotas(groups, mounted)])))
+
+
+def _quotas(groups: Path, mounted: Path) -> Iterator[float]:
+    """Cores that each control group of version 1 or 2 grants, with all groups above it (Linux).
+
+    In a container the group is often at the root, whatever its name outside is.
+    """
+    lines: list[str] = []
+    with suppress(OSError):
+        lines = groups.read_text().splitlines()
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        root = mounted / "cpu" if controllers else mounted  # version 2 has no controllers there
+        group = root / path.strip("/")
+        for folder in [group, *group.parents][: len(group.parts) - len(root.parts) + 1]:
+            with suppress(OSError, ValueError, ZeroDivisionError):  # no group, or no limit
+                yield _quota(folder, version=1 if controllers else 2)
+
+
+def _quota(group: Path, version: int) -> float:
+    """Cores of a control group; raises OSError or ValueError where it has no limit."""
+    if version == 2:
+        quota, period = (group / "cpu.max").read_text().split()[:2]
+    else:
+        quota = (group / "cpu.cfs_quota_us").read_text()
+        period = (group / "cpu.cfs_period_us").read_text()
+    cores = float(quota) / float(period)  # "max" is no number
+    return cores if cores > 0 else math.inf  # -1: no limit

@@ -103,7 +103,7 @@ def _execute(place: str, referent: Referent) -> ModuleType:
         spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[name]
-        raise _unusable(place, error) from error
+        raise _unusable(place, error) from None  # the message has its traceback
     return module
 
 
@@ -115,9 +115,9 @@ def _import(name: str, referent: Referent) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is not None and (name == error.name or name.startswith(f"{error.name}.")):
             raise UnknownNameError(f"no module {name!r}; {referent.form}") from None
-        raise _unusable(name, error) from error
+        raise _unusable(name, error) from None
     except BaseException as error:  # scripts end by sys.exit
-        raise _unusable(name, error) from error
+        raise _unusable(name, error) from None
 
 
 def _search_in(folder: str, *, first: bool) -> None:

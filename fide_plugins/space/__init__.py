@@ -8,6 +8,8 @@ file               idea
 =================  =================================================================================
 `kinds`            what one parameter is: `Float`, `Int`, `Choice`
 `group`            parameters of one thing, and several things of one kind: `Group`
+`arguments`        wrong arguments of a parameter are errors with the right word
+`synonyms`         other words for what a parameter is given
 `layout`           numbers of all parameters <-> points of the cube, for many points at once
 `space`            names: `Space`
 `dictionary`       a space <-> plain dictionaries (JSON)

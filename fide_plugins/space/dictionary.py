@@ -4,7 +4,8 @@
      "floor": {"type": "choice", "values": ["checker", "wood"]},
      "beads": {"repeat": 6, "x": {"type": "float", "low": 0.0, "high": 1.0}}}
 
-What has a "type" is a parameter, all else is a group.  Keys that are as by default are left out.
+What has a key of a parameter is one, all else is a group.  Without a "type" it is a choice if it
+has "values", and else a float.  `to_dict` writes it, and leaves out keys that are as by default.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.space.group import Group, Member, Repeated
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
+from fide_plugins.space.synonyms import is_synonym, right_word
 
 __all__ = ["from_dict", "to_dict"]
 
@@ -75,10 +77,13 @@ def from_dict(data: object) -> dict[str, Member]:
         raise SpaceError(f"a space must be a dictionary of parameters, not {data!r}")
     if not data:
         raise SpaceError(
-            "Space needs at least one parameter; write a table for each, such as [x] with "
-            'type = "float", low = 0, high = 1'
+            "Space needs at least one parameter; write a table for each, such as [x] with low = 0, "
+            "high = 1"
         )
-    return _members(data, "")
+    try:
+        return _members(data, "")
+    except RecursionError:
+        raise SpaceError("tables are nested too deeply; write fewer groups in each other") from None
 
 
 def _members(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
@@ -88,8 +93,8 @@ def _members(data: Mapping[str, Any], prefix: str) -> dict[str, Member]:
 def _member(table: str, data: object) -> Member:
     if not isinstance(data, Mapping):
         raise SpaceError(
-            f"[{table}] must be a table with a type, not {data!r}; write [{table}] and below it "
-            'type = "float", low = 0, high = 1'
+            f"[{table}] must be a table, not {data!r}; write [{table}] and below it low = 0, "
+            "high = 1"
         )
     try:
         return _parameter(data) if _is_parameter(data) else _group(table, data)
@@ -100,25 +105,23 @@ def _member(table: str, data: object) -> Member:
 
 
 def _is_parameter(data: Mapping[str, Any]) -> bool:
-    """Whether a table is a parameter, perhaps one without its type."""
+    """Whether a table is a parameter, perhaps one without its type, or with a misspelt key."""
     known = {key for keys in _KEYS.values() for key in keys}
-    return any(
-        key == "type" or key in known
-        for key, value in data.items()
-        if not isinstance(value, Mapping)
-    )
+    own = [key for key, value in data.items() if not isinstance(value, Mapping)]
+    return any(key == "type" or key in known or is_synonym(key) for key in own)
 
 
 def _parameter(data: Mapping[str, Any]) -> Kind:
-    kind = data.get("type")
+    kind = data.get("type", "choice" if "values" in data else "float")
     if not isinstance(kind, str) or kind not in _KINDS:
-        given = "has no type" if "type" not in data else f"type: unknown type {kind!r}"
-        hint = did_you_mean(kind, _KINDS)
-        raise SpaceError(f"{given}; write type = one of {', '.join(map(repr, _KINDS))}{hint}")
+        hint = right_word(kind, _KINDS)
+        raise SpaceError(
+            f"type: unknown type {kind!r}; write type = one of {', '.join(map(repr, _KINDS))}{hint}"
+        )
     keys = dict.fromkeys(("type", *_KEYS[kind]))
     for key in data:
         if key not in keys:
-            hint = did_you_mean(key, keys)
+            hint = right_word(key, keys)
             article = "an" if kind == "int" else "a"
             raise SpaceError(
                 f"{key}: unknown key of {article} {kind}; known are {', '.join(keys)}{hint}"
@@ -144,8 +147,6 @@ def _group(table: str, data: Mapping[str, Any]) -> Group | Repeated:
                 f"{did_you_mean(key, known)}"
             )
     if not members:
-        raise SpaceError(
-            f'is empty; write type = "float", low = 0, high = 1 below it, or tables [{table}.NAME]'
-        )
+        raise SpaceError(f"is empty; write low = 0, high = 1 below it, or tables [{table}.NAME]")
     group = Group(_members(members, f"{table}."))
     return group * data["repeat"] if "repeat" in data else group

@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from fide_plugins.errors import SpaceError
+from fide_plugins.space.arguments import explained
 from fide_plugins.validation.points import as_real, as_whole, whole_instead
 
 __all__ = ["Choice", "Float", "Int", "Kind", "Scale"]
@@ -69,6 +70,7 @@ class _Number:
         return Scale(self.low, self.high, self.step or 0.0, self.log)
 
 
+@explained("Float(0, 1)")
 @dataclass(frozen=True, repr=False)
 class Float(_Number):
     """A real number in [low, high].
@@ -121,6 +123,7 @@ class Float(_Number):
         return number
 
 
+@explained("Int(1, 8)")
 @dataclass(frozen=True, repr=False)
 class Int(_Number):
     """A whole number in [low, high], both included.
@@ -171,6 +174,7 @@ class Int(_Number):
         return number
 
 
+@explained("Choice('a', 'b')")
 @dataclass(frozen=True, init=False, repr=False, eq=False)
 class Choice:
     """One of some values without an order: texts, numbers, anything hashable.

@@ -14,18 +14,23 @@ from fide_plugins.runtime.files import write_text
 __all__ = ["parse", "read", "text", "write"]
 
 
+_MOST_BYTES = 2**24  # 200,000 parameters
+
+
 def parse(text: str) -> dict[str, Any]:
     """Tables of a text; SpaceError if it is no TOML."""
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number of 5,000 digits, deep brackets
         raise SpaceError(f"no TOML: {error}; write [name] and below it key = value") from None
 
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Tables of a file; SpaceError if it is no TOML, OSError if it cannot be read."""
+    """Tables of a file, or of a pipe; SpaceError if it is no TOML, OSError if it cannot be read."""
     with open(path, "rb") as file:
-        data = file.read()
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise SpaceError(f"it has more than {_MOST_BYTES:,} bytes; name the file of a space")
     try:
         return parse(data.decode("utf-8-sig"))  # Windows begins files with a mark
     except UnicodeDecodeError as error:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
+from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_sources import Pixels, refuse_type, scale_remedy
@@ -44,6 +45,7 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
     except ImportError as e:
         raise DependencyError("reading an image file needs Pillow: pip install pillow") from e
     try:
+        check_regular(path)
         with Image.open(path) as image:
             frames = 1 if image.format in _LAYERED else getattr(image, "n_frames", 1)
             whole = image.size
@@ -57,6 +59,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
         raise ImageNotFoundError(f"no image file at {os.fspath(path)!r}") from e
     except ImageError:
         raise
+    except RefusedFileError as e:
+        raise ImageError(f"{e} with an image") from e
     except Exception as e:  # decoders of untrusted bytes raise nearly anything
         return _of_another_format(path, max_side, raw, e)
     if frames > 1:

@@ -239,8 +239,8 @@ def load(
     pixels = read_pixels(path, None)
     shape = (pixels.shape[0], pixels.shape[1])
     weights = as_target(mask, what="mask", size=shape, behind=0.0)[..., 0]
-    pixels, weights = shrunk(pixels, weights, max_side)
-    return as_target(pixels, what=what, hidden=weights == 0)
+    pixels, shown = shrunk(pixels, weights, max_side)
+    return as_target(pixels, what=what, hidden=None if shown is None else shown == 0)
 
 
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------

@@ -34,11 +34,19 @@ _NO_FIT = "the image of"  # begins the name of a render that is no part of a fit
 def check_axes(pixels: Any, what: str) -> None:
     """Raise ImageError unless the axes are those of one image."""
     if pixels.ndim not in (2, 3):
-        batch_of_one = pixels.ndim == 4 and len(pixels) == 1
+        remedy = ""
+        if pixels.ndim == 4:
+            remedy = f"; {_views('list(image)')}"
+            if len(pixels) == 1:
+                remedy = "; take it out of its batch of one, image[0]"
         raise ImageError(
-            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}"
-            + ("; take it out of its batch of one, image[0]" if batch_of_one else "")
+            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
         )
+
+
+def _views(pictures: str) -> str:
+    """What to write for several pictures in one array."""
+    return f"of several pictures make views: {pictures}, a list, and let render return such a list"
 
 
 def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
@@ -82,10 +90,14 @@ def channels_last(
         if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
             pixels = pixels.swapaxes(batch, batch + 1).swapaxes(batch + 1, batch + 2)
         elif pixels.shape[-1] not in CHANNELS:
-            hint = "; np.moveaxis(image, -3, -1) puts the channels last"
+            count = pixels.shape[-1]
+            each = f"[image[..., i] for i in range({count})]"
+            hint = _views("list(image)" if first < count else each)
+            if first in CHANNELS:
+                hint = "np.moveaxis(image, -3, -1) puts the channels last"
             raise ImageError(
-                f"{what} must have 1, 3 or 4 channels in its last axis, got "
-                f"{describe(pixels)}{hint if first in CHANNELS else ''}"
+                f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
+                f"{hint}"
             )
     height, width = pixels.shape[batch : batch + 2]
     if height == 0 or width == 0:

@@ -50,6 +50,7 @@ target, and stays for the next ones.
 `encoder`       the tokens of views
 `same_images`   notices a renderer that does not use its parameters
 `grain`         whether an image differs from the target by noise of its pixels alone
+`solved`        whether it equals the target but for what no eye sees
 ==============  ==================================================================
 """
 

@@ -1,4 +1,4 @@
-"""Grain: noise of renders that is independent from pixel to pixel, as that of path tracers is.
+"""Grain: noise that is independent from pixel to pixel, as that of path tracers and cameras is.
 
 Two questions, which need no loss.  *How much?*  Where a test of the scene renders one candidate
 twice, half of the mean squared difference of the two is the variance of a pixel, however far both
@@ -8,6 +8,11 @@ correlated, and the mean squared difference is about that variance, or twice tha
 as much grain.  What is wrong in an image mostly covers several pixels, so they are correlated: the
 correlation is about the share of the squared difference that is no grain.  A small thing has a
 small share, so no mean of 8 x 8 pixels may stand out either.
+
+Where the target has more grain than the renders, which may have none, nobody knows how much there
+is.  Then it must be as strong all over the picture: most pixels have some, and no 9 x 9 pixels have
+more of it than chance explains, since the edges of a thing in a wrong place would.  Neighbors may
+be correlated as far as chance explains.
 
 Not seen is what changes no such mean by 3/4 of the standard deviation of a pixel: things of a few
 pixels, faint things.
@@ -23,12 +28,13 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter
+from scipy.special import chdtrc
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.views import Views
 
-__all__ = ["Grain", "is_grain"]
+__all__ = ["Grain", "is_even_grain", "is_grain"]
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
 _CORRELATED = 0.1  # correlation of neighbors from which on a difference is no grain alone
@@ -37,6 +43,10 @@ _STANDS_OUT = 6.0  # standard deviations of that mean; grain alone has up to som
 _QUIET = 0.1  # of the standard deviation of all pixels, the least one that a window is given
 _LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
 _MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
+_CHANCE = 4.0  # standard errors of the correlation of neighbors that is allowed
+_FAINT, _DENSE = 0.01, 0.7  # of the mean square; so many pixels must exceed it, by chance 0.92
+_SIDE = 9  # pixels of a square with more grain than chance explains
+_RARE = 1e-3  # probability of one such square in a picture
 _TINY = 1e-300
 _SCHEMA: dict[str, Schema] = {
     "variance": maybe(real(0.0)),
@@ -68,12 +78,21 @@ class Grain:
         """The test is over, also if only one render came back."""
         self._repeat = None
 
-    def is_all(self, image: Float32, target: Float32) -> bool:
-        """Whether grain is all in which an image (H, W, 3) differs from a target."""
-        if not self.variance:
-            return False
+    def left(self, image: Float32, target: Float32) -> float | None:
+        """Standard deviation of a pixel, if grain is all in which an image differs from a target.
+
+        image, target: (H, W, 3).  None: there is something else, or nobody knows: no candidate was
+        rendered twice yet.
+        """
+        if self.variance is None:
+            return None
         apart = self._views.differences(image, target)
-        return _mean_square(apart) <= _MOST * self.variance and all(map(is_grain, apart))
+        square = _mean_square(apart)
+        if 0 < square <= _MOST * self.variance:
+            return float(np.sqrt(self.variance)) if all(map(is_grain, apart)) else None
+        pairs = zip(apart, self._views.views, strict=True)
+        even = square and all(is_even_grain(one, view.counted) for one, view in pairs)
+        return float(np.sqrt(square)) if even else None
 
     def state_dict(self) -> dict[str, Any]:
         """Everything; the image is the one in use, not a copy."""
@@ -89,8 +108,10 @@ def _mean_square(differences: list[Float64]) -> float:
     return float(np.mean([np.square(each).mean() for each in differences]))
 
 
-def is_grain(difference: Float64) -> bool:
+def is_grain(difference: Float64, correlated: float = _CORRELATED) -> bool:
     """Whether a difference of two images (H, W, 3) is independent from pixel to pixel.
+
+    correlated: correlation of neighbors from which on it is not.
 
     None at all is.  Where fewer than 400 pixels differ nothing can be said: False.
     """
@@ -102,9 +123,27 @@ def is_grain(difference: Float64) -> bool:
     for down, right in _LAGS:
         one = difference[: height - down, max(0, -right) : width - max(0, right)]
         other = difference[down:, max(0, right) : width + min(0, right)]
-        if abs(float((one * other).sum())) > _CORRELATED * total:
+        if abs(float((one * other).sum())) > correlated * total:
             return False
     return not _stands_out(difference)
+
+
+def is_even_grain(difference: Float64, counted: int) -> bool:
+    """As `is_grain`, with as much of it all over the picture.
+
+    counted: number of pixels that count; the others do not differ.
+    """
+    squares = np.square(difference).mean(axis=-1)
+    mean = float(squares.sum()) / counted
+    if np.count_nonzero(squares > _FAINT * mean) < _DENSE * counted:
+        return False
+    side = min(_SIDE, *squares.shape)
+    inside = tuple(slice(side // 2, length - (side - 1) // 2) for length in squares.shape)
+    largest = float(uniform_filter(squares, side)[inside].max())
+    # independent from pixel to pixel, and perhaps the same in all colors: chi-squared
+    if chdtrc(side**2, side**2 * largest / mean) < _RARE / counted:
+        return False
+    return is_grain(difference, min(_CORRELATED, _CHANCE / counted**0.5))
 
 
 def _stands_out(difference: Float64) -> bool:

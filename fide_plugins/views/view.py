@@ -91,9 +91,13 @@ class View:
             return float(squared.mean())
         return float(np.average(squared.mean(axis=-1), weights=self.weights))
 
-    def largest_error(self, image: Float32) -> float:
-        """Largest difference of an image (H, W, 3) from the target, where pixels count at all."""
-        missed = np.abs(image - self.target)
-        if self.weights is not None:
-            missed = missed[self.weights > 0]
-        return float(missed.max())
+    @property
+    def counted(self) -> int:
+        """How many pixels count at all."""
+        height, width = self.size
+        return height * width if self.weights is None else int(np.count_nonzero(self.weights))
+
+    def largest_errors(self, image: Float32) -> Float32:
+        """(H, W), largest difference of a color from the target; 0 where a pixel does not count."""
+        missed: Float32 = np.abs(image - self.target).max(axis=-1)
+        return missed if self.weights is None else np.where(self.weights > 0, missed, 0)

@@ -257,10 +257,15 @@ class Views:
             for view, (one, two) in zip(self.views, pairs, strict=True)
         ]
 
-    def largest_error(self, image: Float32) -> float:
-        """Largest difference of a packed image from the target, of all pixels that count."""
+    def largest_errors(self, image: Float32) -> list[Float32]:
+        """(H, W) of each view, see `View.largest_errors`, of a packed image."""
         pairs = zip(self.views, self.split(image[None]), strict=True)
-        return max(view.largest_error(part[0]) for view, part in pairs)
+        return [view.largest_errors(part[0]) for view, part in pairs]
+
+    @cached_property
+    def counted(self) -> int:
+        """How many pixels count, of all views."""
+        return sum(view.counted for view in self.views)
 
     def _packed(self, pictures: Sequence[Float32], leading: tuple[int, ...]) -> Float32:
         """One array of pictures (..., H, W, 3), one for each view."""

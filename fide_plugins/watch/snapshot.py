@@ -7,20 +7,25 @@ import io
 import json
 import math
 import os
-import stat
+import struct
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 from fide_plugins.recording.directory import LIVE
+from fide_plugins.runtime.files import MOST_BYTES, read_regular
+from fide_plugins.validation.image_sources import MAX_PIXELS
 from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]
 
 PICTURES = ("target.png", "best.png", "difference.png")
-_PNG = b"\x89PNG\r\n\x1a\n"
-_MOST_BYTES = 2**28
+_PNG = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+_SIZE = struct.Struct(">II")
+_MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
+_MOST_SHOWN = 2048  # pixels a side of the difference; larger pictures are reduced
 _QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
 _WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
 _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
@@ -33,12 +38,13 @@ _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which typ
 class RunFiles:
     """Files of one run directory, by a fixed list of names.
 
-    Results are kept until the files change.
+    Results are kept until the files change; they are computed one at a time, whoever asks.
     """
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
         self.path = Path(directory)
         self._kept: dict[str, tuple[Any, Any]] = {}
+        self._computing = threading.Lock()
 
     def picture(self, name: str) -> bytes | None:
         """PNG of that name in `PICTURES`; None if there is none."""
@@ -47,7 +53,7 @@ class RunFiles:
             made: bytes | None = self._once(name, marks, self._difference)
             return made
         data = self._read(name)
-        return data if data is not None and data.startswith(_PNG) else None
+        return data if data is not None and _is_picture(data) else None
 
     def state(self) -> dict[str, Any]:
         """Everything the page shows, as JSON has it; what is not known is absent."""
@@ -90,16 +96,10 @@ class RunFiles:
 
     # -- files -------------------------------------------------------------------------------------
 
-    def _read(self, name: str) -> bytes | None:
+    def _read(self, name: str, most: int = MOST_BYTES) -> bytes | None:
         """Contents of a regular file of the directory itself; None if there is none."""
         try:
-            flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-            descriptor = os.open(self.path / name, flags | getattr(os, "O_BINARY", 0))
-            with os.fdopen(descriptor, "rb") as file:
-                about = os.fstat(file.fileno())
-                if not stat.S_ISREG(about.st_mode) or about.st_size > _MOST_BYTES:
-                    return None
-                return file.read()
+            return read_regular(self.path / name, most, links=False)
         except OSError:
             return None
 
@@ -116,13 +116,14 @@ class RunFiles:
         return "" if None in marks else "-".join(str(mark[0]) for mark in marks if mark)
 
     def _once(self, name: str, mark: Any, make: Any) -> Any:
-        if name not in self._kept or self._kept[name][0] != mark:
-            self._kept[name] = (mark, make())
-        return self._kept[name][1]
+        with self._computing:
+            if name not in self._kept or self._kept[name][0] != mark:
+                self._kept[name] = (mark, make())
+            return self._kept[name][1]
 
     def _json(self, name: str) -> dict[str, Any]:
         try:
-            found = json.loads(self._read(name) or b"{}")
+            found = json.loads(self._read(name, _MOST_OF_JSON) or b"{}")
         except (ValueError, RecursionError):
             return {}
         return found if isinstance(found, dict) else {}
@@ -130,27 +131,28 @@ class RunFiles:
     # -- what they say -----------------------------------------------------------------------------
 
     def _difference(self) -> bytes | None:
-        """Absolute difference of target and best image, four times as strong."""
-        import numpy as np
-        from PIL import Image
+        """Absolute difference of target and best image, four times as strong, for a screen."""
+        from PIL import Image, ImageChops
 
-        from fide_plugins.recording.figures import as_png
-
-        arrays = []
-        for data in (self.picture(name) for name in PICTURES[:2]):
-            try:
-                with Image.open(io.BytesIO(data or b""), formats=["PNG"]) as image:
-                    arrays.append(np.asarray(image.convert("RGB"), np.float32) / 255)
-            except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        data = (self.picture(name) or b"" for name in PICTURES[:2])
+        buffer = io.BytesIO()
+        try:
+            one, other = (Image.open(io.BytesIO(each), formats=["PNG"]) for each in data)
+            if one.size != other.size or math.prod(one.size) > MAX_PIXELS:  # nothing decoded yet
                 return None
-        if arrays[0].shape != arrays[1].shape:
+            factor = -(-max(one.size) // _MOST_SHOWN)
+            made = ImageChops.difference(
+                one.convert("RGB").reduce(factor), other.convert("RGB").reduce(factor)
+            )
+            made.point([min(4 * value, 255) for value in range(256)] * 3).save(buffer, "PNG")
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
             return None
-        return as_png(np.clip(4 * np.abs(arrays[0] - arrays[1]), 0, 1))
+        return buffer.getvalue()
 
     def _curve(self) -> dict[str, Any]:
         """From `curve.csv`: evaluations, best loss, seconds, and when the best loss fell."""
-        text = (self._read("curve.csv") or b"").decode("utf-8", "replace")
-        lines = csv.DictReader(io.StringIO(text))
+        data = io.BytesIO(self._read("curve.csv") or b"")
+        lines = csv.DictReader(io.TextIOWrapper(data, "utf-8", "replace", newline=""))
         improvements: list[list[float]] = []
         number, seconds = 0, 0.0
         try:
@@ -182,6 +184,14 @@ class RunFiles:
             return [] if x is None else _rows(listed(named, x))
         except (OSError, *IMPOSSIBLE):
             return []
+
+
+def _is_picture(data: bytes) -> bool:
+    """Whether it begins as a PNG that may be decoded: a few bytes may say billions of pixels."""
+    if not data.startswith(_PNG) or len(data) < len(_PNG) + _SIZE.size:
+        return False
+    width, height = _SIZE.unpack_from(data, len(_PNG))
+    return bool(width * height <= MAX_PIXELS)
 
 
 def _text(value: Any) -> str:

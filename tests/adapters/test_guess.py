@@ -245,6 +245,22 @@ def test_so_it_is_in_the_shell(
     check(by_shell(command, 0, capsys))
 
 
+@pytest.mark.filterwarnings("ignore:the budget of 1 renders")
+@pytest.mark.parametrize("guess", ["--set", "of one optimizer"])
+def test_so_it_is_in_comparisons(
+    guess: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.py").write_text(SCENE)
+    option = f"x0={json.dumps(GUESS)}"
+    named = ["fide", "--set", option] if guess == "--set" else [f"fide:{option},random"]
+    words = ["--budget", "1", "--seeds", "1", "--out", "out"]
+    assert main(["compare", "scene.py:render", "--optimizers", *named, *words]) == 0
+    (run,) = Path("out").glob("cells/*/mse/fide*/seed-0/run.json")
+    x_best = json.loads(run.read_text())["totals"]["x_best"]
+    np.testing.assert_allclose(x_best, SPACE.encode(GUESS), rtol=1e-12)
+
+
 # -- where the search goes on ----------------------------------------------------------------------
 
 

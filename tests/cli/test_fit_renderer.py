@@ -147,7 +147,8 @@ def test_a_program_is_fitted_without_a_shell(
     program: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["lines.png", "--command", program, "--space", "space.toml", "--workers", 1]
-    assert fide("fit", *words, "--budget", 25, "--json", "--out", "out") == 0
+    words += ["--budget", 25, "--until", "budget"]
+    assert fide("fit", *words, "--json", "--out", "out") == 0
     captured = capsys.readouterr()
     result = json.loads(captured.out.splitlines()[-1])
     assert set(result["params"]) == {"gray", "rows"} and result["evaluations"] == 25

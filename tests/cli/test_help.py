@@ -16,5 +16,5 @@ def test_one_thread_is_one_thread() -> None:
 def test_fit_names_the_defaults_of_budget_and_loss(capsys: pytest.CaptureFixture[str]) -> None:
     assert fide("fit", "--help") == 0
     letters = "".join(capsys.readouterr().out.split())  # lines break at hyphens, too
-    assert "numberofrenders(2000;with--model5000;with--timeor--until-stalled:any)" in letters
+    assert "numberofrenders(2000;with--model5000;with--timeor--untilstalled:any)" in letters
     assert "see:fidelistlosses(mse)" in letters

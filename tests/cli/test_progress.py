@@ -64,6 +64,31 @@ def test_failed_renders_have_neither_loss_nor_shares(
     assert "inf" not in "".join(lines)
 
 
+def test_a_log_gets_a_line_soon_and_then_one_a_minute(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # of the fixture above
+    now = 1000.0
+    monkeypatch.setattr("fide_plugins.cli.progress.time.monotonic", lambda: now)
+    report = progress.lines("x")
+    told = []
+    for second in range(0, 601):
+        now = 1000.0 + second
+        report(Progress(second, 10_000, 0.5, float(second), NO_TIME))
+        if capsys.readouterr().err:
+            told.append(second)
+    assert told == [5, *range(65, 601, 60)]
+    report(Progress(10_000, 10_000, 0.5, 601.0, NO_TIME))
+    assert "10000/10000" in capsys.readouterr().err  # the end is always told
+
+
+def test_other_commands_write_into_a_log_as_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    assert progress.interval(5.0) == 60.0
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    assert progress.interval(5.0) == 5.0
+
+
 def test_a_loss_that_is_infinite_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:
     line = last_line(capsys, (0, 0.0), (10, 1.0), best_loss=math.inf)
     assert "inf" not in line and "10 renders/s" in line
@@ -113,7 +138,7 @@ def test_the_time_that_is_left(
 
 def test_a_fit_tells_its_time_limit_and_where_its_speed_counts_from() -> None:
     seen: list[Progress] = []
-    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, workers=0, seed=0,
-        progress=seen.append)  # fmt: skip
+    fit(lambda x: np.full((8, 8), x[0]), np.zeros((8, 8)), 2, 20, time=60, until="budget",
+        workers=0, seed=0, progress=seen.append)  # fmt: skip
     assert seen[0].evaluations == 0 and seen[-1].evaluations == 20
     assert {at.time for at in seen} == {60.0}

@@ -144,7 +144,9 @@ def test_standard_deviations_are_the_same_where_floating_point_errors_raise(
         return looks_alike(*args)
 
     def fitted() -> Solution:
-        result = fit(disk, disk({"x": 0.7, "gray": 0.7}), SPACE, budget=200, workers=0, seed=0)
+        result = fit(
+            disk, disk({"x": 0.7, "gray": 0.7}), SPACE, 200, until="budget", workers=0, seed=0
+        )
         assert result.best is not None
         return result.best
 

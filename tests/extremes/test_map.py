@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MAP = ROOT / "docs" / "measurements" / "extremes.md"
+MAP = ROOT / "lab" / "reports" / "extremes.md"
 PLACE = re.compile(r"`([\w/]+/test_\w+\.py)(?:::(test_\w+))?`")
 
 pytestmark = pytest.mark.skipif(not MAP.exists(), reason="the documents are not here")

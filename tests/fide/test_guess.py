@@ -212,8 +212,9 @@ def test_a_narrow_search_stays_at_a_good_guess(sigma0: float) -> None:
     at_guess = float(np.square(peak(guess) - peak(answer)).mean())
     for seed in range(4):
         found = fit(
-            peak, peak(answer), space, x0=guess, sigma0=sigma0, budget=60, workers=0, seed=seed
-        )
+            peak, peak(answer), space, x0=guess, sigma0=sigma0, budget=60, until="budget",
+            workers=0, seed=seed,
+        )  # fmt: skip
         assert found.best is not None and found.best.loss < 1e-3 * at_guess
 
 

@@ -23,7 +23,7 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
         (replace(RUN, grain=0.02), "noise", "samples per pixel"),
         (replace(RUN, improved_at=2800), "improving", "Still improving"),
         (replace(RUN, ended=[]), "stalled", "since evaluation 1,200"),
-        (replace(RUN, ended=[1, 0]), "stalled", "No second search"),
+        (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere"),
         (
             RUN,
             "unsure",
@@ -47,7 +47,14 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
             "2 searches from different starting points ended",
         ),
         (replace(RUN, ended=[0, 3]), "unsure", "points none ended at this answer, the others at 1"),
-        (replace(RUN, ended=[3, 3]), "unsure", "the others at 1:"),
+        (replace(RUN, ended=[3, 3]), "unsure", "the others at 1, so there may be a better one"),
+        (
+            replace(RUN, others=0.012, apart=0.42),
+            "unsure",
+            "the others at 2 (the best of these has loss 0.012; parameters differ by up to 42% of "
+            "their range), so there may be a better one: fit again with another seed and compare "
+            "the losses, or give more renders.",
+        ),
         (replace(RUN, best=-1.0), "unsure", "loss -1"),
         (
             replace(RUN, same=3000),

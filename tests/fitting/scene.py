@@ -64,5 +64,7 @@ def disk(misfortune: str = "", log: Path | None = None) -> Callable[[dict[str, f
 
 
 def target() -> Any:
-    """Its picture at the answer."""
-    return disk()(ANSWER)
+    """Its picture at the answer, with a corner that it never draws: no fit is over before time."""
+    picture = disk()(ANSWER)
+    picture[:3, :3] += 0.1
+    return picture

@@ -70,7 +70,7 @@ def test_further_views_are_a_list_of_pictures() -> None:
 def unasked(budget: int) -> Callable[[], object]:
     """A fit, ready to start, whose optimizer and renderer do nothing."""
     image, X, losses = target(), np.full((1, 4), 0.5), np.array([0.5])
-    stopping = Stopping.of(budget, None, None, False)
+    stopping = Stopping.of(budget, None, None)
     fitting = prepare(lambda x: image, image, 4, stopping=stopping, workers=0, seed=0)
     optimizer: Any = fitting.optimizer
     optimizer.ask, optimizer.tell = lambda n: X, lambda X, images: losses
@@ -270,36 +270,42 @@ def test_a_hopeless_fit_stops_when_it_stalls() -> None:
         return np.full((16, 16), 0.3)
 
     with pytest.warns(RuntimeWarning, match="all images of the first 32 different candidates"):
-        result = fit(constant, target(), SPACE, None, until_stalled=True, workers=0, seed=0)
-    assert result.stopped == "until_stalled"
+        result = fit(constant, target(), SPACE, None, until="stalled", workers=0, seed=0)
+    assert result.stopped == "stalled"
     assert 20 * 8 <= result.evaluations < 2000 and result.status.code != "improving"
-    solved = fit(disk(), target(), SPACE, None, until_stalled=True, workers=0, seed=0)
-    assert solved.stopped == "until_stalled"
 
 
 @pytest.mark.parametrize(
     ("code", "improved_at", "evaluations", "over"),
     [
-        ("solved", 10, 11, True),
-        ("noise", 10, 11, True),
-        ("agreed", 10, 400, True),
-        ("unsure", 10, 400, False),  # moves have not had their chance
-        ("stalled", 10, 1209, False),
-        ("unsure", 10, 1210, True),
-        ("unsure", 2000, 3999, False),  # what took long may take as long again
-        ("unsure", 2000, 4000, True),
-        ("improving", 10, 5000, False),
+        ("solved", 10, 11, "solved"),
+        ("noise", 10, 11, "stalled"),  # the renderer has noise
+        ("agreed", 10, 400, "stalled"),
+        ("unsure", 10, 400, None),  # moves have not had their chance
+        ("stalled", 10, 1209, None),
+        ("unsure", 10, 1210, "stalled"),
+        ("unsure", 2000, 3999, None),  # what took long may take as long again
+        ("unsure", 2000, 4000, "stalled"),
+        ("improving", 10, 5000, None),
     ],
 )
 def test_a_fit_is_stalled_after_many_moves(
-    code: str, improved_at: int, evaluations: int, over: bool
+    code: str, improved_at: int, evaluations: int, over: str | None
 ) -> None:
     """With a population of eight."""
-    state = SimpleNamespace(evaluations=evaluations, improved_at=improved_at, retargeted_at=0)
-    optimizer = SimpleNamespace(popsize=8, state=state, status=SimpleNamespace(code=code))
-    rule = Stopping(None, until_stalled=True)
-    reached = rule.reached(evaluations, 1.0, 0.1, True, optimizer)  # type: ignore[arg-type]
-    assert (reached == "until_stalled") == over
+    grain = SimpleNamespace(variance=0.01)
+    state = SimpleNamespace(
+        evaluations=evaluations, improved_at=improved_at, retargeted_at=0, grain=grain
+    )
+    optimizer: Any = SimpleNamespace(
+        popsize=8, dim=4, state=state, status=SimpleNamespace(code=code),
+        views=SimpleNamespace(counted=256),
+    )  # fmt: skip
+    losses = [1.0] * (evaluations - 1) + [0.1]
+    assert Stopping(None, until="stalled").reached(losses, 1.0, 0.1, True, optimizer) == over
+    other = over if code == "solved" else None
+    assert Stopping(None).reached(losses, 1.0, 0.1, True, optimizer) == other
+    assert Stopping(None, until="budget").reached(losses, 1.0, 0.1, True, optimizer) is None
 
 
 def test_a_result_is_short_to_read() -> None:
@@ -310,9 +316,9 @@ def test_a_result_is_short_to_read() -> None:
 
 @pytest.mark.thorough
 def test_writing_is_no_time_of_the_search(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def slow_write(self: Fitting, status: str) -> None:
+    def slow_write(self: Fitting, status: str, stopped: str) -> None:
         time.sleep(2)
-        write(self, status)
+        write(self, status, stopped)
 
     write = Fitting._write
     monkeypatch.setattr(Fitting, "_write", slow_write)

@@ -125,7 +125,7 @@ def test_a_half_written_file_is_a_failed_render(opened: bool, tmp_path: Path) ->
         return Image.open(file) if opened else file
 
     with pytest.warns(RenderFailedWarning, match="truncated"):
-        result = fit(render, TARGET, GRAY, budget=40, workers=0, seed=0, sigma0=0.3)
+        result = fit(render, TARGET, GRAY, budget=40, workers=0, seed=0, sigma0=0.3, until="budget")
     assert result.evaluations == 40 and result.failures > 0
 
 

@@ -48,7 +48,7 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
     part = fit(disk(), target(), SPACE, budget=25, workers=0, seed=5, out=tmp_path)
     assert part.evaluations == 25 and part.out == tmp_path
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["status"] == "finished" and run["limits"] == {"budget": 25}
+    assert run["status"] == "finished" and run["limits"] == {"budget": 25, "until": "solved"}
     assert run["totals"]["evaluations"] == 25 and run["settings"]["task"] == "render"
     assert run["settings"]["space"] == SPACE.to_dict() and "budget" not in run["settings"]
     for name in ("target.png", "best.png", "summary.png", "improvements.csv", "run.ckpt"):
@@ -131,7 +131,7 @@ def test_numpy_numbers_may_be_the_values_of_a_choice(tmp_path: Path) -> None:
         return np.full((8, 8), params["x"] * params["n"] / 2)
 
     space = Space(x=Float(0, 1), n=Choice(*np.arange(3)))
-    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path}
+    arguments: dict[str, Any] = {"workers": 0, "seed": 5, "out": tmp_path, "until": "budget"}
     result = fit(render, np.full((8, 8), 0.5), space, budget=30, **arguments)
     again = fit(render, np.full((8, 8), 0.5), space, budget=40, resume=True, **arguments)
     assert result.params is not None and result.params["n"] > 0 and again.evaluations == 40

@@ -73,7 +73,7 @@ def test_a_call_whose_renders_were_all_equal_leaves_its_name_free(
 def test_lines_of_what_is_done_after_training(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(learn_command, "_EVERY", 0.0)
+    monkeypatch.setattr("fide_plugins.cli.progress._EVERY", 0.0)
     monkeypatch.setattr(calibration, "ENOUGH", 2)  # held-out renders: every 50th
     Path("gradient.py").write_text(SCENE)
     words = ("learn", "gradient.py:render", "--size", 16, "--out", "m.fide", "--passes", 1)

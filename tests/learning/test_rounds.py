@@ -129,9 +129,9 @@ def test_learned_renders_change_no_candidate_and_not_when_a_search_is_stalled() 
     def search(renders: int) -> tuple[Any, int]:
         opt = FIDE(SPACE, PICTURE, seed=0, popsize=4)
         opt.begin_with(None, renders)
-        stopping = Stopping(10_000, until_stalled=True)
+        stopping = Stopping(10_000, until="stalled")
         asked = []
-        while not stopping.reached(opt.evaluations - renders, 0.0, 0.0, True, opt):
+        while not stopping.reached([0.5] * (opt.evaluations - renders), 0.0, 0.0, True, opt):
             X = opt.ask()
             asked.append(X)
             opt.tell(X, None, np.maximum(0.5, X[:, 0]))

@@ -42,7 +42,8 @@ def test_the_page_of_a_program_has_its_command() -> None:
 
 
 def test_every_file_of_results_is_used() -> None:
-    sources = [*BENCHMARKS.glob("*.py"), *(ROOT / "docs").rglob("*.md")]
+    pages = [path for folder in ("docs", "lab") for path in (ROOT / folder).rglob("*.md")]
+    sources = [*BENCHMARKS.glob("*.py"), *pages]
     text = "\n".join(path.read_text("utf-8") for path in sources)
     files = [path.name for path in (BENCHMARKS / "results").glob("*.*") if path.is_file()]
     assert files

@@ -135,7 +135,7 @@ def close(params: dict[str, float], truth: dict[str, float]) -> bool:
 
 CHECKS: dict[str, Callable[[dict[str, Any]], object]] = {
     "answers": lambda names: found(names) and names["result"].solutions,
-    "budget": lambda names: names["result"].stopped in ("stop_at", "until_stalled"),
+    "budget": lambda names: names["result"].stopped in ("stop_at", "solved"),
     "function": found,
     "gpu": lambda names: str(names["result"].optimizer.encoder.device) in ("cpu", "cuda:0"),
     "inside": lambda names: close(names["opt"].best.params, names["moved"]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import Any
 import pytest
 from PIL import Image
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 
 
 def load(name: str) -> ModuleType:
@@ -159,10 +161,36 @@ def test_a_class_says_itself_that_it_raises(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(names.gaps()) == [gap]
 
 
-@pytest.mark.parametrize("page", sorted((DOCS / "measurements").glob("*.md")), ids=lambda p: p.stem)
-def test_a_page_of_measurements_begins_with_its_answer(page: Path) -> None:
+REPORTS = sorted((ROOT / "lab" / "reports").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", REPORTS, ids=lambda p: p.stem)
+def test_a_report_begins_with_its_answer(page: Path) -> None:
     _, answer, *_ = page.read_text("utf-8").split("\n\n")
     assert not answer.startswith(("    ", "|", "#", "```", "![")) and len(answer.split()) <= 65
+
+
+def places(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as a repository's website makes them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}
+
+
+@pytest.mark.parametrize("page", REPORTS, ids=lambda p: p.stem)
+def test_links_of_a_report_lead_somewhere(page: Path) -> None:
+    """`make docs` checks those of the guide."""
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text("utf-8")):
+        path, _, place = link.partition("#")
+        if "://" not in link:
+            goal = page if not path else (page.parent / path)
+            assert goal.exists(), link
+            assert not place or goal.suffix != ".md" or place in places(goal), link
+
+
+def test_the_guide_is_short() -> None:
+    pages = [*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")]
+    words = sum(len(page.read_text("utf-8").split()) for page in pages)
+    assert words <= 40_000
 
 
 class TestBrowser:

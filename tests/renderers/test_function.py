@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+import traceback
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -134,6 +135,8 @@ def test_an_error_in_the_file_is_shown_whole(tmp_path: Path) -> None:
     assert "broken.py cannot be imported" in message
     assert "line 4" in message and "half(3)" in message and "in half" in message
     assert message.endswith("ZeroDivisionError: division by zero")
+    shown = "".join(traceback.format_exception(caught.value))
+    assert shown.count("in half\n") == 1  # the traceback of the file stands there once
     path.write_text("def half(x):\n    return x / 2\n")  # a mended file is loaded
     assert FunctionRenderer(f"{path}:half")(3) == 1.5
 

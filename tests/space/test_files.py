@@ -86,7 +86,9 @@ def test_every_text_survives() -> None:
 
 
 BAD = [
-    ("[a]\nlow = 0\nhigh = 1", r"\[a\] has no type; write type = one of 'float', 'int', 'choice'"),
+    ("[a]\nmin = 0\nmax = 1", r"\[a\] min: unknown key of a float; .*; did you mean 'low'\?"),
+    ('[a]\nlow = 0\nhigh = 1\nunits = "m"', r"\[a\] units: unknown key .*; did you mean 'unit'\?"),
+    ("[a]\nlow = 0", r"\[a\] high: missing; a float needs low and high"),
     ('[a]\ntype = "flaot"\nlow = 0\nhigh = 1', r"\[a\] type: unknown type 'flaot'.*mean 'float'"),
     ('[a]\ntype = "float"\nlow = 0\nhihg = 1', r"\[a\] hihg: unknown key of a float.*mean 'high'"),
     ('[a]\ntype = "float"\nlow = 0', r"\[a\] high: missing; a float needs low and high"),
@@ -106,8 +108,8 @@ BAD = [
         '[a]\ntype = "choice"\nvalues = [1979-05-27]',
         r"\[a\] values: must be texts, numbers or booleans, not",
     ),
-    ("[a]\nrepeat = 3", r"\[a\] is empty; write type = .float., low = 0, high = 1 below it"),
-    ("[a]", r"\[a\] is empty; write type = .float., .* or tables \[a.NAME\]"),
+    ("[a]\nrepeat = 3", r"\[a\] is empty; write low = 0, high = 1 below it"),
+    ("[a]", r"\[a\] is empty; write low = 0, .* or tables \[a.NAME\]"),
     (
         '[a]\ntype = "float"\nlow = 1\nhigh = 2\nlog = "true"',
         r"\[a\] .*log must be true or false, not 'true'; set log to true, without quotes, or leave",
@@ -120,10 +122,18 @@ BAD = [
     ("[a]\nrepaet = 3\n[a.x]\n", r"\[a\] repaet: a group holds tables.*mean 'repeat'"),
     ('[a]\n[a.x]\ntype = "int"\nlow = 3', r"\[a.x\] high: missing"),
     ('["a b"]\ntype = "int"\nlow = 0\nhigh = 1', "the name of .* not 'a b'; call it 'a_b'"),
-    ("a = 3", r"\[a\] must be a table with a type, not 3"),
+    ("a = 3", r"\[a\] must be a table, not 3"),
     ("", r"Space needs at least one parameter; write a table for each, such as \[x\]"),
     ("[a\n", "no TOML: .*line 1"),
 ]
+
+
+def test_without_a_type_it_is_a_float_or_what_its_values_say() -> None:
+    text = '[a]\nlow = 0\nhigh = 1\n[b]\nvalues = ["x", "y"]\n'
+    text += "[c]\nrepeat = 2\n[c.low]\nlow = 1\nhigh = 2\n"
+    space = Space.from_toml(text)
+    assert space == Space(a=Float(0, 1), b=Choice("x", "y"), c=2 * Group(low=Float(1, 2)))
+    assert Space.from_toml(space.to_toml()) == space and 'type = "float"' in space.to_toml()
 
 
 @pytest.mark.parametrize(("text", "message"), BAD)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import json
 import pickle
 from typing import Any
@@ -367,3 +368,31 @@ def test_numbers_of_numpy_are_numbers(space: Space) -> None:
     assert same(space.decode(space.encode(params)), space.decode(np.full(space.dim, 0.5)))
     three: Any = np.int8(3)
     assert Int(three, 8) == Int(3, 8) and type(Int(three, 8).low) is int
+
+
+@pytest.mark.parametrize(
+    ("kind", "args", "named", "message"),
+    [
+        (Float, (0, 1), {"units": "deg"}, "Float has no argument 'units'.*mean 'unit'"),
+        (Float, (), {"min": 0, "max": 1}, "Float has no argument 'min'.*mean 'low'"),
+        (Int, (0,), {"maximum": 3}, "Int has no argument 'maximum'.*mean 'high'"),
+        (Float, (1, 9), {"logscale": True}, "mean 'log'"),
+        (Float, (0, 1), {"peridic": True}, "mean 'periodic'"),
+        (Int, (0, 8), {"periodic": True}, "it takes low, high, unit, log, step$"),
+        (Choice, (), {"values": ["a", "b"]}, r"write Choice\('a', 'b'\)"),
+        (Float, (0,), {}, r"Float needs high; write Float\(0, 1\)"),
+        (Float, (), {"high": 1}, "Float needs low"),
+        (Float, (0, 1, "m"), {}, "low and high by position and all else by name, not 3 values"),
+    ],
+)
+def test_wrong_words_are_told_the_right_one(
+    kind: Any, args: tuple[Any, ...], named: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SpaceError, match=message):
+        kind(*args, **named)
+
+
+def test_right_words_make_what_they_did_before() -> None:
+    assert Float(low=0, high=1, unit="m") == Float(0, 1, unit="m")
+    assert copy.deepcopy(Float(0, 1)) == pickle.loads(pickle.dumps(Float(0, 1))) == Float(0, 1)
+    assert list(inspect.signature(Int).parameters) == ["low", "high", "unit", "log", "step"]

@@ -361,7 +361,7 @@ def test_what_has_converged_to_the_last_digits_has_moved(seed: int) -> None:
     def row(p: dict[str, float]) -> Float64:
         return spot({"a": 0.5, "b": p["b"]})
 
-    best = fit(row, row({"b": 0.3}), space, budget=300, workers=0, seed=seed).best
+    best = fit(row, row({"b": 0.3}), space, 300, until="budget", workers=0, seed=seed).best
     assert best is not None and best.std is not None and best.std[1] < 1e-3
     assert best.undetermined == ("a",)
 

@@ -7,7 +7,7 @@ import pytest
 
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
-from fide_plugins.views.grain import Grain, is_grain
+from fide_plugins.views.grain import Grain, is_even_grain, is_grain
 
 SIDE = 48
 V, U = np.mgrid[0:SIDE, 0:SIDE] / (SIDE - 1)
@@ -41,20 +41,42 @@ def test_grain_is_all_that_is_left_of_the_right_image_and_of_no_other(of_target:
     assert grain.variance == pytest.approx(0.05**2, rel=0.1)
     right = [grainy(disk(0.6, 0.4), 0.05, rng) for _ in range(100)]
     wrong = [grainy(disk(0.65, 0.4), 0.05, rng) for _ in range(100)]
-    assert sum(grain.is_all(image, views.target) for image in right) >= 98
+    assert sum(grain.left(image, views.target) is not None for image in right) >= 98
     assert views.squared_error(wrong[0]) < 2 * views.squared_error(right[0]), "by loss it may be"
-    assert not any(grain.is_all(image, views.target) for image in wrong)
+    assert not any(grain.left(image, views.target) for image in wrong)
 
 
-def test_without_a_measurement_or_with_little_noise_nothing_is_said() -> None:
+@pytest.mark.parametrize("of_renderer", [0.0, 0.02])
+def test_the_target_may_have_more_grain_than_the_renderer(of_renderer: float) -> None:
+    """Which may have none.  Whether it has any must be known."""
     rng = np.random.default_rng(0)
-    views = Views.read(grainy(disk(0.6, 0.4), 0.05, rng))
-    image = disk(0.6, 0.4).astype(np.float32)
-    assert not Grain(views).is_all(image, views.target)
-    assert not measured(views, 0.0, rng).is_all(image, views.target), (
-        "the noise is the target's alone"
-    )
-    assert not measured(views, 0.02, rng).is_all(image, views.target)
+    found, seen = 0, 0
+    for _ in range(30):
+        views = Views.read(grainy(disk(0.6, 0.4), 0.05, rng))
+        grain = measured(views, of_renderer, rng)
+        right = grainy(disk(0.6, 0.4), of_renderer, rng)
+        std = grain.left(right, views.target)
+        found += std == pytest.approx((0.05**2 + of_renderer**2) ** 0.5, rel=0.1)
+        seen += grain.left(grainy(disk(0.64, 0.4), of_renderer, rng), views.target) is not None
+        assert Grain(views).left(right, views.target) is None
+    assert found >= 28 and not seen
+
+
+def test_thin_things_in_a_wrong_place_are_no_grain_of_the_target() -> None:
+    """Neighbors hardly tell: a line is bright where it is, and dark where it should be."""
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        wrong = 0.1 * rng.standard_normal((64, 64, 1))
+        wrong[20, 10:50] += 0.3
+        wrong[21, 10:50] -= 0.3
+        assert not is_even_grain(wrong, 64 * 64)
+
+
+def test_edges_that_differ_in_few_pixels_are_no_grain_of_the_target() -> None:
+    """Of a clean picture, with hard edges: they lie here and there."""
+    rng = np.random.default_rng(0)
+    sparse = rng.standard_normal((64, 64, 1)) * (rng.random((64, 64, 1)) < 0.2)
+    assert is_grain(sparse) and not is_even_grain(sparse, 64 * 64)
 
 
 @pytest.mark.parametrize("std", [0.1, 0.14])
@@ -114,8 +136,8 @@ def test_views_and_weights_count_as_in_the_loss() -> None:
     for hidden in (0.0, 1.0):
         grain.note(renders(0.2, hidden))
     assert grain.variance == pytest.approx(0.05**2, rel=0.1)
-    assert grain.is_all(renders(0.6, 0.0), views.target)
-    assert not grain.is_all(renders(0.65, 0.0), views.target)
+    assert grain.left(renders(0.6, 0.0), views.target)
+    assert not grain.left(renders(0.65, 0.0), views.target)
 
 
 def test_it_goes_on_between_the_two_renders() -> None:

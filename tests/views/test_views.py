@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -186,3 +187,19 @@ def test_a_forged_checkpoint_is_refused(broken: str, tmp_path: Path) -> None:
     checkpoint.write(tmp_path / "c", "fide", saved)
     with pytest.raises(CheckpointError, match="impossible contents"):
         FIDE.load(tmp_path / "c")
+
+
+@pytest.mark.parametrize("shape", [(6, 8, 8), (6, 8, 2), (5, 6, 8), (7, 6, 8, 3)])
+def test_several_pictures_in_one_array_become_views_as_the_error_says(
+    shape: tuple[int, ...],
+) -> None:
+    image = np.random.default_rng(0).random(shape)
+    with pytest.raises(ImageError, match="of several pictures make views") as caught:
+        FIDE(2, image)
+    (remedy,) = re.findall(r"make views: (.*), a list", str(caught.value))
+    views = eval(remedy, {"image": image})
+    opt = FIDE(2, views, seed=0)
+    opt.tell(opt.ask(1), [[view] for view in views])
+    assert opt.best is not None and opt.best.loss == pytest.approx(0, abs=1e-12)
+    with pytest.raises(ImageError, match="make views"):
+        opt.tell(opt.ask(1), [[image] for _ in views])

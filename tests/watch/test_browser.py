@@ -50,19 +50,58 @@ def test_it_updates_and_complains_of_nothing(browser: Any, server: Server, direc
     assert all(url.startswith((server.url, "data:")) for url in fetched)
 
 
-@pytest.mark.parametrize(("best", "ticks"), [(0.0, ("0", "0.5")), (-1.5, ("-1.5", "0.5"))])
+CUT = """() => {
+    const box = document.getElementById("curve").getBoundingClientRect();
+    return [...document.querySelectorAll("#ticks text")].filter((text) => {
+        const own = text.getBoundingClientRect();
+        return own.left < box.left || own.right > box.right || own.bottom > box.bottom;
+    }).map((text) => text.textContent);
+}"""
+"""Labels that reach beyond the picture of the curve."""
+
+
+@pytest.mark.parametrize(
+    ("best", "ticks"),
+    [
+        (0.0, ["0", "1e-2", "1e-1", "1e0"]),  # zero below the others of a logarithmic axis
+        (1e-11, ["1e-11", "1e-8", "1e-5", "1e-2"]),
+        (-1.5, ["-1.5", "-1", "-0.5", "0", "0.5"]),
+        (-987654.3, ["-9.88e+5", "-7.41e+5", "-4.94e+5", "-2.47e+5", "0.5"]),
+    ],
+)
 def test_losses_of_zero_and_below_have_a_curve(
-    best: float, ticks: tuple[str, str], browser: Any, server: Server, directory: Path
+    best: float, ticks: list[str], browser: Any, server: Server, directory: Path
 ) -> None:
     (directory / "curve.csv").unlink()
     write_live(directory, 120, best)
     page = browser.new_page()
     page.goto(server.url)
-    titled(page, f"{best:g} ·")
-    line = page.locator("#line").get_attribute("d")
-    assert line.count("V") == 2 and "V225" in line, "down to the lower end of the axis"
-    texts = page.locator("#ticks text").all_text_contents()
-    assert set(ticks) <= set(texts)
+    playwright.expect(page.locator("#ticks text")).to_have_count(len(ticks) + 1)
+    assert page.locator("#ticks text").all_text_contents() == [*ticks, "120 renders"]
+    heights = [float(y) for y in re.findall(r"V([\d.]+)", page.locator("#line").get_attribute("d"))]
+    bottom = page.evaluate("document.getElementById('curve').clientHeight") - 35
+    assert len(heights) == 2 and heights[-1] == pytest.approx(bottom), "down to the end of the axis"
+    assert page.evaluate(CUT) == []
+    page.close()
+
+
+def test_a_wide_screen_has_the_parameters_beside_the_pictures(browser: Any, server: Server) -> None:
+    page = browser.new_page(viewport={"width": 1920, "height": 1080})
+    page.goto(server.url)
+    titled(page, "0.002")
+
+    def box(selector: str) -> dict[str, float]:
+        found: dict[str, float] = page.locator(selector).bounding_box()
+        return found
+
+    pictures, curve, table = box(".pictures"), box("#curve"), box("table")
+    assert curve["width"] > 1200 and pictures["width"] == curve["width"]
+    assert table["x"] > curve["x"] + curve["width"] and table["y"] < curve["y"]
+    size = page.evaluate("document.querySelector('#ticks text').getBoundingClientRect().height")
+    assert size < 25, "labels do not grow with the screen"
+    page.set_viewport_size({"width": 1000, "height": 900})  # a window that is made smaller
+    playwright.expect(page.locator("#curve")).to_have_attribute("viewBox", re.compile("^0 0 9"))
+    assert page.evaluate(CUT) == [] and box("table")["y"] > box("#curve")["y"]
     page.close()
 
 

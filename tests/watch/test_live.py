@@ -39,6 +39,7 @@ def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
         target,
         SPACE,
         budget=40,
+        until="budget",
         workers=0,
         seed=0,
         out=tmp_path / "run",
@@ -66,6 +67,7 @@ def test_a_fit_of_two_views_and_a_mask(tmp_path: Path) -> None:
     target = both({"angle": 30.0, "level": 0.8})
     out = tmp_path / "run"
     options: dict[str, Any] = {"budget": 60, "workers": 0, "seed": 0, "mask": [None, mask]}
+    options["until"] = "budget"
     result = fide_plugins.fit(both, target, SPACE, out=out, callbacks=[LiveFile()], **options)
     assert result.evaluations == 60 and result.best is not None
     assert isinstance(result.best.image, list) and result.best.image[1].shape == (4, 8, 3)
@@ -74,7 +76,7 @@ def test_a_fit_of_two_views_and_a_mask(tmp_path: Path) -> None:
 
 def test_a_call_without_a_page_shows_nothing_of_an_earlier_one(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    arguments: dict[str, Any] = {"workers": 0, "seed": 0, "out": out}
+    arguments: dict[str, Any] = {"workers": 0, "seed": 0, "out": out, "until": "budget"}
     target = render({"angle": 30.0, "level": 0.8})
     fide_plugins.fit(render, target, SPACE, 20, callbacks=[LiveFile()], **arguments)
     assert (out / "live.json").exists()

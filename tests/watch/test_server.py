@@ -9,16 +9,19 @@ import os
 import socket
 import struct
 import time
+import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageChops, ImageFile
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime import files
 from fide_plugins.watch import Server, serve
+from fide_plugins.watch.snapshot import RunFiles
 
 from .conftest import write_live
 
@@ -236,3 +239,65 @@ def test_a_browser_that_leaves_leaves_no_trace(
             one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     assert ask(server, "/state.json")[0] == 200
     assert not capsys.readouterr().err
+
+
+def many_pixels(width: int, height: int) -> bytes:
+    """PNG that says so many pixels, in a thousandth of their bytes."""
+    rows = zlib.compressobj(1)
+    row = bytes(1 + -(-width // 8))
+    data = b"".join(rows.compress(row) for _ in range(height)) + rows.flush()
+    header = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    chunks = [(b"IHDR", header), (b"IDAT", data), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in chunks
+    )
+
+
+def test_pictures_of_too_many_pixels_are_not_decoded(
+    server: Server, directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """169 million pixels in 20 kB: the header says so, and nothing more is read."""
+
+    def decoded(*_: object) -> None:
+        raise AssertionError("decoded")
+
+    for name in ("target.png", "best.png"):
+        (directory / name).write_bytes(many_pixels(13_000, 13_000))
+    monkeypatch.setattr(ImageFile.ImageFile, "load", decoded)
+    for name in ("target.png", "best.png", "difference.png"):
+        assert ask(server, f"/{name}")[0] == 404
+
+
+def test_a_second_header_is_noticed(server: Server, directory: Path) -> None:
+    """Pillow takes the last one."""
+    small, large = many_pixels(8, 8), many_pixels(9_000, 9_000)
+    header = slice(8, 8 + 25)
+    for name in ("target.png", "best.png"):
+        (directory / name).write_bytes(small[:33] + large[header] + small[33:])
+    assert ask(server, "/difference.png")[0] == 404
+
+
+def test_the_difference_is_computed_once_for_all_who_ask(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed, difference = [], ImageChops.difference
+
+    def counted(*images: Any) -> Any:
+        computed.append(1)
+        assert len(computed) == 1
+        time.sleep(0.05)
+        return difference(*images)
+
+    monkeypatch.setattr(ImageChops, "difference", counted)
+    run = RunFiles(directory)
+    with ThreadPoolExecutor(8) as pool:
+        made = set(pool.map(run.picture, ["difference.png"] * 8))
+    assert len(made) == 1 and None not in made
+
+
+def test_the_difference_of_large_pictures_is_of_the_size_of_a_screen(directory: Path) -> None:
+    for name in ("target.png", "best.png"):
+        (directory / name).write_bytes(many_pixels(4100, 10))
+    made = RunFiles(directory).picture("difference.png")
+    assert made is not None and Image.open(io.BytesIO(made)).size == (1367, 4)

@@ -253,7 +253,9 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         x = candidate._meta.pop(self._asked_key, None)
         if x is None:
             x = cube.to_cube(candidate.get_standardized_data(reference=self.parametrization))
-        self._search.tell(x, loss if loss < _FAILED else np.inf, evaluation)
+        failed, penalized = not loss < _FAILED, loss != candidate.loss
+        valid = not (failed or penalized)
+        self._search.tell(x, np.inf if failed else loss, evaluation, valid)
         if self._search.lacks_images:
             self._warn_of_no_images("gets no images")
 

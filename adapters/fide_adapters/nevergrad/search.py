@@ -61,6 +61,7 @@ class Search:
         self._settings, self._workers = settings, workers
         self.num_images = 0
         """Candidates told with an image or features."""
+        self._num_losses = 0  # valid candidates told without
         self._fide: FIDE | None = None
         self._snapshot: dict[str, Any] | None = None  # of the FIDE to restore
         self.target = target
@@ -175,15 +176,20 @@ class Search:
             [result.features], shape, fide.encoder, version=result.version, device=device
         )
 
-    def tell(self, x: Float64, loss: float, evaluation: Evaluation) -> None:
-        """Report point x (d,) with its loss, including penalties."""
+    def tell(self, x: Float64, loss: float, evaluation: Evaluation, valid: bool) -> None:
+        """Report point x (d,) with its loss, including penalties.
+
+        valid: whether there could be an image: the render did not fail, and no constraint is
+            violated.
+        """
         self.fide.tell(x[None], evaluation.batch, [loss], features=evaluation.features)
         self.num_images += evaluation.has_image
+        self._num_losses += valid and not evaluation.has_image
 
     @property
     def lacks_images(self) -> bool:
-        """Whether a whole generation of candidates was told without an image."""
-        return self.num_images == 0 and self.fide.evaluations >= self.fide.popsize
+        """Whether as many valid candidates as a generation has were told, and no image at all."""
+        return self.num_images == 0 and self._num_losses >= self.fide.popsize
 
     # -- dump --------------------------------------------------------------------------------------
 

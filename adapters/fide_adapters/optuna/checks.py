@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from inspect import currentframe
+from types import FrameType
 
 from optuna.distributions import BaseDistribution
 from optuna.study import Study, StudyDirection
 from optuna.trial import FixedTrial, FrozenTrial, Trial
 
+from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError, ProtocolError
 
-__all__ = ["refuse_several_objectives", "running_trial", "warn_of_space"]
+__all__ = ["bare_image", "refuse_several_objectives", "running_trial", "warn_of_space"]
+
+
+def bare_image() -> str:
+    """What the objective of a trial that just failed has returned, if it is an image; else empty.
+
+    Optuna tells a sampler that a trial failed, but not that its value is no number.  The value is a
+    local variable of the function of Optuna that calls the sampler; nothing is said where it is not
+    found.
+    """
+    frame: FrameType | None = currentframe()
+    while frame is not None and frame.f_code.co_name != "_tell_with_warning":
+        frame = frame.f_back
+    value = None if frame is None else frame.f_locals.get("value_or_values")
+    image = read_result(value).image
+    if image is None:
+        return ""
+    shape = getattr(image, "shape", None)
+    return type(image).__name__ + (f" of shape {tuple(shape)}" if shape is not None else "")
 
 
 def refuse_several_objectives(study: Study) -> None:

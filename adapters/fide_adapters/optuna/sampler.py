@@ -17,10 +17,22 @@ from torch import Tensor
 
 from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.artifacts import ImageArtifacts
-from fide_adapters.optuna.checks import refuse_several_objectives, running_trial, warn_of_space
+from fide_adapters.optuna.checks import (
+    bare_image,
+    refuse_several_objectives,
+    running_trial,
+    warn_of_space,
+)
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
-from fide_adapters.optuna.storage import IMAGE, WarnOnce, storage_of, write_attribute, write_image
+from fide_adapters.optuna.storage import (
+    IMAGE,
+    WarnOnce,
+    fail,
+    storage_of,
+    write_attribute,
+    write_image,
+)
 from fide_adapters.optuna.study import StudyState, StudyStates
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
@@ -138,6 +150,7 @@ class FIDESampler(BaseSampler):
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
         self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
         self._reseeded = False
+        self._bare_image = ""  # what an objective has returned in place of a loss
         self._states = StudyStates(self._settings)
         self._lock = threading.RLock()
 
@@ -273,7 +286,15 @@ class FIDESampler(BaseSampler):
         )
 
     def before_trial(self, study: Study, trial: FrozenTrial) -> None:
-        """Notify the independent sampler."""
+        """Notify the independent sampler; ImageError if the objective before returned an image."""
+        if self._bare_image:
+            what, self._bare_image = self._bare_image, ""
+            fail(storage_of(study), trial)
+            raise ImageError(
+                f"the objective returned an image, a {what}, where Optuna takes a loss; wrap the "
+                "objective: study.optimize(image_objective(objective)), with image_objective of "
+                "fide_adapters.optuna, or return sampler.tell_image(trial, image)"
+            )
         self._independent_sampler.before_trial(study, trial)
 
     def after_trial(
@@ -290,6 +311,7 @@ class FIDESampler(BaseSampler):
         with self._lock:
             known = self._state_of(study)
             if state is TrialState.FAIL:
+                self._bare_image = bare_image()
                 known.features.pop(trial.number, None)
                 return
             tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)

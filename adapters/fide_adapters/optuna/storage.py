@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.study import Study
-from optuna.trial import FrozenTrial, Trial
+from optuna.trial import FrozenTrial, Trial, TrialState
 
 from fide_plugins.runtime.warn import warn_user
 
@@ -44,6 +44,7 @@ __all__ = [
     "Trials",
     "WarnOnce",
     "enqueued_in",
+    "fail",
     "id_of",
     "problems_of",
     "read_ask",
@@ -195,6 +196,11 @@ def id_of(study: Study) -> tuple[int, str]:
 def write_attribute(storage: BaseStorage, trial: Trial | FrozenTrial, key: str, value: Any) -> None:
     """Write a system attribute of a trial that is running."""
     storage.set_trial_system_attr(trial._trial_id, key, value)
+
+
+def fail(storage: BaseStorage, trial: Trial | FrozenTrial) -> None:
+    """Let a trial that has begun fail."""
+    storage.set_trial_state_values(trial._trial_id, TrialState.FAIL)
 
 
 def read_seed(study: Study) -> tuple[int | None, bool]:

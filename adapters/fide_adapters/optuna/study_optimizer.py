@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from math import isclose
+from math import isclose, isfinite
 from typing import Any, TypeAlias
 
 from optuna.distributions import FloatDistribution
@@ -19,6 +19,7 @@ from fide_plugins.fide import FIDE
 
 __all__ = ["Evaluation", "StoredFeaturesNeeded", "StudyOptimizer"]
 
+_OWN = (Role.MEMBER, Role.ALTERED, Role.LATE)  # trials that were asked here
 _ROUNDING = 1e-6  # relative, of a number that went through a database
 _EARLIER = 10**6  # first slot of trials that were created before the generation, but ask only now
 
@@ -70,6 +71,7 @@ class StudyOptimizer:
         self._begins = [(0, True)]  # when a search, or part of a restart, began; guided by images?
         self.counts: Counter[str] = Counter()
         """How many trials counted as what; see `FIDESampler.counts`."""
+        self._without_image = 0  # trials of its own with a finite loss and no image
 
     @property
     def at(self) -> int:
@@ -120,6 +122,7 @@ class StudyOptimizer:
         role = self.replica.tell(x, loss, tokens, over=over, guided=guided, **name)
         self.counts[role.value] += 1
         self.counts["image"] += tokens is not None
+        self._without_image += role in _OWN and tokens is None and isfinite(loss)
         if self.replica.generation != generation:
             self._first = max(self._order.next, trial.number + 1)
             if self.replica.began != self._begins[-1][0]:
@@ -145,9 +148,11 @@ class StudyOptimizer:
 
     @property
     def lacks_images(self) -> bool:
-        """Whether a whole generation of its own candidates was told, and no image at all."""
-        own = sum(self.counts[role.value] for role in (Role.MEMBER, Role.ALTERED, Role.LATE))
-        return own >= self.replica.size and not self.counts["image"]
+        """Whether as many of its own as a generation has have a loss, and none has an image.
+
+        What has no finite loss failed, so that there may be no image.
+        """
+        return self._without_image >= self.replica.size and not self.counts["image"]
 
     def agrees(self, news: News) -> bool:
         """Whether the trials processed so far are consistent with what is new."""

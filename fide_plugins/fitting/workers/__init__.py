@@ -7,5 +7,6 @@
 `executors`    threads, any executor of `concurrent.futures`, Dask
 `threads`      threads that do not keep the process alive where a render hangs
 `choice`       which of them `fit` takes
+`gather`       renders outside of the loop of a fit
 =============  =================================================================
 """

@@ -14,15 +14,25 @@ from fide_plugins.fitting.workers.executors import OfExecutor
 from fide_plugins.fitting.workers.here import Here
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.runtime.machine import cores
 from fide_plugins.runtime.warn import warn_user
 
-__all__ = ["DAEMON", "workers_for"]
+__all__ = ["DAEMON", "default_number", "workers_for"]
 
 _Renderer: TypeAlias = Callable[[Any], Outcome]
 
 DAEMON = "a daemonic process, such as those of multiprocessing.Pool, cannot start others"
 """Why no process is started in such a process."""
+_MOST = 8  # workers by default: more need more renders for the same loss
 _REMEDY = "give executor='threads', or workers=0"
+
+
+def default_number(executor: object = None) -> int:
+    """How many renders run at a time where the user does not say: one a usable core, at most 8.
+
+    An executor renders elsewhere, and threads are for renders that wait: 8 of these.
+    """
+    return min(cores(), _MOST) if executor in (None, "processes") else _MOST
 
 
 def workers_for(

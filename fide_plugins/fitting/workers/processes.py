@@ -24,7 +24,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
@@ -114,14 +114,18 @@ class _Worker:
     def __init__(self, portable: Portable) -> None:
         _check_directory()
         self._context = _Context()
-        self._folder = tempfile.mkdtemp(prefix="fide-worker-")
-        self._executor = ProcessPoolExecutor(
-            1, mp_context=self._context, initializer=_begin, initargs=(portable, self._folder)
-        )
         self._ready_at: float | None = None
         self._asked_at = time.monotonic()
-        self._executor.submit(_ready).add_done_callback(self._note_ready)
-        _leave_results_to_the_process(self._executor)
+        self._folder = tempfile.mkdtemp(prefix="fide-worker-")
+        with ExitStack() as failed:
+            failed.callback(_remove, self._folder)
+            self._executor = ProcessPoolExecutor(
+                1, mp_context=self._context, initializer=_begin, initargs=(portable, self._folder)
+            )
+            failed.callback(self._executor.shutdown, wait=False)
+            self._executor.submit(_ready).add_done_callback(self._note_ready)
+            _leave_results_to_the_process(self._executor)
+            failed.pop_all()
 
     def _note_ready(self, _: object) -> None:
         self._ready_at = time.monotonic()
@@ -158,7 +162,14 @@ class _Worker:
                     os.killpg(process.pid, signal.SIGKILL)
             process.kill()
         self._executor.shutdown(wait=True, cancel_futures=True)
-        shutil.rmtree(self._folder, ignore_errors=True)
+        _remove(self._folder)
+
+
+def _remove(folder: str) -> None:
+    """Remove a folder and all in it; an empty one also where no more files can be opened."""
+    with suppress(OSError):
+        os.rmdir(folder)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _check_directory() -> None:
@@ -249,7 +260,7 @@ def _end_with_parent(folder: str) -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder)
         if hasattr(os, "killpg"):
             os.killpg(os.getpgrp(), signal.SIGKILL)
         os._exit(1)

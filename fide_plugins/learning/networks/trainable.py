@@ -26,8 +26,15 @@ class Trainable(nn.Module, ABC):
         return next(self.parameters()).device
 
     def load(self, weights: Mapping[str, Any]) -> None:
-        """Take weights by name; raises RuntimeError (of PyTorch) where they do not fit."""
+        """Take weights by name.
+
+        Raises RuntimeError (of PyTorch) where they do not fit, ValueError for one that is not
+        finite, also only in the precision of the network.
+        """
         self.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+        for name, weight in self.state_dict().items():
+            if not torch.isfinite(weight).all():
+                raise ValueError(f"the weight {name!r} is not finite")
 
     @abstractmethod
     def standardize(self, images: Tensor) -> None:

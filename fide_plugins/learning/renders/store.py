@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -26,7 +25,13 @@ from fide_plugins.errors import CheckpointError, OptionError
 from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renders.renderer import Pixels, Small
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.files import atomic_writer, check_writable, locked, remove_leftovers
+from fide_plugins.runtime.files import (
+    atomic_writer,
+    check_writable,
+    locked,
+    open_regular,
+    remove_leftovers,
+)
 from fide_plugins.types import Float64
 
 __all__ = ["SHARD", "RenderStore", "check_room", "folder_of"]
@@ -220,9 +225,9 @@ class RenderStore:
         """Arrays of a shard by name; raises CheckpointError."""
         path = self._path(shard)
         try:
-            with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            with open_regular(path) as raw, np.load(raw, allow_pickle=False) as file:
                 return {name: file[name] for name in names}
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # decoders of untrusted bytes raise nearly anything
             raise CheckpointError(
                 f"{path}: damaged ({error}); delete it to render again"
             ) from error

@@ -76,6 +76,18 @@ class Optima:
         del self.all[_MOST:]
         return best
 
+    def others(self, distance: Distance) -> tuple[float | None, float]:
+        """How far the answers of searches differ that ended in other places than the best.
+
+        Their lowest loss, None without any, and the largest distance of one from the best place.
+        Those count that had begun elsewhere.
+        """
+        found = [optimum.sample for optimum in self.all[1:] if optimum.searches]
+        if not found:
+            return None, 0.0
+        best = self.all[0].sample.x
+        return found[0].loss, max(distance(best, one.x) for one in found)
+
     def fail(self, incumbent: TrainingSample) -> None:
         """Note that a move from this optimum failed."""
         optimum = self.of(incumbent)

@@ -3,6 +3,8 @@ const EVERY = 1000;
 const SVG = "http://www.w3.org/2000/svg";
 const byId = (id) => document.getElementById(id);
 const shown = {};
+const DIGIT = 10; // pixels of a character of a label, at most
+let drawn = [[], 0];
 
 function short(value) {
   if (value === 0) return "0";
@@ -55,15 +57,19 @@ function tick(x1, y1, x2, y2, text, x, y, anchor) {
   return [line, label];
 }
 
+// Zero is drawn below all others.
 function decades(losses) {
-  const values = losses.map(Math.log10);
-  const low = Math.floor(Math.min(...values)), high = Math.max(Math.ceil(Math.max(...values)), low + 1);
+  const logs = losses.filter((loss) => loss > 0).map(Math.log10);
+  const low = Math.floor(Math.min(...logs)), high = Math.max(Math.ceil(Math.max(...logs)), low + 1);
   const step = Math.ceil((high - low) / 5), marks = [];
   for (let log = low; log <= high; log += step) marks.push([log, `1e${log}`]);
-  return { values, low, high, marks };
+  if (logs.length === losses.length) return { values: logs, low, high, marks };
+  const zero = low - Math.max(1, (high - low) / 5);
+  const values = losses.map((loss) => (loss > 0 ? Math.log10(loss) : zero));
+  return { values, low: zero, high, marks: [[zero, "0"], ...marks] };
 }
 
-// Of losses that are zero or negative, which have no logarithm.
+// Of losses below zero, which have no logarithm, or of zeros alone.
 function linear(losses) {
   const low = Math.min(...losses), most = Math.max(...losses);
   const high = most > low ? most : low + Math.max(Math.abs(low), 1);
@@ -72,18 +78,22 @@ function linear(losses) {
 }
 
 function curve(points, last) {
+  drawn = [points, last];
   if (!points.length) return;
+  const width = byId("curve").clientWidth, bottom = byId("curve").clientHeight - 35;
+  byId("curve").setAttribute("viewBox", `0 0 ${width} ${bottom + 35}`);
   const losses = points.map(([, loss]) => loss);
-  const { values, low, high, marks } = losses.every((loss) => loss > 0) ? decades(losses) : linear(losses);
+  const { values, low, high, marks } = losses.some((loss) => loss > 0) && losses.every((loss) => loss >= 0) ? decades(losses) : linear(losses);
   const end = Math.max(last || 0, points[points.length - 1][0], 1);
-  const x = (n) => 70 + (560 * n) / end;
-  const y = (value) => 15 + (210 * (high - value)) / (high - low);
+  const left = 20 + DIGIT * Math.max(...marks.map(([, text]) => text.length)), right = width - 10;
+  const x = (n) => left + ((right - left) * n) / end;
+  const y = (value) => 15 + ((bottom - 15) * (high - value)) / (high - low);
   let path = `M${x(points[0][0])} ${y(values[0])}`;
   for (let i = 1; i < points.length; i += 1) path += `H${x(points[i][0])}V${y(values[i])}`;
   byId("line").setAttribute("d", `${path}H${x(end)}`);
   const ticks = [];
-  for (const [value, text] of marks) ticks.push(...tick(70, y(value), 630, y(value), text, 62, y(value) + 5, "end"));
-  ticks.push(...tick(630, 225, 630, 231, `${end} renders`, 630, 250, "end"));
+  for (const [value, text] of marks) ticks.push(...tick(left, y(value), right, y(value), text, left - 8, y(value) + 5, "end"));
+  ticks.push(...tick(right, bottom, right, bottom + 6, `${end} renders`, right, bottom + 24, "end"));
   byId("ticks").replaceChildren(...ticks);
 }
 
@@ -116,4 +126,5 @@ async function update() {
   setTimeout(update, EVERY);
 }
 
+window.addEventListener("resize", () => curve(...drawn));
 update();

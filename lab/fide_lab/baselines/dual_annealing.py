@@ -7,7 +7,7 @@ would return (after 1,000 iterations), another search starts from a random point
 
 SciPy's finite differences are 1e-8 long.  An image of 32-bit numbers does not change by so little,
 and its edges move by whole pixels: there most evaluations for gradients are wasted.  With `step` of
-0.001 the same search is much stronger; `docs/measurements/baselines.md` has both.
+0.001 the same search is much stronger; `lab/reports/baselines.md` has both.
 """
 
 from __future__ import annotations

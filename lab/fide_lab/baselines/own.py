@@ -107,7 +107,7 @@ class Own(Replayed):
             raise OptionError(
                 f"{self.name} cannot be made; mend this error in it:\n"
                 f"{shown_traceback(error, __file__)}"
-            ) from error
+            ) from None  # the message has its traceback
 
     @contextmanager
     def _called(self) -> Iterator[None]:

@@ -16,7 +16,7 @@ Where this deviates
 - The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
   the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
   four functions of 5 to 20 parameters, in races with the published program, see
-  `docs/measurements/baselines_authors.md`.
+  `lab/reports/baselines_authors.md`.
 - Points and the parameter are kept in the box.  The published program may leave it, which helps it
   where the loss outside says more (Ackley's function in those races).
 """

@@ -27,11 +27,12 @@ from fide_lab.cli.running import execute_comparisons, execute_each
 from fide_lab.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
 from fide_plugins.cli.arguments import names, setting, whole
 from fide_plugins.cli.messages import note, number, plain
+from fide_plugins.cli.progress import interval
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]
 
-_EVERY = 20.0  # seconds between two progress lines about a run
+_EVERY = 20.0  # seconds between two progress lines about a run, in a terminal
 _SEEDS, _BUDGET, _SIZE = 10, 5000, 224
 _METRICS = ("mse", "perceptual")
 """Losses that measure every improvement, in addition to those that are minimized."""
@@ -130,13 +131,16 @@ def _execute(comparison: Any) -> int:
 
 
 class _Heartbeat:
-    """Prints a progress line about a long run every few seconds."""
+    """Prints a progress line about a long run now and then."""
 
     def __init__(self) -> None:
         self._last = time.monotonic()
 
     def __call__(self, key: Any, progress: Any) -> None:
-        if time.monotonic() - self._last >= _EVERY and progress.evaluations < progress.budget:
+        if (
+            time.monotonic() - self._last >= interval(_EVERY)
+            and progress.evaluations < progress.budget
+        ):
             self._last = time.monotonic()
             done = f"{progress.evaluations}/{progress.budget}"
             note(f"{key}: {done}, best {number(progress.best_loss)}")

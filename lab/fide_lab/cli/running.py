@@ -55,7 +55,7 @@ def execute_run(
         except (Interrupted, FideError, OSError):
             raise
         except (Exception, SystemExit):  # code of a user may end by sys.exit
-            traceback.print_exc()
+            note(paragraph(traceback.format_exc()))
             note(f"fide {command[1]}: the run failed; its results so far are in {out}")
             return 1
         if args.json:
@@ -147,7 +147,7 @@ def _execute(
     except USAGE_ERRORS as error:
         return complain(who, error)
     except SystemExit:  # of a user's constructor
-        traceback.print_exc()
+        note(paragraph(traceback.format_exc()))
         note(f"{who}: {failed}")
         return 1
     try:

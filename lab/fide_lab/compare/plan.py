@@ -12,6 +12,7 @@ from fide_lab import optimizers
 from fide_lab.compare.configuration import Configuration, as_file_name
 from fide_lab.run import Keep, renderer_task
 from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
+from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.hypotheses import model_for
@@ -182,7 +183,7 @@ class Plan:
                     seen.add((key.loss, key.configuration))
                     with said_once(said):
                         versions |= _try_optimizer(
-                            configuration, budget, task.dim, target, key.loss, options
+                            configuration, budget, task, target, key.loss, options
                         )
                 known = settings_of(
                     task, target, configuration.name, made[key.loss].name, budget, key.seed,
@@ -214,7 +215,7 @@ def _check_options(configuration: Configuration, options: dict[str, Any]) -> Non
 def _try_optimizer(
     configuration: Configuration,
     budget: int,
-    dim: int,
+    task: Task,
     target: Any,
     loss: str,
     options: dict[str, Any],
@@ -226,11 +227,13 @@ def _try_optimizer(
     name = configuration.name
     if "budget" in optimizers.options(name):  # a run gives it, too: populations may depend on it
         options = {"budget": budget, **options}
-    optimizer = optimizers.make(name, dim, target, loss=loss, seed=0, **options)
+    space = TaskInfo.of(task).search_space or task.dim
+    optimizer = optimizers.make(name, space, target, loss=loss, seed=0, **options)
     if budget < optimizer.popsize:
         warn_user(
             f"the budget of {budget} renders is below one population of {configuration.label}, "
-            f"which is {optimizer.popsize} for {dim} parameters: the optimizer never learns, all "
-            "of its candidates are of its first population; give more renders, or a smaller popsize"
+            f"which is {optimizer.popsize} for {task.dim} parameters: the optimizer never learns, "
+            "all of its candidates are of its first population; give more renders, or a smaller "
+            "popsize"
         )
     return of_weights(optimizer)

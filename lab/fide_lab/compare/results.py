@@ -21,6 +21,7 @@ from fide_lab.compare.versions import warn_of_mixed
 from fide_plugins.errors import FideError, UnknownNameError
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.parallel import WORKERS
+from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
 
 __all__ = ["AXES", "AllFailedError", "Curve", "NoResultsError", "Results", "StoredRun", "read"]
@@ -191,7 +192,8 @@ def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
                 raise ValueError(f"it holds a run with other settings: {run['settings']}")
             return StoredRun(key, folder, "finished", "", run, _curve(folder, run))
         if error.exists():
-            return StoredRun(key, folder, "failed", error.read_text("utf-8", "replace"), run)
+            text = read_regular(error).decode("utf-8", "replace")
+            return StoredRun(key, folder, "failed", text, run)
     except (RunDirectoryError, OSError, ValueError, KeyError, TypeError, AttributeError) as problem:
         return StoredRun(key, folder, "damaged", str(problem) or repr(problem))
     if state.kind == "damaged":
@@ -200,8 +202,7 @@ def _read_run(out: Path, key: RunKey, identity: str) -> StoredRun:
 
 
 def _curve(folder: Path, run: dict[str, Any]) -> Curve:
-    with open(folder / "improvements.csv", newline="", encoding="utf-8") as file:
-        names, *rows = csv.reader(file)
+    names, *rows = csv.reader(read_regular(folder / "improvements.csv").decode().splitlines())
     table = np.array(rows, np.float64).reshape(len(rows), len(names)).T
     columns = dict(zip(names, table, strict=True))
     totals = run["totals"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import random
 import threading
@@ -88,6 +89,29 @@ def test_without_images_it_says_so_once_after_a_generation() -> None:
         optimizer.tell(optimizer.ask(), 1.0)
     for _ in range(20):
         optimizer.tell(optimizer.ask(), 1.0)
+
+
+def never(x: Any) -> bool:
+    return False
+
+
+@pytest.mark.filterwarnings("ignore:Clipping very high value", "ignore:Could not bypass")
+@pytest.mark.parametrize("how", ["failed", "violation", "constraint"])
+def test_invalid_candidates_have_no_image_and_are_no_reason_to_warn(how: str) -> None:
+    """The first ones, more than a generation, are all invalid; each valid one has its image."""
+    optimizer = fide(budget=200)
+    if how == "constraint":
+        optimizer.parametrization.register_cheap_constraint(never)
+    for _ in range(30):
+        candidate = optimizer.ask()
+        violation = [1.0] if how == "violation" else None
+        optimizer.tell(candidate, math.inf if how == "failed" else 1.0, violation)
+    if how == "constraint":
+        return
+    for _ in range(10):
+        candidate = optimizer.ask()
+        optimizer.tell(candidate, render(candidate.value))
+    assert optimizer.num_images == 10
 
 
 def test_a_few_losses_without_images_are_no_reason_to_warn() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import optuna
 import pytest
 import torch
 from optuna.samplers import RandomSampler
-from optuna.trial import FixedTrial, Trial, TrialState
+from optuna.trial import BaseTrial, FixedTrial, Trial, TrialState
 from PIL import Image
 
 from fide_adapters.optuna import FIDESampler, ImageLoss, ImageRef, image_objective
@@ -223,6 +224,40 @@ def test_a_target_without_images_is_warned_of_once(bench: Bench) -> None:
     ) as caught:
         study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=12)
     assert len(caught) == 1
+
+
+def test_trials_that_fail_with_an_infinite_loss_are_no_reason_to_warn(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(lambda trial: math.inf * (1 + sum(bench.suggest(trial))), n_trials=14)
+    bench.run(study, 6)
+    assert bench.sampler_of(study).counts(study)["image"] == 6
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_an_objective_that_returns_a_bare_image_is_told_what_to_do(
+    bench: Bench, pair: bool
+) -> None:
+    def objective(trial: BaseTrial) -> Any:
+        image = bench.render(bench.suggest(trial))
+        return (0.5, image) if pair else image
+
+    study = optuna.create_study(sampler=bench.sampler())
+    wrapped = r"study.optimize\(image_objective\(objective\)\)"
+    with pytest.raises(ImageError, match=rf"ndarray of shape \(8, 8, 3\).*{wrapped}"):
+        study.optimize(objective, n_trials=5)
+    assert [trial.state.name for trial in study.trials] == ["FAIL", "FAIL"]
+    study.optimize(image_objective(objective), n_trials=5)
+    assert [trial.state.name for trial in study.trials[2:]] == ["COMPLETE"] * 5
+
+
+def test_an_objective_that_raises_or_returns_none_is_no_such_error(bench: Bench) -> None:
+    def raises(trial: BaseTrial) -> float:
+        raise ValueError(bench.suggest(trial))
+
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(raises, n_trials=2, catch=ValueError)
+    study.optimize(lambda trial: None, n_trials=2)  # type: ignore[arg-type, return-value]
+    assert len(study.trials) == 4
 
 
 def test_point_18_an_image_is_not_kept(bench: Bench) -> None:

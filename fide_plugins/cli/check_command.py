@@ -1,0 +1,131 @@
+r"""Look at your renderer before a fit: what each parameter changes, how long a render takes, noise.
+
+    fide check scene.py:render
+    fide check scene.py:render --space space.toml --out runs/scene
+    fide check --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
+    fide check voronoi
+
+RENDERER is FILE.py:NAME (or module:NAME), or the name of a built-in task; --command is a program,
+once for each view. Some 10 renders are made, and 2 to 5 for each parameter.
+
+The report says what is in the images, how long a render takes, whether two renders of the same
+parameters are equal, which parameters change nothing, which renders failed, and how many renders
+and workers to plan. check.png shows each parameter low, middle and high, the others at the middle.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.cli.arguments import add_space_argument, path, whole
+from fide_plugins.cli.messages import (
+    USAGE_ERRORS,
+    note,
+    notices,
+    paragraph,
+    plain,
+    warnings_as_notes,
+)
+from fide_plugins.errors import OptionError
+
+__all__ = ["add_arguments", "execute"]
+
+_SIDE = 112  # pixels of a built-in task
+_WORTH_TELLING = 5.0  # seconds
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``fide check``."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("renderer", nargs="?", metavar="RENDERER",
+                      help="FILE.py:NAME, or see: fide list tasks")  # fmt: skip
+    what.add_argument("--command", action="append", metavar="'PROGRAM ...'", dest="templates",
+                      help="your program; once for each view")  # fmt: skip
+    add_space_argument(parser)
+    add = parser.add_argument
+    add("--workers", type=whole(1), metavar="N", help="renders at a time (as many as cores)")
+    add("--timeout", metavar="TIME", help="of a render: 60, 2m (none; for --command 60)")
+    add("--out", type=path, metavar="DIR", help="where check.png goes (runs/check-NAME)")
+    add("--json", action="store_true", help="print one JSON object instead of the report")
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Execute the command; returns the exit code."""
+    from fide_plugins.fitting.checking import check
+    from fide_plugins.fitting.checking.figure import figure
+    from fide_plugins.fitting.checking.report import as_data, lines
+    from fide_plugins.runtime.files import write_bytes
+
+    who = "fide check"
+    with warnings_as_notes(who):
+        try:
+            name, render, space, timeout = _renderer(args)
+            facts = check(render, space, workers=args.workers, timeout=timeout, told=_tell)
+            picture = None
+            if facts.images:
+                out = args.out or Path("runs", f"check-{_file_name(name)}")
+                out.mkdir(parents=True, exist_ok=True)
+                picture = out / "check.png"
+                write_bytes(picture, figure(name, facts))
+        except USAGE_ERRORS as error:
+            note(f"{who}: {paragraph(error)}")
+            return 2
+    if args.json:
+        shown = {**as_data(name, facts), "picture": picture and str(picture)}
+        print(json.dumps(shown, allow_nan=False), flush=True)
+    else:
+        print("\n".join(map(paragraph, lines(name, facts))), flush=True)
+        if picture is not None:
+            print(f"look at {plain(picture)}", flush=True)
+    return 0 if facts.images else 1
+
+
+def _tell(renders: int, seconds: float) -> None:
+    if seconds > _WORTH_TELLING:
+        from fide_plugins.fitting.checking.advice import duration
+
+        note(f"fide check: {renders} more renders, about {duration(seconds)}")
+
+
+def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:
+    """Name, function, space and time limit of a render."""
+    from fide_plugins.cli.own_renderer import function_of, program_of, space_of
+    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.runtime.reference import is_reference
+
+    space = space_of(args.space)
+    if args.templates is not None:
+        limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
+        templates = args.templates[0] if len(args.templates) == 1 else args.templates
+        program, space = program_of(templates, space, limit)
+        return program.name, program, space, limit + 5  # its output is known then
+    if is_reference(args.renderer):
+        function, found = function_of(args.renderer, space)
+        return function.name, function, found, args.timeout
+    if space is not None:
+        raise OptionError("--space is for a renderer of your own; a built-in task has its own")
+    import fide_tasks
+
+    with notices("fide_tasks"):
+        task = fide_tasks.make(args.renderer, _SIDE)
+    return args.renderer, _Frames(task), task.space, args.timeout
+
+
+class _Frames:
+    """A built-in task as a function of a dictionary."""
+
+    def __init__(self, task: Any) -> None:
+        self._task = task
+
+    def __call__(self, params: dict[str, Any]) -> Any:
+        return self._task.render(self._task.space.encode(params)[None])[0]
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", Path(name.split(":")[0]).stem).strip("_") or "renderer"

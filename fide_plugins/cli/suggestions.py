@@ -1,0 +1,43 @@
+"""What was meant by a flag or a name that a command does not know."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Mapping
+
+from fide_plugins.errors import did_you_mean
+
+__all__ = ["suggestion"]
+
+_UNKNOWN = "unrecognized arguments: "
+_CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
+
+
+def suggestion(
+    message: str,
+    parser: argparse.ArgumentParser,
+    others: Callable[[], Mapping[str, argparse.ArgumentParser]],
+) -> str:
+    """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
+
+    parser: of the command.  others: gives those of all commands, by name.
+    """
+    choice = _CHOICE.search(message)
+    if choice is not None:
+        return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
+    if not message.startswith(_UNKNOWN):
+        return ""
+    for word in message.removeprefix(_UNKNOWN).split():
+        flag = word.partition("=")[0]
+        if not flag.startswith("--"):
+            continue
+        if where := [name for name, other in others().items() if flag in _flags(other)]:
+            return f"; {flag} is of {' and '.join(f'fide {name}' for name in where[:3])}"
+        if close := did_you_mean(flag, _flags(parser)):
+            return close.replace("'", "")
+    return ""
+
+
+def _flags(parser: argparse.ArgumentParser) -> list[str]:
+    return [flag for action in parser._actions for flag in action.option_strings]

@@ -1,0 +1,311 @@
+"""A few hundred malformed files of each kind, made from a sound one: the documented error, or none.
+
+Mutant n is made of the random numbers of seed n, so that one that escapes is found again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import random
+import re
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import Choice, Float, Group, Int, Space
+from fide_plugins.errors import CheckpointError, ImageError, SpaceError
+from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning.judging.report import Report
+from fide_plugins.learning.model import Model
+from fide_plugins.learning.networks.emulator import Emulator
+from fide_plugins.learning.networks.network import Network
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.runtime import checkpoint, files
+from fide_plugins.validation.images import as_target
+
+NUMBER = 300
+TOKENS = [
+    b"nan", b"-inf", b"NaN", b"-Infinity", b"1e999", b"-1e308", b"5e-324", b"9" * 5000, b"0x7f",
+    b"2020-13-45", b"07:32:61", b'""', b'"""', b"{", b"}", b"[", b"]", b",", b":", b"=", b".", b"#",
+    b"[" * 3000, b'{"a":' * 3000, b"{a=" * 3000, b"[a" + b".a" * 3000 + b"]\nlow = 1\n",
+    b'"\\ud800"', b"\xff", b"\x00", b"\n", b"null", b"true", b"[1]", b"{}", b'"x"', b"3",
+    b"repeat = 1000000000", b'type = "choice"', b"values = [[1]]", b'"d"', b'"l"', b'"a"', b'"f"',
+]  # fmt: skip
+WORDS = re.compile(rb"\"[^\"]*\"|[^\s=\[\]{},:]+|[\[{][^\[\]{}]*[\]}]")
+
+
+def mutant(sound: bytes, seed: int) -> bytes:
+    """The file with one to three changes: a word replaced, something put in, left out, doubled."""
+    rng, data = random.Random(seed), sound
+    for _ in range(rng.randint(1, 3)):
+        i, kind = rng.randrange(len(data) + 1), rng.randrange(8)
+        words = [found.span() for found in WORDS.finditer(data)]
+        if kind < 4 and words:
+            start, stop = rng.choice(words)
+            other = rng.choice(words)
+            put = rng.choice(TOKENS) if kind < 3 else data[slice(*other)]
+            data = data[:start] + put + data[stop:]
+        elif kind == 4:
+            data = data[:i] + rng.choice(TOKENS) + data[i:]
+        elif kind == 5:
+            data = data[:i] + bytes([rng.randrange(256)]) + data[i + 1 :]
+        elif kind == 6:
+            data = data[:i] + data[i + rng.randrange(40) :]
+        else:
+            data = data[:i] + data[i : i + 40] + data[i:]
+    return data
+
+
+def mutant_of_json(sound: bytes, seed: int) -> bytes:
+    """Valid JSON with one to three changes: something in it replaced, or left out."""
+    rng, tree = random.Random(seed), [json.loads(sound)]
+    for _ in range(rng.randint(1, 3)):
+        places = list(inside(tree))
+        at, key = rng.choice(places)
+        if rng.random() < 0.2 and at is not tree:
+            del at[key]
+        else:
+            there = rng.choice([*ODD, *(holder[name] for holder, name in places)])
+            at[key] = json.loads(json.dumps(there))
+    return json.dumps(tree[0]).encode()
+
+
+ODD = [None, True, -1, 0, 7, 2**70, 0.5, math.nan, -math.inf, "", "x", "a", [], [1], {}, {"a": 1}]
+
+
+def inside(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Holder and key of everything in a tree."""
+    keys = list(node) if isinstance(node, dict) else range(len(node))
+    for key in keys:
+        yield node, key
+        if isinstance(node[key], dict | list):
+            yield from inside(node[key])
+
+
+def refused(
+    path: Path,
+    sound: bytes,
+    read: Callable[[Path], Any],
+    error: type[Exception],
+    change: Callable[[bytes, int], bytes] = mutant,
+    whole: Callable[[bytes], bytes] = bytes,
+) -> int:
+    """Number of mutants that are refused by the error; any other error is raised, with its seed."""
+    count = 0
+    for seed in range(NUMBER):
+        path.write_bytes(whole(change(sound, seed)))
+        try:
+            read(path)
+        except error:
+            count += 1
+        except Exception as escaped:
+            escaped.add_note(f"of the mutant {seed}")
+            raise
+    return count
+
+
+def test_spaces(tmp_path: Path) -> None:
+    space = Space(
+        azimuth=Float(-60, 60, unit="deg", periodic=True),
+        size=Float(1e-3, 10, log=True),
+        columns=Int(3, 8, step=2),
+        floor=Choice("checker", "wood", 3, True),
+        beads=6 * Group(x=Float(0, 1, step=0.1), at=Group(y=Float(0, 1))),
+    )
+    path = tmp_path / "space.toml"
+    space.write(path)
+    assert refused(path, path.read_bytes(), Space.read, SpaceError) > NUMBER / 2
+
+
+def test_tables_of_a_space_that_hold_each_other_too_deeply() -> None:
+    tables: dict[str, Any] = {"type": "float", "low": 0, "high": 1}
+    for _ in range(5000):
+        tables = {"a": tables}
+    with pytest.raises(SpaceError, match="nested too deeply"):
+        Space.from_dict(tables)
+
+
+def test_a_space_without_end_is_not_read_to_its_end() -> None:
+    if not os.path.exists("/dev/zero"):
+        pytest.skip("no such device")
+    with pytest.raises(SpaceError, match="more than"):
+        Space.read("/dev/zero")
+
+
+@pytest.mark.parametrize("change", [mutant, mutant_of_json])
+def test_records_of_runs(change: Callable[[bytes, int], bytes], tmp_path: Path) -> None:
+    run = {
+        "format": 2, "status": "running", "settings": {"dim": 2, "size": [4, 4], "seed": 0},
+        "resumed": ["2026-01-01T00:00:00+00:00"], "limits": {"budget": 60, "time": None},
+        "totals": {"best_loss": 1.5e-3, "evaluations": 60, "status": "improving"},
+    }  # fmt: skip
+    sound = json.dumps(run, indent=2).encode()
+
+    def read(path: Path) -> None:
+        assert isinstance(read_run(path.parent), dict)
+
+    assert refused(tmp_path / "run.json", sound, read, RunDirectoryError, change) > NUMBER / 10
+
+
+def checked(body: bytes) -> bytes:
+    """The file of a body, with its true length and checksum."""
+    digest = hashlib.blake2b(body, digest_size=32).digest()
+    return b"\x89FIDE\r\n\x1a" + struct.pack("<IQ", checkpoint.VERSION, len(body)) + digest + body
+
+
+def parts(path: Path) -> tuple[bytes, Callable[[bytes], bytes]]:
+    """JSON of a checkpoint, and what makes a file of such JSON and the same arrays."""
+    body = path.read_bytes()[52:]
+    (length,) = struct.unpack("<Q", body[:8])
+    arrays = body[8 + length + -(8 + length) % 64 :]
+
+    def whole(text: bytes) -> bytes:
+        return checked(struct.pack("<Q", len(text)) + text + bytes(-(8 + len(text)) % 64) + arrays)
+
+    return body[8 : 8 + length], whole
+
+
+STATE: dict[str, Any] = {
+    "x": np.arange(6.0).reshape(2, 3), "big": 2**100, "real": 0.1, "none": None, "name": "mse",
+    "list": [1, [2, {"deep": np.zeros(0)}], True], "dict": {"a": {"b": {"c": -0.5}}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", [mutant, mutant_of_json])
+def test_checkpoints_with_a_valid_checksum(
+    change: Callable[[bytes, int], bytes], tmp_path: Path
+) -> None:
+    checkpoint.write(tmp_path / "sound", "test", STATE)
+    text, whole = parts(tmp_path / "sound")
+
+    def read(path: Path) -> None:
+        assert isinstance(checkpoint.read(path, "test"), dict)
+
+    count = refused(tmp_path / "mutant", text, read, CheckpointError, change, whole)
+    assert NUMBER / 2 < count < NUMBER
+
+
+@pytest.mark.thorough
+def test_models(tmp_path: Path) -> None:
+    """What is loaded gives hypotheses in the box."""
+    untrained().save(tmp_path / "sound")
+    text, whole = parts(tmp_path / "sound")
+
+    def read(path: Path) -> None:
+        model = Model.load(path)
+        X = model.sample(np.zeros((*model.size, 3)), 2)
+        assert X.shape == (2, model.dim) and (X >= 0).all() and (X <= 1).all()
+        assert repr(model) and str(model.report)
+
+    count = refused(tmp_path / "mutant", text, read, CheckpointError, mutant_of_json, whole)
+    assert NUMBER / 3 < count < NUMBER
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e300])
+@pytest.mark.parametrize("part", ["weights", "emulator"])
+def test_weights_that_are_not_finite_are_refused_by_name(
+    part: str, value: float, tmp_path: Path
+) -> None:
+    """1e300 is finite in double precision, but not in that of the network."""
+    untrained(emulator=True).save(tmp_path / "sound")
+    state = checkpoint.read(tmp_path / "sound", "learned model")
+    name = [*state[part]][-1]
+    weight = np.array(state[part][name], np.float64)
+    weight.flat[0] = value
+    state[part][name] = weight
+    checkpoint.write(tmp_path / "odd", "learned model", state)
+    with pytest.raises(CheckpointError, match=re.escape(repr(name))):
+        Model.load(tmp_path / "odd")
+
+
+def test_weights_so_large_that_nothing_is_computed(tmp_path: Path) -> None:
+    untrained().save(tmp_path / "sound")
+    state = checkpoint.read(tmp_path / "sound", "learned model")
+    for weight in state["weights"].values():
+        weight[...] = 3e38
+    checkpoint.write(tmp_path / "odd", "learned model", state)
+    with pytest.raises(CheckpointError, match="impossible contents"):
+        Model.load(tmp_path / "odd")
+
+
+def untrained(emulator: bool = False) -> Model:
+    """A model of two blocks of two parameters, as it is before any training."""
+    blocks, periodic = ((0, 1), (2, 3)), (False,) * 4
+    report = Report(
+        renders=90, failed=0, held_out=10, seconds=1.5, nll=-2.5, within=(0.5, 1.0), coverage=0.9,
+        ranks=(0.9, math.nan, 0.9, 0.9), unseen=("b.x",), curve=((90.0, -1.0, -0.5),),
+        augment="none", scale=1.0, fitted=0, parameters=2, emulated=0.95,
+    )  # fmt: skip
+    return Model(
+        Network((4, 4), periodic, "set", blocks),
+        Space(b=2 * Group(x=Float(0, 1), y=Float(0, 1))),
+        (8, 8), "scene.py:render", None, "set", periodic, blocks,
+        Familiarity(np.zeros(256), np.eye(256), 1.0), report,
+        emulator=Emulator((4, 4), periodic, blocks) if emulator else None,
+    )  # fmt: skip
+
+
+# -- what is no file -------------------------------------------------------------------------------
+
+
+def make_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def make_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(os.fspath(path))
+
+
+def make_link_to_a_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def make_too_large(path: Path) -> None:
+    path.write_bytes(b"{}")
+    os.truncate(path, 2**40)  # it takes no room on the disk
+
+
+NO_FILES = [make_pipe, make_socket, make_link_to_a_device, make_too_large]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+@pytest.mark.timeout(20)  # a pipe would be waited for
+@pytest.mark.parametrize("make", NO_FILES)
+def test_only_files_are_read(
+    make: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # the name of a socket may not be long
+    path = Path("run.json")
+    make(path)
+    with pytest.raises(RunDirectoryError, match="a pipe, a socket or a device|more than"):
+        read_run(Path())
+    with pytest.raises(OSError, match="a pipe, a socket or a device|more than"):
+        files.read_regular(path)
+    if make is not make_too_large:
+        with pytest.raises(CheckpointError, match="a pipe, a socket or a device"):
+            checkpoint.read(path, "test")
+        with pytest.raises(ImageError, match="a pipe, a socket or a device"):
+            as_target(path)
+
+
+def test_folders_are_no_files_either(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError, match="it is a folder; name a file"):
+        files.open_regular(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "O_NOFOLLOW"), reason="no such links here")
+def test_a_lock_leads_nowhere_else(tmp_path: Path) -> None:
+    """A run directory of somebody else's may hold a link in the place of its lock."""
+    (tmp_path / "lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OSError), files.locked(tmp_path / "lock"):
+        pass
+    assert not (tmp_path / "elsewhere").exists()

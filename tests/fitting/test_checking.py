@@ -1,0 +1,262 @@
+"""What a check of a renderer finds: parameters, values, noise, failures, what to plan."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import Choice, Float, Group, Int, Space
+from fide_plugins.errors import ImageError
+from fide_plugins.fitting.checking import Facts, check
+from fide_plugins.fitting.checking.advice import advice, budget, workers
+from fide_plugins.fitting.checking.pixels import Difference, difference, image_of, small
+from fide_plugins.fitting.checking.report import as_data, lines
+from fide_plugins.fitting.checking.values import other_values, sweeps
+
+
+def grid() -> tuple[Any, Any]:
+    v, u = np.mgrid[-1:1:12j, -1:1:16j]
+    return v, u
+
+
+# -- parameters ------------------------------------------------------------------------------------
+
+
+def test_values_of_each_kind_of_parameter() -> None:
+    space = Space(
+        x=Float(-1, 3, unit="m"), gain=Float(0.01, 1, log=True), few=Int(2, 4), many=Int(0, 100),
+        wide=Int(1, 10_000, log=True), turns=Float(0, 1, step=0.25), two=Choice("a", "b"),
+        letters=Choice(*"abcdefgh"), one=Choice("only"), dots=2 * Group(y=Float(0, 1)),
+    )  # fmt: skip
+    center = np.full(space.dim, 0.5)
+    found = sweeps(space, center)
+    assert {one.name: one.texts for one in found} == {
+        "x": ["-1", "1", "3"],
+        "gain": ["0.01", "0.1", "1"],
+        "few": ["2", "3", "4"],
+        "many": ["0", "25", "50", "75", "100"],
+        "wide": ["1", "10", "100", "1000", "10000"],
+        "turns": ["0", "0.25", "0.5", "0.75", "1"],
+        "two": ["a", "b"],
+        "letters": ["a", "c", "e", "f", "h"],
+        "dots[0].y": ["0", "0.5", "1"],
+        "dots[1].y": ["0", "0.5", "1"],
+    }
+    for one in found:
+        others = np.setdiff1d(np.arange(space.dim), one.axes)
+        assert (one.X[:, others] == 0.5).all()
+    (first, *_) = sweeps(2, np.array([0.5, 0.5]))
+    assert first.texts == ["0", "0.5", "1"] and first.name == "x[0]"
+    np.testing.assert_array_equal(first.X, [[0, 0.5], [0.5, 0.5], [1, 0.5]])
+
+
+def test_other_values_are_never_the_same_one() -> None:
+    space = Space(angle=Float(0, 360, periodic=True), n=Int(1, 3))
+    angle, n = sweeps(space, np.full(2, 0.5))
+    base = np.array([0.9, 0.5])
+    turned = other_values(angle, base)[:, 0]
+    assert len({0.9, *turned}) == 3 and (turned >= 0).all() and (turned <= 1).all()
+    assert [params["n"] for params in space.decode_many(other_values(n, base))] == [1, 2, 3]
+
+
+def test_parameters_that_change_nothing_here_or_anywhere() -> None:
+    space = Space(
+        x=Float(-1, 1), angle=Float(0, 360), other=Float(0, 360), unread=Float(0, 1),
+        unused=Choice("a", "b", "c"), side=Float(0, 1), faint=Float(0, 1),
+        seam=Float(0, 360, periodic=True), label=Choice("only"),
+    )  # fmt: skip
+
+    def render(p: dict[str, Any]) -> Any:
+        v, u = grid()
+        line = np.cos(2 * np.radians(p["angle"])) * u + np.sin(2 * np.radians(p["angle"])) * v
+        shade = p["side"] if p["x"] > 0.02 else 0.5  # at the center x decides against it
+        other = np.sin(np.radians(p["other"])) * v
+        ramp = p["seam"] / 360 * u
+        return 0.4 + 0.1 * (line + other + ramp) * (u < p["x"]) + 0.1 * shade + 1e-4 * p["faint"]
+
+    facts = check(render, space, workers=1)
+    assert {one.sweep.name: one.where for one in facts.effects} == {
+        "x": "center", "angle": "elsewhere", "other": "elsewhere", "unread": "nowhere",
+        "unused": "nowhere", "side": "elsewhere", "faint": "center", "seam": "center",
+    }  # fmt: skip
+    told = "\n".join(advice(facts))
+    for sentence in (
+        "unread and unused change nothing at any of 4 points",
+        "angle, other and side change nothing at the center",
+        "faint changes less than a picture of 8 bits",
+        "seam is periodic, but its ends give different images",
+    ):
+        assert sentence in told
+    assert facts.noise == Difference(0, 0) and not facts.drifts and not facts.failures
+
+
+def test_things_of_one_kind_do_not_hide_each_other_at_the_center() -> None:
+    """With all of them at the middle, only the last one would be seen."""
+    space = Space(dots=3 * Group(x=Float(0, 1), gray=Float(0.2, 1)), light=Float(0, 1))
+
+    def render(p: dict[str, Any]) -> Any:
+        v, u = grid()
+        image = np.zeros(u.shape)
+        for dot in p["dots"]:
+            image = np.where(np.hypot(u - 2 * dot["x"] + 1, v) < 0.2, dot["gray"], image)
+        return image * (0.5 + p["light"] / 2)
+
+    facts = check(render, space, workers=1)
+    assert {one.where for one in facts.effects} == {"center"} and facts.repeated
+    assert isinstance(facts.center, dict) and facts.center["light"] == 0.5 and facts.centered
+
+
+def test_ends_of_an_angle_that_are_alike() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        v, u = grid()
+        ball = np.hypot(u - 0.5 * np.cos(p["turn"]), v - 0.5 * np.sin(p["turn"])) < 0.4
+        return ball * p["gray"] * (1 - abs(p["x"]))
+
+    around = Float(0, 2 * math.pi)
+    space = Space(turn=around, gray=Float(0.5, 1), x=Float(-1, 1))
+    told = [one for one in advice(check(render, space, workers=1)) if "both ends" in one]
+    assert told == [
+        "both ends of turn give the same image; if it is an angle, make it periodic"
+    ]  # x is no angle
+
+
+def test_noise_hides_no_parameter_that_changes_nothing() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        noise = np.random.default_rng().normal(0, 0.02, (24, 32))
+        return np.clip(0.5 + 0.2 * p["gray"] + noise, 0, 1)
+
+    facts = check(render, Space(gray=Float(0, 1), unread=Float(0, 1)), workers=1)
+    assert [one.where for one in facts.effects] == ["center", "nowhere"]
+    assert facts.noise is not None and 0.025 < facts.noise.rms < 0.032  # sqrt(2) 0.02
+    data = as_data("noisy", facts)
+    assert data["deterministic"] is False
+    assert "cannot be told from noise" in " ".join(data["advice"])
+
+
+def test_a_renderer_that_remembers_is_no_noisy_one() -> None:
+    def render(p: dict[str, Any], calls: list[int] = []) -> Any:  # noqa: B006
+        calls.append(1)
+        return np.full((6, 8), p["gray"] * (1 if len(calls) < 6 else 0.5))
+
+    facts = check(render, Space(gray=Float(0.1, 1)), workers=1)
+    assert facts.drifts and facts.noise == Difference(0, 0)
+    assert as_data("x", facts)["deterministic"] is False
+    assert "keeps something from render to render" in " ".join(advice(facts))
+
+
+# -- values ----------------------------------------------------------------------------------------
+
+
+def test_what_is_in_an_image() -> None:
+    image = image_of(np.full((4, 6, 3), 51, np.uint8))
+    assert (image.shapes, image.kinds) == (((4, 6, 3),), ("uint8",))
+    assert image.low == image.high == pytest.approx(0.2) and image.constant
+    odd = np.linspace(-1, 10, 24).reshape(4, 6)
+    odd[0, 0], odd[3, 5] = np.nan, np.inf
+    found = image_of(odd)
+    assert found.not_finite == 2 and -1 < found.low < 0 and 9 < found.high < 10
+    views = image_of([np.zeros((4, 6)), np.ones((2, 3, 4), np.float32)])
+    assert views.shapes == ((4, 6, 1), (2, 3, 4)) and views.constant
+    assert small(views).shape[2] == 3
+    assert difference(image, found).rms == np.inf  # of another size
+    halves = [image_of(np.full((4, 6), gray)) for gray in (0.25, 0.5)]
+    assert difference(*halves) == Difference(0.25, 0.25)
+    for wrong in (None, np.zeros((4, 6), np.uint16), np.zeros((4, 6, 5)), "no.png", 3):
+        with pytest.raises(ImageError):
+            image_of(wrong)
+
+
+@pytest.mark.parametrize(
+    ("scale", "span", "text"),
+    [
+        (1.0, 1.0, ""),
+        (250.0, 255.0, "looks like 0 to 255; return image / 255"),
+        (10.0, 10.0, "values outside of [0, 1]"),
+    ],
+)
+def test_ranges_of_values(scale: float, span: float, text: str) -> None:
+    def render(p: dict[str, Any]) -> Any:
+        _, u = grid()
+        return scale * p["gray"] * (u + 1) / 2
+
+    facts = check(render, Space(gray=Float(0, 1)), workers=1)
+    assert facts.span == pytest.approx(span)
+    change = facts.effects[0].change
+    assert change is not None and change.most == scale
+    assert change.rms == pytest.approx(scale * 0.588, rel=0.01)
+    told = " ".join(advice(facts))
+    assert text in told and ("[0, 1]" in told) == (scale == 10)
+    assert "one color everywhere in 1 of" in told  # gray 0
+
+
+# -- failures --------------------------------------------------------------------------------------
+
+
+def test_failures_are_counted_by_kind_and_the_center_is_one_that_renders() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        if 0.45 < p["x"] < 0.55:
+            raise ValueError(f"the wall is {p['x']:.3f} m")
+        image = np.full((6, 8 + 2 * (p["n"] == 3)), p["x"])
+        image[0, 0] = np.nan if p["x"] == 1 else 0
+        return image
+
+    facts = check(render, Space(x=Float(0, 1), n=Int(1, 3)), workers=1)
+    (failure,) = facts.failures
+    assert failure.reason.startswith("ValueError: the wall is 0.500") and failure.count >= 2
+    assert not facts.centered and isinstance(facts.center, dict)
+    assert facts.images + facts.failed == facts.renders and facts.not_finite >= 1
+    text = "\n".join(lines("scene.py:render", facts))
+    for shown in ("the middle of the ranges gives no image", "the size of the image changes",
+                  "NaN or infinite values in", "fails at 0.5", "center    x="):  # fmt: skip
+        assert shown in text
+
+
+def test_nothing_but_failures() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        raise ValueError("never")
+
+    facts = check(render, Space(x=Float(0, 1)), workers=1)
+    assert facts.images == 0 and facts.failures[0].count == facts.renders == 9
+    assert "mend the renderer first" in lines("x", facts)[-1]
+    data = as_data("x", facts)
+    assert data["low"] is None and data["parameters"] == []
+
+
+@pytest.mark.thorough
+def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        import os
+        import time
+
+        if p["x"] > 0.9:
+            os._exit(3)
+        if p["x"] < 0.1:
+            time.sleep(60)
+        return np.full((6, 8), p["x"])
+
+    facts = check(render, Space(x=Float(0, 1)), workers=2, timeout=0.5)
+    reasons = " ".join(one.reason for one in facts.failures)
+    assert "died with exit code 3" in reasons and "did not end within 0.5 s" in reasons
+    assert workers(facts) == 1
+
+
+# -- what to plan ----------------------------------------------------------------------------------
+
+
+def measured(alone: float, number: int, together: float | None, dim: int = 4) -> Facts:
+    facts = Facts(dim, dim, images=9, alone=alone, median=alone, low=0, high=1)
+    facts.number, facts.together = number, together
+    return facts
+
+
+def test_renders_and_workers_to_plan() -> None:
+    assert [budget(measured(1, 1, None, dim)) for dim in (3, 40, 100, 160)] == [
+        2000, 4000, 10_000, 24_000,
+    ]  # fmt: skip
+    assert workers(measured(0.001, 1, None)) == 0
+    assert workers(measured(1.0, 8, 1.2)) == 8
+    assert workers(measured(1.0, 8, 7.5)) == 1  # it uses all cores itself
+    assert "about 28 min here with --workers 2" in advice(measured(1.67, 2, 1.67))[-1]

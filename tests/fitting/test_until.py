@@ -1,0 +1,87 @@
+"""A fit ends when it is solved, or when noise of the target leaves nothing to be found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fide_plugins import Float, Space, fit
+from fide_plugins.errors import OptionError
+from fide_plugins.fitting.result import Result
+from fide_plugins.types import Float64
+
+V, U = np.mgrid[0:48, 0:48] / 47
+SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
+TRUTH = {"x": 0.7, "y": 0.35, "r": 0.2}
+HERE: dict[str, Any] = {"workers": 0, "seed": 0}
+
+
+def draw(p: Mapping[str, float]) -> Float64:
+    """A soft disk (48, 48) on gray."""
+    distance = np.hypot(U - p["x"], V - p["y"]) - p["r"]
+    return np.asarray(0.1 + 0.8 / (1 + np.exp(30 * distance)), np.float64)
+
+
+def test_a_fit_ends_within_a_generation_when_it_is_solved() -> None:
+    for seed in range(3):
+        result = fit(draw, draw(TRUTH), SPACE, budget=3000, workers=0, seed=seed)
+        assert result.best is not None
+        assert (result.stopped, result.status.code) == ("solved", "solved")
+        assert result.evaluations <= result.best.evaluation + 1 + result.optimizer.popsize < 1000
+        assert result.params == pytest.approx(TRUTH, abs=0.01)
+
+
+def test_a_solved_fit_goes_on_until_the_budget_if_told(tmp_path: Path) -> None:
+    solved = fit(draw, draw(TRUTH), SPACE, budget=600, out=tmp_path, **HERE)
+    run = json.loads((tmp_path / "run.json").read_text())
+    assert run["stopped"] == solved.stopped == "solved" and run["limits"]["until"] == "solved"
+    n = solved.evaluations
+    same = fit(draw, draw(TRUTH), SPACE, budget=600, out=tmp_path, resume=True, **HERE)
+    assert same.evaluations == n and same.stopped == "solved"
+    more: dict[str, Any] = {"budget": n + 60, "until": "budget"}
+    on = fit(draw, draw(TRUTH), SPACE, **more, out=tmp_path, resume=True, **HERE)
+    assert (on.evaluations, on.stopped) == (n + 60, "budget")
+    assert json.loads((tmp_path / "run.json").read_text())["stopped"] == "budget"
+    whole = fit(draw, draw(TRUTH), SPACE, **more, **HERE)
+    np.testing.assert_array_equal(on.curve, whole.curve)
+
+
+@pytest.mark.parametrize("until", ["solved", "stalled"])
+def test_a_fit_to_a_noisy_picture_ends_when_its_noise_is_left(until: str) -> None:
+    """The renderer has none.  The answer is as near as noise allows: 4 standard deviations."""
+    std, step = 0.03, 1e-4
+    slopes = [
+        (draw({**TRUTH, name: TRUTH[name] + step}) - draw(TRUTH)).ravel() / step for name in TRUTH
+    ]
+    allowed = std * np.sqrt(np.diag(np.linalg.inv(np.array(slopes) @ np.array(slopes).T)))
+    for seed in range(3):
+        noise = np.random.default_rng(seed).normal(0, std, (48, 48))
+        target = np.clip(draw(TRUTH) + noise, 0, 1)
+        result = fit(draw, target, SPACE, budget=1500, until=until, workers=0, seed=seed)
+        assert (result.stopped, result.status.code) == ("noise", "noise")
+        assert result.evaluations < 500 and f"{std:.2g}" in result.status.sentence
+        errors = [abs(result.params[name] - TRUTH[name]) for name in TRUTH]
+        assert (np.array(errors) < 4 * allowed).all()
+
+
+def test_a_picture_that_cannot_be_drawn_is_not_solved_and_no_noise() -> None:
+    result = fit(draw, np.maximum(draw(TRUTH), 0.2), SPACE, budget=250, **HERE)
+    assert result.stopped == "budget" and result.status.code not in ("solved", "noise")
+
+
+def test_the_former_name_and_wrong_ones() -> None:
+    def few(**rules: Any) -> Result:
+        return fit(draw, draw(TRUTH), SPACE, **rules, **HERE)
+
+    assert few(budget=None, until_stalled=True).stopped == "solved"
+    with pytest.raises(OptionError, match="until must be 'solved', 'stalled', 'budget', not 'sol"):
+        few(until="sol")
+    with pytest.raises(OptionError, match="former name of until='stalled'.*leave out one"):
+        few(until="budget", until_stalled=True)
+    with pytest.raises(OptionError, match="give time or until='stalled'"):
+        few(budget=None)
