@@ -63,11 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_space_argument(own)
     add = own.add_argument
     add("--workers", type=whole(0), metavar="N", help="renders at a time (one a core, at most 8)")
-    add(
-        "--timeout",
-        metavar="TIME",
-        help="of a render with all its views: 60, 2m (none; for --command 60)",
-    )
+    add("--timeout", metavar="TIME",
+        help="of a render with all its views: 60, 2m (none; for --command 60)")  # fmt: skip
     add("--mask", action="append", metavar="FILE",
         help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")

@@ -13,6 +13,7 @@
 `stopping`       when a fit is over
 `durations`      "10m"
 `result`         what it has found
+`suspicions`     what the best image says about all renders
 `saved_run`      its run directory
 `pictures`       images of several views
 `callbacks/`     who watches it, and who stops it

@@ -102,7 +102,8 @@ def _of_values(facts: Facts) -> Iterator[str]:
         of = f"{facts.outside} of {counted(facts.images, 'image')}"
         yield (
             f"values outside of [0, 1] ({facts.low:.4g} to {facts.high:.4g} in all) in {of}, which "
-            "a fit clips; scale them in the renderer, and the target alike"
+            "a fit clips; if they are no overshoot, give it value_range=(low, high), in the shell "
+            "--value-range, for the target and them"
         )
     if facts.drifts:
         yield (
