@@ -54,7 +54,7 @@ class ImageNotFoundError(ImageError, FileNotFoundError):
 
 
 class ValueRangeError(ImageError):
-    """Renders are on another scale than the target, or of a type that has none."""
+    """Renders are on another scale than the target, or whole numbers, whose scale is unknown."""
 
 
 class FeaturesError(FideError, ValueError):

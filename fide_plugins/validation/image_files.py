@@ -203,7 +203,7 @@ def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
 
 
 def save(path: str | os.PathLike[str], image: Float32) -> None:
-    """Write an image (H, W, 3) or (H, W) to a file, whose ending says how.
+    """Write an image (H, W, 3) or (H, W) to the file `path`, whose ending says how.
 
     .tif, .tiff: 32-bit floats, any values, without loss.  .hdr: colors that are not negative, to
     1 % of the largest channel.  Other endings that Pillow writes, such as .png: 8 bits, values in

@@ -66,7 +66,8 @@ def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
         raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
     if not has_scale(array, raw):
         remedy = scale_remedy(array, "image.bool()", "image.to(torch.uint8)")
-        raise refuse_type(what, f"a tensor of {describe(array)}", remedy)
+        whole = array.dtype.kind in "iu"
+        raise refuse_type(what, f"a tensor of {describe(array)}", remedy, whole=whole)
     return array
 
 
@@ -109,8 +110,11 @@ def scale_remedy(
     return f"write {as_bytes} if 255 is white"
 
 
-def refuse_type(what: str, got: str, remedy: str) -> ImageError:
-    """Error for values of a type whose scale is unknown: all renders of a run have that type."""
-    return ValueRangeError(
+def refuse_type(what: str, got: str, remedy: str, *, whole: bool = False) -> ImageError:
+    """Error for values of a type that no image has.
+
+    whole: whether they are whole numbers, whose scale is unknown: all renders of a run have it.
+    """
+    return (ValueRangeError if whole else ImageError)(
         f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}; {remedy}"
     )

@@ -323,7 +323,7 @@ def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool
     if not has_scale(array, raw):
         name = "image" if isinstance(image, np.ndarray) else "np.asarray(image)"
         remedy = scale_remedy(array, f"{name}.astype(bool)", f"{name}.astype(np.uint8)")
-        raise refuse_type(what, describe(array), remedy)
+        raise refuse_type(what, describe(array), remedy, whole=array.dtype.kind in "iu")
     return array, False
 
 

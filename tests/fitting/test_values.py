@@ -43,7 +43,7 @@ def test_what_was_found_before_is_not_lost(tmp_path: Path) -> None:
         rendered.append(1)
         return draw(p) * (1 if len(rendered) <= 30 else 250)
 
-    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "a"}
+    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "a", "until": "budget"}
     with pytest.raises(ValueRangeError) as raised:
         fit(late, draw(AT), SPACE, budget=50, **options)
     result = raised.value.result  # type: ignore[attr-defined]

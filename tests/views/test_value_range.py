@@ -169,7 +169,7 @@ def test_the_next_picture_has_the_range_of_the_first() -> None:
 
 def test_a_fit_of_a_signed_field(tmp_path: Path) -> None:
     target = 10 * TARGET - 3
-    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "run"}
+    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "run", "until": "budget"}
     result = fit(field, target, SPACE, budget=150, value_range=(-3, 17), **options)
     assert result.best is not None and result.best.image is not None
     assert result.params["power"] == pytest.approx(1, abs=1e-3)
