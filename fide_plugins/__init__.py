@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from . import encoders as encoders, errors as errors, losses as losses
     from .errors import WeightsNotFoundError as WeightsNotFoundError
     from .fide import FIDE as FIDE
+    from .fitting.load import load_run as load_run
     from .fitting.one_call import fit as fit
+    from .fitting.result import Result as Result
     from .learning import learn as learn
     from .runtime import checkpoint as checkpoint
     from .space import (
@@ -61,11 +63,13 @@ _ATTRIBUTES = {
     "Float": ".space",
     "Group": ".space",
     "Int": ".space",
+    "Result": ".fitting.result",
     "Solution": ".types",
     "Space": ".space",
     "WeightsNotFoundError": ".errors",
     "fit": ".fitting.one_call",
     "learn": ".learning",
+    "load_run": ".fitting.load",
 }
 
 __all__ = [
@@ -74,6 +78,7 @@ __all__ = [
     "Float",
     "Group",
     "Int",
+    "Result",
     "Solution",
     "Space",
     "WeightsNotFoundError",
@@ -87,6 +92,7 @@ __all__ = [
     "harness",
     "images",
     "learn",
+    "load_run",
     "losses",
     "optimizers",
     "report",

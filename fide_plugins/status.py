@@ -29,6 +29,10 @@ class Status:
     def __str__(self) -> str:
         return self.sentence
 
+    def to_dict(self) -> dict[str, str]:
+        """As files have it: the code is named "status"."""
+        return {"status": self.code, "sentence": self.sentence}
+
 
 @dataclass(frozen=True, slots=True)
 class Facts:

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.fitting import Fitting
     from fide_plugins.fitting.rendering import Outcome
-    from fide_plugins.types import Float64
+    from fide_plugins.fitting.result import Result
+    from fide_plugins.types import Float64, Solution
 
 __all__ = ["OWN", "execute"]
 
@@ -40,6 +41,7 @@ OWN = (
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
+_MOST = 40  # parameters that are printed
 
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
@@ -72,12 +74,15 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             note(f"{who}: {stop}{saved}" if not unsaved else f"{who}: {stop}")
             for remark in unsaved:
                 note(paragraph(remark))
+            _note_found(stop.result)
+            if (out / "summary.png").exists():
+                note(f"look at {plain(out)}/summary.png")
             if is_saved(out):
                 note(f"continue with: {continuation(command, str(out))}")
             return 128 + stop.signum
         except (FideError, OSError) as error:
             note(f"{who}: the run failed: {paragraph(error)}")
-            _note_found(error)
+            _note_found(getattr(error, "result", None))  # perhaps no file could be written
             return 1
     if args.json:
         print(json.dumps(_summary(result, out), allow_nan=False), flush=True)
@@ -235,31 +240,33 @@ def _as_data(params: Any) -> Any:
     return params.tolist() if hasattr(params, "tolist") else params
 
 
-def _note_found(error: Exception) -> None:
-    """Say what was found before an error: perhaps no file could be written."""
-    result = getattr(error, "result", None)
-    if result is not None and isinstance(result.params, dict):
-        from fide_plugins.renderers.naming import described
-
-        note(f"best loss {number(result.best.loss)} after {result.evaluations} renders")
-        note(plain(described(result.params)))
+def _note_found(result: Result | None) -> None:
+    """Say what a fit had found when it ended early."""
+    if result is not None and result.best is not None:
+        note(f"best loss {number(result.best.loss)}")
+        for line in _parameters(result.best):
+            note(line)
 
 
-def _report(result: Any, out: Path) -> None:
-    loss = None if result.best is None else result.best.loss
+def _parameters(best: Solution) -> list[str]:
+    """Lines with the parameters in their units."""
+    from fide_plugins.recording.parameters import lines
+
+    return [f"  {paragraph(line)}" for line in lines(best, _MOST)]
+
+
+def _report(result: Result, out: Path) -> None:
+    """Print the end of a fit: the status has the loss."""
     failed = f", {result.failures} renders failed" if result.failures else ""
     failed += f", {result.clipped} images clipped" if result.clipped else ""
-    print(f"best loss {number(loss)} after {result.evaluations} renders{failed}")
-    print(f"{duration(result.seconds)}, stopped by {result.stopped.replace('_', '-')}")
-    if isinstance(result.params, dict):
-        from fide_plugins.renderers.naming import described
-
-        print(plain(described(result.params)))
+    stopped = f"stopped: {result.stopped.replace('_', '-')}"
+    print(f"{result.evaluations} renders in {duration(result.seconds)}, {stopped}{failed}")
     if result.best is None:
         print(_without_best(result))
         return
-    print(f"look at {plain(out)}/best.png, or: {as_typed(['fide', 'solutions', str(out)])}")
     print(plain(result.status))
+    print("\n".join(_parameters(result.best)))
+    print(f"look at {plain(out)}/summary.png, or: {as_typed(['fide', 'solutions', str(out)])}")
 
 
 def _without_best(result: Any) -> str:

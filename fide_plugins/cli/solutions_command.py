@@ -39,6 +39,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins import solutions
     from fide_plugins.encoders.own import referenced
+    from fide_plugins.recording.parameters import rows
     from fide_plugins.runtime import files
 
     try:
@@ -53,7 +54,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     if args.json:
         print(json.dumps([_data(one) for one in found.solutions], allow_nan=False))
         return 0
-    print("\n".join(_table(found, solutions.rows(found.solutions))))
+    print("\n".join(_table(found, rows(found.solutions))))
     print(f"look at {plain(output)}")
     return 0
 
@@ -64,7 +65,7 @@ def _table(found: Any, rows: Any) -> list[str]:
     head += [(f"loss ({plain(found.loss)})", [number(one.loss) for one in found.solutions])]
     if found.solutions[0].probability is not None:
         head += [("probability", [f"{one.probability:.3f}" for one in found.solutions])]
-    cells = head + [(plain(row.name), [plain(value) for value in row.values]) for row in rows]
+    cells = head + [(plain(row.label), [plain(value) for value in row.values]) for row in rows]
     first = max(len(name) for name, _ in cells)
     widths = [max(len(values[i]) for _, values in cells) for i in range(len(found.solutions))]
     lines = [
@@ -76,7 +77,7 @@ def _table(found: Any, rows: Any) -> list[str]:
             f"{found.elsewhere:.0%} of the model's hypotheses are near none of these: "
             "probabilities are relative"
         )
-    open_ones = [plain(row.name) for row in rows if not row.determined]
+    open_ones = [plain(row.label) for row in rows if not row.determined]
     if open_ones:
         lines.append(f"not determined by the picture: {', '.join(open_ones)}")
     return lines

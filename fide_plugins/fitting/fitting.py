@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins.fitting.callbacks import Callbacks, Run
 from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
 from fide_plugins.fitting.progress import reporting
 from fide_plugins.fitting.rendering import Renderer
-from fide_plugins.fitting.result import Result
+from fide_plugins.fitting.result import Result, histories
+from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.suspicions import suspicion_of
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.recording.record import Record, Report, best_so_far
+from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.runtime.warn import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.fitting.saved_run import SavedRun
     from fide_plugins.learning.rounds import Rounds
-    from fide_plugins.types import Float64
 
 __all__ = ["FitInterrupted", "Fitting"]
 
@@ -45,7 +43,10 @@ class FitInterrupted(Interrupted):
 
 
 class Fitting:
-    """A fit; made by `one_call.prepare`."""
+    """A fit; made by `one_call.prepare`.
+
+    plan: arguments of a `SavedRun`, with which its result can be saved.
+    """
 
     def __init__(
         self,
@@ -61,8 +62,9 @@ class Fitting:
         progress: object = None,
         checkpoint_every: float = 5.0,
         rounds: Rounds | None = None,
+        plan: Mapping[str, Any] | None = None,
     ) -> None:
-        self._rounds = rounds
+        self._rounds, self._plan = rounds, plan or {}
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
@@ -166,7 +168,7 @@ class Fitting:
             raise _with_result(error, result)
         return result
 
-    def _write(self, status: str, stopped: str) -> None:
+    def _write(self, state: str, stopped: str) -> None:
         """Write everything, each file also where another fails; raises the first error of them."""
         saved, record, optimizer = self.saved, self.record, self.optimizer
         if saved is None:
@@ -179,10 +181,10 @@ class Fitting:
                 saved.write_tables(record, optimizer)
         except Exception:
             with suppress(Exception):
-                left = "failed" if status == "finished" else status
-                saved.leave(left, record, optimizer, stopped)
+                failed = "failed" if state == "finished" else state
+                saved.leave(failed, stopped, record, optimizer)
             raise
-        saved.leave(status, record, optimizer, stopped)
+        saved.leave(state, stopped, record, optimizer)
 
     def _stop_workers(self, interrupts: Interrupts) -> None:
         """Stop them; a second signal does not wait for that."""
@@ -191,6 +193,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
+        loop.note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
         return Result(
@@ -198,16 +201,18 @@ class Fitting:
             params=None if best is None else self._renderer.params(best.x),
             solutions=self.optimizer.solutions(),
             status=self.optimizer.status,
-            curve=_curve(r),
-            evaluations=r.evaluations,
+            target=self.optimizer.target,
+            weights=self.optimizer.weights,
+            loss=self.optimizer.evaluator.loss.name,
             failures=loop.failures.count,
             first_failure=loop.failures.first,
-            seconds=r.wall_s,
             busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
-            optimizer=self.optimizer,
             clipped=self.optimizer.clipped,
+            value_range=self.optimizer.value_range,
+            unsaved=Unsaved(self.optimizer, r if loop.whole else None, self._plan, stopped),
+            **histories(r, self.optimizer.dim),
         )
 
     # -- meanwhile ---------------------------------------------------------------------------------
@@ -251,9 +256,3 @@ def _with_result(error: BaseException, result: Result) -> BaseException:
         if not isinstance(error, FitError):
             error.add_note("what was found until then is the attribute `result` of this error")
     return error
-
-
-def _curve(record: Record) -> Float64:
-    """(n, 2), number of evaluations and best loss by then."""
-    losses = np.array(record.losses, np.float64)
-    return np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1)

@@ -264,6 +264,7 @@ class Loop:
             r.best_loss, r.best_evaluation = loss, r.evaluations
             r.x_best, r.image = x, best.solution.image
             r.improvements.append(r.evaluations)
+            r.path.append(x.copy())
         r.losses.append(loss)
         r.seconds.append(r.wall_s)
         self.whole = True

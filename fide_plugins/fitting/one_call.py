@@ -209,13 +209,14 @@ def prepare(
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)
+    plan = _plan(render, optimizer, stopping, options)
     record, saved = None, None
     if out is not None:
-        saved = _saved_run(out, render, optimizer, stopping, options, resume, command)
-        record = saved.begin(optimizer)
+        record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
     return Fitting(
         optimizer, renderer, pool, stopping, watchers, record, saved,
         timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
+        plan=plan,
     )  # fmt: skip
 
 
@@ -235,25 +236,20 @@ def _optimizer(
     return FIDE(space, target, seed=seed, **search_options(options, render, resumed=there))
 
 
-def _saved_run(
-    out: str | os.PathLike[str],
-    render: Callable[[Any], object],
-    optimizer: FIDE,
-    stopping: Stopping,
-    options: dict[str, Any],
-    resume: bool,
-    command: Sequence[str] | None,
-) -> SavedRun:
-    """The run directory `out`, checked; nothing is read or written of the search yet."""
+def _plan(
+    render: Callable[[Any], object], optimizer: FIDE, stopping: Stopping, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Arguments of `SavedRun`, as plain data."""
     name = own_name(render)
     settings = settings_of(name, optimizer, options, stopping.budget)
-    own = callable(options.get("encoder"))  # others are known by name and version
-    facts = {"features": features_of(optimizer)} if own else None
+    facts: dict[str, Any] = {}
+    if callable(options.get("encoder")):  # others are known by name and version
+        facts["features"] = features_of(optimizer)
+    if isinstance(optimizer.target, list):
+        facts["views"] = [list(one.shape[:2]) for one in optimizer.target]
     sources = of_files({name: fingerprint_of(render)}) | of_models(options)
     sources |= of_weights(optimizer) | of_losses([optimizer.evaluator.loss])
-    return SavedRun(
-        out, settings, stopping.record(), facts, resume=resume, command=command, sources=sources
-    )
+    return {"settings": settings, "limits": stopping.record(), "facts": facts, "sources": sources}
 
 
 def _check_render(render: object, named: bool) -> None:

@@ -13,7 +13,7 @@ from fide_plugins.validation.clipping import Clipping
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["as_told", "canonical", "picture", "shown", "side_by_side"]
+__all__ = ["as_told", "canonical", "counting", "picture", "shown", "side_by_side"]
 
 
 def as_told(optimizer: FIDE, image: Any) -> Any:
@@ -72,3 +72,15 @@ def side_by_side(image: Any) -> Float32:
     height = max(len(one) for one in images)
     padded = [np.pad(one, ((0, height - len(one)), (0, 0), (0, 0))) for one in images]
     return np.concatenate(padded, axis=1, dtype=np.float32)
+
+
+def counting(weights: Any, target: Any) -> Float32 | None:
+    """Weights (H, W) of views side by side; None: all pixels of the target, or targets, count."""
+    if weights is None:
+        return None
+    views = [weights] if not isinstance(weights, list) else weights
+    targets = [target] if not isinstance(target, list) else target
+    pairs = zip(views, targets, strict=True)
+    return side_by_side(
+        [np.ones_like(one) * (1 if w is None else np.asarray(w)[..., None]) for w, one in pairs]
+    )[..., 0]

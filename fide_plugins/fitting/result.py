@@ -2,48 +2,75 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from pathlib import Path
+import numpy as np
 
+from fide_plugins.errors import FideError, OptionError
+from fide_plugins.fitting.pictures import counting, side_by_side
+from fide_plugins.recording.parameters import described
+from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.renderers import naming
+from fide_plugins.validation.points import as_points
+from fide_plugins.validation.value_range import ValueRange
+
+if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
+    from fide_plugins.fitting.saved_run import Unsaved
+    from fide_plugins.recording.figures import Panel
+    from fide_plugins.recording.result_figure import Figure
     from fide_plugins.status import Status
-    from fide_plugins.types import Float64, Solution
+    from fide_plugins.types import Float32, Float64, Indices, Solution
 
 __all__ = ["Result"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """What a fit has found.
+    """What a fit has found; `fide_plugins.load_run` reads one from a run directory.
 
     best: best candidate; None before the first image.
     params: what `render` got for it: a dictionary, or x (dim,) without a space; None without best.
     solutions: distinct candidates, best first, at most five; see `FIDE.solutions`.
     status: what is known of the run: a code and a sentence; see `FIDE.status`.
+    target: picture (H, W, 3) in [0, 1] or the range of values, a list of them for several views; weights: (H, W), which
+        pixels count, likewise; None: all.
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
+    losses: (n,), loss of each evaluation; loss: its name.
+    improved_at: (m,), evaluations, from 0, that were the best so far; path: (m, dim), their points
+        in [0, 1].
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
     clipped: images whose values went beyond black or white, likewise.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
-        search.
+        search.  NaN of a result that was read.
     stopped: why it ended: "solved", "noise", "stalled" (see `fit`), "budget", "time", "stop_at",
-        "callback", "interrupted" or "failed".
+        "callback", "interrupted" or "failed"; of a run that was read also "running", and "finished"
+        where it has one rule only.
     out: run directory; None without.
-    optimizer: goes on where the fit has ended, by ask and tell.
+    value_range: values of target and images that are black and white; None: 0 and 1.
+    unsaved: what `save` writes, of a fit that has just ended.
     """
 
     best: Solution | None
     params: Any
     solutions: list[Solution]
     status: Status
+    target: Any
+    weights: Any
     curve: Float64
+    losses: Float64
+    loss: str
+    improved_at: Indices
+    path: Float64
     evaluations: int
     failures: int
     first_failure: Failure | None
@@ -51,36 +78,136 @@ class Result:
     busy: float
     stopped: str
     out: Path | None
-    optimizer: FIDE
     clipped: int = 0
+    value_range: tuple[float, float] | None = None
+    unsaved: Unsaved | None = None
+
+    @cached_property
+    def optimizer(self) -> FIDE | None:
+        """It goes on where the fit has ended, by ask and tell.
+
+        Of a result that was read it is loaded when it is first asked for; None where another
+        optimizer than FIDE ran, or where its checkpoint is missing.
+
+        Raises CheckpointError (a ValueError) if that is damaged, or needs an encoder of the user's.
+        """
+        if self.unsaved is not None:
+            return self.unsaved.optimizer
+        from fide_plugins.fitting.run_files import optimizer_in
+
+        return None if self.out is None else optimizer_in(self.out)
+
+    def plot(self) -> Figure:
+        """Figure of matplotlib: target, best image, difference, losses, paths of the parameters.
+
+        The difference is shown four times as strong.  Views are side by side.  Of more than twelve
+        parameters those are drawn that moved most.  `figure.savefig(path)` writes it.
+        """
+        from fide_plugins.recording.result_figure import result_figure
+
+        return result_figure(
+            self._panels(), self.losses, self.loss, self.improved_at, self.path, self.best
+        )
+
+    def plot_pairs(self, samples: object = None) -> Figure:
+        """Figure of matplotlib: points by every two of their parameters, the best one marked.
+
+        samples: (n, dim) in [0, 1], such as `model.sample(picture, n)` of a learned model; None:
+            the solutions, with their numbers.
+
+        Of more than six parameters those are drawn in which the points differ most.
+
+        Raises PointsError (a ValueError) for impossible samples, OptionError without any point.
+        """
+        from fide_plugins.recording.pairs_figure import pairs_figure
+
+        best = self.best
+        found = np.array([one.x for one in self.solutions]).reshape(-1, self._dim)
+        points = as_points(found if samples is None else samples, self._dim)
+        if not len(points):
+            raise OptionError("there is nothing to draw: give samples (n, dim), n >= 1")
+        space = None if best is None else best.space
+        marked = None if best is None or samples is None else best.x
+        return pairs_figure(points, space, marked, numbered=samples is None)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the run directory that `out` would have written: of this moment of the fit.
+
+        `load_run`, `fide solutions` and `resume=True` read it.  `plot().savefig` writes a picture.
+
+        Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
+        """
+        if self.out is not None:
+            from fide_plugins.fitting.run_files import copy_run
+
+            copy_run(self.out, Path(path))
+        elif self.unsaved is not None:
+            self.unsaved.write(path)
+        else:
+            raise FideError("this result has neither a run directory nor an optimizer")
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
         failed += f", {self.clipped:,} images clipped" if self.clipped else ""
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
-        named = isinstance(self.params, dict)
-        params = shorten(_rounded(self.params), 300) if named else f"dim={self.optimizer.dim}"
+        params = f"dim={self._dim}"
+        if isinstance(self.params, dict) and self.best is not None:
+            unnamed = self.best.space is None  # a task of a run that was read
+            text = naming.described(self.params) if unnamed else described(self.best)
+            params = shorten(text, 400)
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
-            f"{self.seconds:.1f} s{failed}; stopped by {self.stopped}",
+            f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
             f"  params: {params}",
             f"  solutions: {len(self.solutions)}",
-            *_range_of(self.optimizer),
+            *self._range(),
             f"  {self.status}" + ("" if self.out is None else f"\n  out: {self.out}"),
         ]
         return "\n".join(lines) + ")"
 
+    def _repr_html_(self) -> str:
+        from fide_plugins.fitting.result_page import page
 
-def _range_of(optimizer: FIDE) -> list[str]:
-    """A line on the range of values, if there is one."""
-    values = optimizer.value_range
-    return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
+        return page(self, self._panels())
+
+    def _range(self) -> list[str]:
+        """A line on the range of values, if there is one."""
+        values = self.value_range
+        return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
+
+    def _shown(self, image: Any) -> Float32:
+        """One picture in [0, 1] of an image, or of a list of them."""
+        if self.value_range is None:
+            return side_by_side(image)
+        values = ValueRange(*self.value_range)
+        listed = image if isinstance(image, list) else [image]
+        return side_by_side([np.clip(values.scaled(one), 0.0, 1.0) for one in listed])
+
+    @property
+    def _dim(self) -> int:
+        return int(self.path.shape[1])
+
+    def _panels(self) -> list[Panel]:
+        """Target, best image and difference; views side by side."""
+        from fide_plugins.recording.figures import GAIN, Panel, difference
+
+        target = self._shown(self.target)
+        panels = [Panel("target", target)]
+        if self.best is not None and self.best.image is not None:
+            image = self._shown(self.best.image)
+            apart = difference(target, image, counting(self.weights, self.target))
+            panels += [Panel("best", image), Panel(f"{GAIN}x difference", apart)]
+        return panels
 
 
-def _rounded(value: Any) -> str:
-    """Parameters as a text, numbers with five digits."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name}={_rounded(one)}" for name, one in value.items())
-    if isinstance(value, list):
-        return f"[{', '.join(f'({_rounded(one)})' for one in value)}]"
-    return f"{value:.5g}" if isinstance(value, float) else repr(value)
+def histories(record: Record, dim: int) -> dict[str, Any]:
+    """What a result has of the record of a run of `dim` parameters."""
+    losses = np.array(record.losses, np.float64)
+    return {
+        "curve": np.stack([np.arange(1.0, len(losses) + 1), best_so_far(losses)], axis=1),
+        "losses": losses,
+        "improved_at": np.array(record.improvements, np.intp),
+        "path": np.array(record.path).reshape(len(record.path), dim),
+        "evaluations": record.evaluations,
+        "seconds": record.wall_s,
+    }

@@ -9,23 +9,26 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.fitting.pictures import picture, shown, side_by_side
+from fide_plugins.fitting.pictures import counting, picture, shown, side_by_side
 from fide_plugins.options import GLOBAL
+from fide_plugins.recording import kept_solutions
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.directory import RunDirectory
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.outcome import Verdict, result_of
-from fide_plugins.recording.record import Record
+from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.runtime.callables import own_name
 
-__all__ = ["SavedRun", "features_of", "seed_there", "settings_of"]
+__all__ = ["SavedRun", "Unsaved", "features_of", "seed_there", "settings_of"]
 
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
 _CONTENTS = ("mask", "weights", "value_range")
@@ -123,21 +126,68 @@ class SavedRun:
             values = side_by_side(shown(optimizer, record.image))
         self._directory.write_tables(record, best, values)
 
-    def leave(self, status: str, record: Record, optimizer: FIDE, stopped: str) -> None:
-        """Write totals; status: "finished", "interrupted" or "failed"; stopped: of `Result`."""
-        target = optimizer.evaluator.target
+    def leave(self, state: str, stopped: str, record: Record, optimizer: FIDE) -> None:
+        """Write totals and the summary; state: see `RunDirectory.write_run`; stopped: `Result`."""
         result = result_of(
             self._directory.settings,
             record,
             _verdict(record, optimizer),
             budget=self._budget or record.evaluations,
-            status=str(optimizer.status),
-            clipped=optimizer.clipped,
+            status=optimizer.status,
         )
-        writes = [lambda: self._directory.write_run(status, result, stopped)]
-        if status == "finished" and not isinstance(optimizer.target, list):
-            writes.insert(0, lambda: self._directory.write_summary(result, target))
-        try_each(*writes)
+        more = {
+            "failures": record.failures,
+            "clipped": optimizer.clipped,
+            "solutions": kept_solutions.written(optimizer.solutions()),
+        }
+        writes = [
+            lambda: self._write_summary(result, optimizer),
+            lambda: self._directory.write_run(state, result, stopped, more),
+        ]
+        if not record.evaluations:
+            del writes[0]
+        try_each(*(writes if state == "finished" else reversed(writes)))  # a kill may come soon
+
+    def _write_summary(self, result: RunResult, optimizer: FIDE) -> None:
+        """Write the summary, with views side by side."""
+        first, best = (
+            None if image is None else picture(optimizer, image)
+            for image in (result.first_image, result.image)
+        )
+        shown = replace(result, first_image=first, image=best, reference=best)
+        target = picture(optimizer, optimizer.evaluator.target)
+        self._directory.write_summary(shown, target, counting(optimizer.weights, optimizer.target))
+
+
+@dataclass(frozen=True, eq=False)
+class Unsaved:
+    """A fit without a run directory, which can still be written to one.
+
+    record: None where it has stopped in the midst of a step of the optimizer.
+    plan: arguments of `SavedRun`.  stopped: why it has ended, see `Result`.
+    """
+
+    optimizer: FIDE
+    record: Record | None
+    plan: Mapping[str, Any]
+    stopped: str
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the run directory `path`.  Raises FideError if that cannot be done; OSError."""
+        record, optimizer = self.record, self.optimizer
+        if record is None:
+            raise OptionError("the fit was stopped in the midst of a step, and cannot be saved")
+        if optimizer.evaluations != record.evaluations:
+            raise OptionError(
+                f"the optimizer has gone on since: {optimizer.evaluations} evaluations, and the "
+                f"result is of {record.evaluations}; write optimizer.save(path) instead"
+            )
+        saved = SavedRun(path, **self.plan, resume=False, command=None)
+        with closing(saved):
+            saved.begin(optimizer)
+            saved.save(record, optimizer)
+            ended = self.stopped not in ("interrupted", "failed")
+            saved.leave("finished" if ended else self.stopped, self.stopped, record, optimizer)
 
 
 def settings_of(

@@ -12,7 +12,12 @@
 `tables`         its two tables, as text
 `checkpointing`  when to write the next checkpoint; each file where one fails
 `signals`        Ctrl-C and SIGTERM
+`parameters`     values of parameters in their units, and how sure they are
+`kept_solutions` solutions of a fit in the record
 `parallel`       rounds that parallel renderers would need
 `figures`        PNG files: images, film frames, summary.png
+`result_figure`  what `Result.plot` draws
+`pairs_figure`   what `Result.plot_pairs` draws
+`drawn`          parameters as numbers on axes
 ===============  ============================================================
 """

@@ -1,6 +1,6 @@
 """The run directory: its files, and how they stay consistent.
 
-    run.json       settings, versions, machine, seeds, command, totals, status, limits; at the end
+    run.json       settings, versions, machine, seeds, command, totals, state, limits; at the end
                    also the checksums of the two tables
     curve.csv      one line for each evaluation
     improvements.csv   one line for each evaluation that was the best so far, with other metrics
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-__all__ = ["LIVE", "TABLES", "RunDirectory", "is_under_way", "results_in"]
+__all__ = ["LIVE", "TABLES", "RunDirectory", "is_of_a_run", "is_under_way", "results_in"]
 
 TABLES = ("curve.csv", "improvements.csv")
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
@@ -109,7 +109,7 @@ class RunDirectory:
         with _lock(self.path) as lock:
             self._run: dict[str, Any] = {
                 "format": FORMAT,
-                "status": "running",
+                "state": "running",
                 "settings": self.settings,
                 "command": None if command is None else shlex.join(command),
                 "started": now(),
@@ -126,7 +126,7 @@ class RunDirectory:
                 self._check(there, resume, may_change)
                 if begun:
                     sources_module.warn_of_model(given, before, sources or {}, self.path)
-                self._run = {**before, "settings": self.settings, "status": "running"}
+                self._run = {**before, "settings": self.settings, "state": "running"}
                 self._run["resumed"] = [*before.get("resumed", []), now()]
             if limits is not None:
                 self._run["limits"] = limits
@@ -134,7 +134,7 @@ class RunDirectory:
                 self._run["sources"] = sources_module.versions_with(
                     sources, before, self.path, begun=begun
                 )
-            files.remove_leftovers(self.path, mine=_is_of_a_run)  # not what others write there
+            files.remove_leftovers(self.path, mine=is_of_a_run)  # not what others write there
             self._lock = lock.pop_all()
 
     def close(self) -> None:
@@ -279,21 +279,28 @@ class RunDirectory:
         if result.reference is not None and noisy(result):
             files.write_bytes(self.path / "reference.png", as_png(result.reference))
 
-    def write_summary(self, result: RunResult, target: Float32) -> None:
-        """Write `summary.png`."""
+    def write_summary(
+        self, result: RunResult, target: Float32, counts: Float32 | None = None
+    ) -> None:
+        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts."""
         from fide_plugins.recording.figures import summary
 
-        files.write_bytes(self.path / "summary.png", summary(result, target))
+        files.write_bytes(self.path / "summary.png", summary(result, target, counts))
 
     def write_run(
         self,
-        status: str = "running",
+        state: str = "running",
         result: RunResult | None = None,
         stopped: str | None = None,
+        more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `run.json`; stopped: the rule by which the run has ended, where it has several."""
+        """Write `run.json`.
+
+        state: "running", "finished", "interrupted" or "failed".
+        stopped: the rule by which the run has ended, where it has several.  more: further totals.
+        """
         self._run |= {
-            "status": status,
+            "state": state,
             "saved": is_saved(self.path),  # so that one which is removed is missed
             "versions": machine.versions(),
             "machine": machine.machine(),
@@ -304,8 +311,8 @@ class RunDirectory:
         if stopped is not None:
             self._run["stopped"] = stopped
         if result is not None:
-            self._run["totals"] = {**result.summary(), **result.details()}
-        if status == "finished":
+            self._run["totals"] = {**result.summary(), **result.details(), **(more or {})}
+        if state == "finished":
             self._run["checksums"] = {name: checksum(self.path / name) for name in TABLES}
         files.write_text(self.path / "run.json", json.dumps(self._run, indent=2) + "\n")
 
@@ -327,7 +334,7 @@ def _lock(path: Path) -> ExitStack:
         return lock.pop_all()
 
 
-def _is_of_a_run(name: str) -> bool:
+def is_of_a_run(name: str) -> bool:
     """Whether a run writes files of that name."""
     return any(fnmatchcase(name, pattern) for pattern in _WRITTEN)
 

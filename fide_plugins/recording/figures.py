@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,12 +14,30 @@ from fide_plugins.recording.record import PARTS, RunResult, best_so_far
 from fide_plugins.runtime.wording import counted
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["as_png", "noisy", "plain", "summary", "thumbnail"]
+__all__ = [
+    "ACCENT",
+    "GAIN",
+    "INK",
+    "MUTED",
+    "Panel",
+    "arrangement",
+    "as_png",
+    "difference",
+    "draw_curve",
+    "draw_image",
+    "noisy",
+    "plain",
+    "summary",
+    "thumbnail",
+]
 
 THUMBNAIL = 160
 """Longer side of a thumbnail, pixels."""
 
-_INK, _MUTED, _ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
+GAIN = 4
+"""By how much a picture of a difference is stronger than the difference."""
+INK, MUTED, ACCENT = "#1a1a1a", "#8a8f98", "#c2410c"
+_WIDTH, _BELOW, _TITLE = 9.0, 3.45, 0.3  # inches: a summary, all below its pictures, a title
 _PART_COLORS = {"render": "#64748b", "encode": "#0e7490", "train": "#c2410c", "search": "#a16207"}
 
 
@@ -41,23 +62,64 @@ def thumbnail(image: Float32, side: int = THUMBNAIL) -> Float32:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def summary(result: RunResult, target: Float32) -> bytes:
-    """PNG with the target, the first render, the best image, the loss curve and the time split."""
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A picture (H, W, 3) in [0, 1] of a figure, with its name and a note."""
+
+    name: str
+    image: Float32
+    note: str = ""
+
+
+def difference(target: Float32, image: Float32, counts: Float32 | None = None) -> Float32:
+    """Absolute difference of two pictures (H, W, 3), `GAIN` times as strong, in [0, 1].
+
+    counts: (H, W), where it is 0 no difference is shown.
+    """
+    apart: Float32 = np.clip(GAIN * np.abs(target - image), 0, 1).astype(np.float32)
+    if counts is not None:
+        apart[np.asarray(counts) == 0] = 0
+    return apart
+
+
+def arrangement(panels: Sequence[Panel], width: float, most: float) -> tuple[int, int, float]:
+    """Full rows and columns of panels of one size that make them largest, and the height of all.
+
+    width: inches; most: inches of height.
+    """
+    height, breadth = panels[0].image.shape[:2]
+    best = (0.0, 1, 1, 0.0)
+    for columns in (n for n in range(1, len(panels) + 1) if len(panels) % n == 0):
+        rows = len(panels) // columns
+        scale = min(width / columns / breadth, (most / rows - _TITLE) / height)
+        best = max(best, (scale, rows, columns, rows * (scale * height + _TITLE)))
+    return best[1:]
+
+
+def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -> bytes:
+    """PNG with the target, the first render, the best image, what is left, the losses, the times.
+
+    counts: (H, W), weights of the pixels; None: all are alike.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 6.6), dpi=110, facecolor="white")
+    panels = _panels(result, target, counts)
+    rows, columns, pictures = arrangement(panels, 0.945 * _WIDTH, 3.2)
+    height = pictures + _BELOW
+    figure = Figure(figsize=(_WIDTH, height), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
-    panels = _panels(result, target)
+    top = 1 - 0.8 / height
     images = figure.add_gridspec(
-        1, len(panels), left=0.03, right=0.975, top=0.885, bottom=0.475, wspace=0.05
-    )
-    curve = figure.add_axes((0.085, 0.145, 0.89, 0.275))
-    times = figure.add_axes((0.085, 0.055, 0.89, 0.018))
-    _title(figure, result)
-    for column, (name, note, image) in enumerate(panels):
-        _image(figure.add_subplot(images[0, column]), name, note, image)
-    _curve(curve, result)
+        rows, columns, left=0.03, right=0.975, top=top, bottom=top - (pictures - _TITLE) / height,
+        wspace=0.05, hspace=_TITLE / max(0.1, pictures / rows - _TITLE),
+    )  # fmt: skip
+    curve = figure.add_axes((0.085, 0.95 / height, 0.89, 1.55 / height))
+    times = figure.add_axes((0.085, 0.36 / height, 0.89, 0.12 / height))
+    _title(figure, result, 1 - 0.3 / height)
+    for k, panel in enumerate(panels):
+        draw_image(figure.add_subplot(images[divmod(k, columns)]), panel)
+    draw_curve(curve, result.losses, result.loss)
     _time_bar(times, result)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
@@ -71,47 +133,50 @@ def noisy(result: RunResult) -> bool:
     return not np.array_equal(result.image, result.reference)
 
 
-def _panels(result: RunResult, target: Float32) -> list[tuple[str, str, Float32]]:
-    """Name, note and image (H, W, 3) of each panel."""
+def _panels(result: RunResult, target: Float32, counts: Float32 | None) -> list[Panel]:
     blank = np.zeros_like(target)
     start, best = result.first_image, result.image
+    of_image = not noisy(result) and math.isfinite(result.mse)  # then views count alike
+    found = f"MSE {result.mse:.3g}" if of_image else _mse(best, target, counts)
     panels = [
-        ("target", "", target),
-        ("first render", _mse(start, target), blank if start is None else start),
-        ("best", _mse(best, target), blank if best is None else best),
+        Panel("target", target),
+        Panel("first render", blank if start is None else start, _mse(start, target, counts)),
+        Panel("best", blank if best is None else best, found),
     ]
+    if best is not None:
+        panels.append(Panel(f"{GAIN}x difference", difference(target, best, counts)))
     if noisy(result) and result.reference is not None:
-        panels.append(("reference", f"MSE {result.mse:.3g}", result.reference))
+        panels.append(Panel("reference", result.reference, f"MSE {result.mse:.3g}"))
     return panels
 
 
-def _title(figure: Any, result: RunResult) -> None:
+def _title(figure: Any, result: RunResult, y: float = 0.955) -> None:
     figure.text(
-        0.03, 0.955, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
-        fontsize=14, fontweight="bold", color=_INK, va="center",
+        0.03, y, f"{plain(result.task)}, fitted by {plain(result.optimizer)}",
+        fontsize=14, fontweight="bold", color=INK, va="center",
     )  # fmt: skip
     parameters = counted(result.parameters, "parameter")
     facts = f"{parameters}   {result.evaluations:,} renders   seed {result.seed}"
     figure.text(
-        0.975, 0.955, facts,
-        fontsize=10, color=_MUTED, va="center", ha="right",
+        0.975, y, facts,
+        fontsize=10, color=MUTED, va="center", ha="right",
     )  # fmt: skip
 
 
-def _image(axes: Any, name: str, note: str, image: Float32) -> None:
-    large = max(image.shape[:2]) >= 300
-    axes.imshow(image, vmin=0, vmax=1, interpolation="antialiased" if large else "nearest")
-    axes.set_title(name, fontsize=11, color=_INK, loc="left", pad=4)
-    axes.set_title(note, fontsize=9, color=_MUTED, loc="right", pad=4)
+def draw_image(axes: Any, panel: Panel) -> None:
+    """Draw a picture with its name."""
+    large = max(panel.image.shape[:2]) >= 300
+    axes.imshow(panel.image, vmin=0, vmax=1, interpolation="antialiased" if large else "nearest")
+    axes.set_title(panel.name, fontsize=11, color=INK, loc="left", pad=4)
+    axes.set_title(panel.note, fontsize=9, color=MUTED, loc="right", pad=4)
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set_color("#d4d4d8")
 
 
-def _curve(axes: Any, result: RunResult) -> None:
-    """Every loss as a dot, the best loss so far as a line."""
-    losses = result.losses
+def draw_curve(axes: Any, losses: Float64, loss: str) -> None:
+    """Draw every loss (n,) as a dot, the best one so far as a line; loss: its name."""
     finite = np.isfinite(losses)
     index = np.arange(1, len(losses) + 1)
     if finite.any():
@@ -120,16 +185,16 @@ def _curve(axes: Any, result: RunResult) -> None:
         least = _least_shown(losses[finite])
         if least > 0:
             axes.set_yscale("log")
-        axes.scatter(index[shown], np.maximum(losses[shown], least), s=3, color=_MUTED, alpha=0.35,
+        axes.scatter(index[shown], np.maximum(losses[shown], least), s=3, color=MUTED, alpha=0.35,
                      linewidths=0, label="each render", rasterized=True)  # fmt: skip
         axes.step(index, np.where(np.isfinite(best), np.maximum(best, least), np.nan), where="post",
-                  color=_ACCENT, linewidth=2, label="best so far")  # fmt: skip
+                  color=ACCENT, linewidth=2, label="best so far")  # fmt: skip
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncol=2, borderpad=0.2,
                     fontsize=8, frameon=False, markerscale=3)  # fmt: skip
     axes.set_xlim(0, max(2, len(losses)))
-    axes.set_xlabel("renders", fontsize=9, color=_INK, labelpad=2)
-    axes.set_title(f"loss ({plain(result.loss)})", fontsize=9, color=_INK, loc="left", pad=4)
-    axes.tick_params(which="both", labelsize=8, colors=_MUTED)
+    axes.set_xlabel("renders", fontsize=9, color=INK, labelpad=2)
+    axes.set_title(f"loss ({plain(loss)})", fontsize=9, color=INK, loc="left", pad=4)
+    axes.tick_params(which="both", labelsize=8, colors=MUTED)
     axes.grid(axis="y", color="#e4e4e7", linewidth=0.6)
     axes.set_axisbelow(True)
     for side in ("top", "right"):
@@ -160,14 +225,18 @@ def _time_bar(axes: Any, result: RunResult) -> None:
     other = max(0.0, 1.0 - left)
     axes.barh(0.5, other, left=left, height=1.0, color="#e4e4e7")
     if other >= 0.005:
-        labels.append((f"other {other:.0%}", _MUTED))
-    axes.text(1.0, -0.5, f"{result.wall_s:.1f} s", fontsize=9, color=_INK, ha="right", va="top")
+        labels.append((f"other {other:.0%}", MUTED))
+    axes.text(1.0, -0.5, f"{result.wall_s:.1f} s", fontsize=9, color=INK, ha="right", va="top")
     for i, (label, color) in enumerate(labels):
         axes.text(0.13 * i, -0.5, label, fontsize=9, color=color, ha="left", va="top")
 
 
-def _mse(image: Float32 | None, target: Float32) -> str:
-    return "" if image is None else f"MSE {np.square(image.astype(np.float64) - target).mean():.3g}"
+def _mse(image: Float32 | None, target: Float32, counts: Float32 | None) -> str:
+    """Mean squared error of an image, weighted by the weights (H, W) of its pixels, as a text."""
+    if image is None:
+        return ""
+    squared = np.square(image.astype(np.float64) - target).mean(axis=-1)
+    return f"MSE {np.average(squared, weights=counts):.3g}"
 
 
 def plain(text: str) -> str:

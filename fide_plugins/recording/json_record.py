@@ -38,7 +38,18 @@ def read_run(path: Path) -> dict[str, Any] | None:
 
     Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
     """
-    return read_json(path / "run.json", "run", _check_contents)
+    run = read_json(path / "run.json", "run", _check_contents)
+    return None if run is None else _of_this_version(run)
+
+
+def _of_this_version(run: dict[str, Any]) -> dict[str, Any]:
+    """The record with names of today: once "status" was what is "state" now."""
+    if "state" not in run and "status" in run:
+        run["state"] = run.pop("status")
+        totals = run.get("totals")
+        if isinstance(totals, dict) and "status" in totals:
+            totals["sentence"] = totals.pop("status")
+    return run
 
 
 def _check_contents(run: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.space import Space
+from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Verdict", "result_of"]
@@ -45,11 +46,15 @@ def result_of(
     *,
     budget: int,
     samples: int | None = None,
-    status: str | None = None,
-    clipped: int | None = None,
+    status: Status | None = None,
+    space: object = None,
 ) -> RunResult:
-    """Result of a run with these `settings`, as its directory records them."""
+    """Result of a run with these `settings`, as its directory records them.
+
+    space: names of the parameters, where the settings do not have it.
+    """
     r, s = record, settings
+    there = None if s.get("space") is None else Space.from_dict(s["space"])
     return RunResult(
         task=s["task"],
         optimizer=s["optimizer"],
@@ -57,7 +62,7 @@ def result_of(
         seed=s["seed"],
         task_seed=s["task_seed"],
         dim=s["dim"],
-        parameters=_parameters(s),
+        parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
         budget=budget,
         evaluations=r.evaluations,
         best_loss=r.best_loss,
@@ -82,14 +87,12 @@ def result_of(
         generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
         samples=samples,
         status=status,
-        clipped=clipped,
+        params=_params(there or space, r.x_best),
     )
 
 
-def _parameters(settings: Mapping[str, Any]) -> int:
-    """Number of parameters; without a space each coordinate is one."""
-    dim, space = int(settings["dim"]), settings.get("space")
-    return dim if space is None else len(Space.from_dict(space).names)
+def _params(space: object, x: Float64 | None) -> dict[str, Any] | None:
+    return None if x is None or not isinstance(space, Space) else space.decode(x)
 
 
 def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fide_plugins.recording.parallel import rounds
+from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64, Optimizer, Solution
 
 __all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult", "best_so_far"]
@@ -103,8 +104,8 @@ class RunResult:
     judged: other losses of the reference image by name.
     generations: (g,), number of candidates of each generation.
     samples: sum of the samples per pixel of all renders if their number rises; else None.
-    status: what the optimizer knows of the run, in a sentence; None where it does not say.
-    clipped: images whose values went beyond black or white; None where it is not known.
+    status: what the optimizer knows of the run; None where it does not say.
+    params: of x_best, by name and in their units; None without a space.
     """
 
     task: str
@@ -137,8 +138,8 @@ class RunResult:
     judged: dict[str, float]
     generations: npt.NDArray[np.int64]
     samples: int | None = None
-    status: str | None = None
-    clipped: int | None = None
+    status: Status | None = None
+    params: dict[str, Any] | None = None
 
     @property
     def render_s(self) -> float:
@@ -172,8 +173,8 @@ class RunResult:
             "watch_s": self.watch_s,
             "times": self.times,
             **({} if self.samples is None else {"samples": self.samples}),
-            **({} if self.status is None else {"status": self.status}),
-            **({} if self.clipped is None else {"clipped": self.clipped}),
+            **({} if self.params is None else {"params": self.params}),
+            **({} if self.status is None else self.status.to_dict()),
         }
 
 
@@ -183,6 +184,7 @@ class Record:
 
     losses, seconds: one entry for each evaluation.
     improvements: evaluations that were the best so far; metrics: one entry for each improvement.
+    path: (dim,), point of each improvement; shorter for a run that an earlier version began.
     generations: number of candidates of each generation.
     pending: (m, dim), candidates that were asked and not yet told.
     fidelity: state of `Fidelity`, if the number of samples per pixel rises.
@@ -192,6 +194,7 @@ class Record:
     losses: array[float] = field(default_factory=lambda: array("d"))
     seconds: array[float] = field(default_factory=lambda: array("d"))
     improvements: array[int] = field(default_factory=lambda: array("q"))
+    path: list[Float64] = field(default_factory=list)
     metrics: dict[str, array[float]] = field(default_factory=dict)
     generations: array[int] = field(default_factory=lambda: array("q"))
     times: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))
@@ -234,6 +237,7 @@ class Record:
             self.best_evaluation = self.evaluations + winner
             self.x_best, self.image = X[winner].copy(), images[winner].copy()
         self.improvements.extend(self.evaluations + i for i in improved)
+        self.path.extend(X[i].copy() for i in improved)
         self.losses.extend(losses.tolist())
         self.seconds.extend([self.wall_s] * len(losses))
         return improved
@@ -272,14 +276,15 @@ class Record:
         fields: dict[str, Any] = dict(vars(self))
         arrays = {key: np.array(fields[key], kind) for key, kind in _ARRAYS.items()}
         metrics = {name: np.array(values) for name, values in self.metrics.items()}
-        return {**fields, **arrays, "metrics": metrics}
+        path = np.array(self.path).reshape(len(self.path), -1 if self.path else 0)
+        return {**fields, **arrays, "metrics": metrics, "path": path}
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> Record:
         """Record with a state that `state` returned."""
         arrays = {key: array(kind, state[key].tolist()) for key, kind in _ARRAYS.items()}
         metrics = {name: array("d", values.tolist()) for name, values in state["metrics"].items()}
-        return cls(**{**state, **arrays, "metrics": metrics})
+        return cls(**{**state, **arrays, "metrics": metrics, "path": list(state["path"])})
 
 
 _ARRAYS = {"losses": "d", "seconds": "d", "improvements": "q", "generations": "q"}

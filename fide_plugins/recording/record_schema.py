@@ -2,8 +2,8 @@
 
 The state of `Fidelity`, which renders with few samples per pixel at first, is part of it.
 
-Sides: e evaluations, m improvements, g generations, p pending candidates, d parameters, H x W
-pixels.
+Sides: e evaluations, m improvements, k of them with their points, g generations, p pending
+candidates, d parameters, H x W pixels.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _RECORD: Schema = {
     "losses": array("e", low=None),
     "seconds": array("e", low=0.0),
     "improvements": array("m", kind="i", low=0.0),
+    "path": array("k", "d", low=0.0, high=1.0),
     "metrics": table(array("m", low=None)),
     "generations": array("g", kind="i", low=0.0, high=2.0**40),
     "times": dict.fromkeys(PARTS, real()),

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.recording.record import Record
@@ -29,8 +31,11 @@ __all__ = [
     "read_checkpoint",
     "read_record",
     "remove_checkpoint",
+    "with_optimizer",
     "write_checkpoint",
 ]
+
+_T = TypeVar("_T")
 
 NAME = "run.ckpt"
 _KIND = "run"
@@ -77,8 +82,27 @@ def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
     """
     state, name = read_checkpoint(path)
     with _possible(path):
+        state.setdefault("path", np.empty((0, dim)))  # of an earlier version
         check_record(state, dim, size)
         return Record.from_state(state), path / name
+
+
+def with_optimizer(path: Path, use: Callable[[Path], _T]) -> _T:
+    """What a function makes of the optimizer's file of the run in the folder `path`.
+
+    The run may go on meanwhile, and replace its checkpoint: then it is called with the newer file.
+
+    Raises what `read_checkpoint` and the function raise.
+    """
+    name = read_checkpoint(path).optimizer
+    while True:
+        try:
+            return use(path / name)
+        except FileNotFoundError:
+            newer = read_checkpoint(path).optimizer
+            if newer == name:
+                raise
+            name = newer
 
 
 def write_checkpoint(path: Path, record: Record, optimizer: Optimizer) -> None:

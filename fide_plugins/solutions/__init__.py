@@ -3,7 +3,6 @@
 =============  =========================================================================
 `found`        reads them from a run directory; nothing in it is executed
 `pictures`     images of candidates, kept in the run directory
-`words`        values of parameters in their units, and how sure they are
 `figure`       the picture
 =============  =========================================================================
 """
@@ -12,6 +11,5 @@ from __future__ import annotations
 
 from fide_plugins.solutions.figure import figure
 from fide_plugins.solutions.found import Found, read
-from fide_plugins.solutions.words import Row, rows
 
-__all__ = ["Found", "Row", "figure", "read", "rows"]
+__all__ = ["Found", "figure", "read"]

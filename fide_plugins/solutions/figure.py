@@ -6,8 +6,8 @@ import io
 from typing import Any
 
 from fide_plugins.recording.figures import plain
+from fide_plugins.recording.parameters import Row, rows
 from fide_plugins.solutions.found import Found
-from fide_plugins.solutions.words import Row, rows
 from fide_plugins.types import Float32
 
 __all__ = ["figure"]
@@ -62,7 +62,7 @@ def _panel(axes: Any, name: str, note: str, image: Float32 | None) -> None:
 def _lines(canvas: Any, axes: Any, table: list[Row], i: int, height: float) -> None:
     """Write the parameters of solution i below its image; muted, what is not determined."""
     box = axes.get_position()
-    shown = [(f"{row.name}  {row.values[i]}", row.determined) for row in table[:_MOST]]
+    shown = [(f"{row.label}  {row.values[i]}", row.determined) for row in table[:_MOST]]
     if len(table) > _MOST:
         shown.append((f"... {len(table) - _MOST} more", True))
     for k, (text, determined) in enumerate(shown):

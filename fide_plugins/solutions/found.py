@@ -14,7 +14,7 @@ from fide_plugins import encoders
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.run_checkpoint import is_saved, read_checkpoint
+from fide_plugins.recording.run_checkpoint import is_saved, with_optimizer
 from fide_plugins.runtime import checkpoint
 from fide_plugins.solutions import pictures
 from fide_plugins.types import Float32, Solution
@@ -87,19 +87,13 @@ def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
         raise RunDirectoryError(
             f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
         )
-    name = read_checkpoint(path).optimizer
-    while True:
-        try:
-            if encoder is None:
-                _check_encoder(path / name)
-            loaded = FIDE.load(path / name, loss=_no_loss, encoder=encoder)
-        except FileNotFoundError:
-            newer = read_checkpoint(path).optimizer
-            if newer == name:
-                raise
-            name = newer  # the fit goes on, and has replaced its checkpoint
-        else:
-            return loaded
+
+    def load(file: Path) -> FIDE:
+        if encoder is None:
+            _check_encoder(file)
+        return FIDE.load(file, loss=_no_loss, encoder=encoder)
+
+    return with_optimizer(path, load)
 
 
 def _check_encoder(path: Path) -> None:

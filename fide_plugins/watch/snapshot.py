@@ -61,25 +61,25 @@ class RunFiles:
         settings = run.get("settings")
         settings = settings if isinstance(settings, dict) else {}
         shown: dict[str, Any] = {
-            "status": _text(run.get("status", "not begun")),
+            "state": _text(run.get("state", run.get("status", "not begun"))),  # its old name
             "task": _text(settings.get("task", self.path.name)),
             "optimizer": _text(settings.get("optimizer", "")),
             "loss": _text(settings.get("loss", "loss")),
             "pictures": {name: self._version(name) for name in PICTURES if self._version(name)},
         }
         totals = run.get("totals")
-        under_way = shown["status"] == "running"  # then totals are those of an earlier call
-        if isinstance(totals, dict) and isinstance(totals.get("status"), str) and not under_way:
-            shown["sentence"] = _text(totals["status"])
+        under_way = shown["state"] == "running"  # then totals are those of an earlier call
+        if isinstance(totals, dict) and not under_way:
+            shown["sentence"] = _text(totals.get("sentence", totals.get("status", "")))
         live = self._json(LIVE)
         curve = self._once("curve.csv", self._mark("curve.csv"), self._curve) or {}
         newest = max(curve, live, key=lambda one: _whole(one.get("evaluations")))
         shown |= _checked(curve) | _checked(live) | _checked(newest)
         shown["improvements"] = _joined(curve, newest)
         shown["parameters"] = _rows(live.get("parameters")) or self._parameters(settings)
-        if shown["status"] == "running" and self._has_stopped():
-            shown["status"] = "stopped without an end; continue with --resume"
-        if shown["status"] != "running":
+        if shown["state"] == "running" and self._has_stopped():
+            shown["state"] = "stopped without an end; continue with --resume"
+        if shown["state"] != "running":
             shown.pop("busy", None)
         return shown
 

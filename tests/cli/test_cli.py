@@ -297,7 +297,7 @@ def test_interrupt_saves_and_resume_reaches_the_same_result(
         returned, err = command.stop(signum)
         assert returned == code, err
         assert "saved in cut" in err and "--out cut --resume" in err
-        assert json.loads(Path("cut/run.json").read_text())["status"] == "interrupted"
+        assert json.loads(Path("cut/run.json").read_text())["state"] == "interrupted"
     assert main([*words, "cut", "--resume"]) == 0
     resumed = json.loads(capsys.readouterr().out)
     for key in ("evaluations", "best_loss", "mse", "x_best"):

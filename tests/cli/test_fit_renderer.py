@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import Space
+from fide_plugins import Space, load_run
 from fide_plugins.cli.fit_renderer import _report
 from fide_plugins.fitting.failures import Failure
 from fide_plugins.renderers import FunctionRenderer
@@ -164,6 +164,19 @@ def test_a_program_in_this_process_has_its_own_time_limit(program: str) -> None:
 
 
 @pytest.mark.usefixtures("target")
+def test_the_end_says_each_thing_once_in_units(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--seed", 3]
+    assert fide(*words, "--budget", 60, "--until", "budget", "--out", "end") == 0
+    out = capsys.readouterr().out
+    params = load_run("end").params
+    assert re.search(r"^  x +-?[\d.]+ ± [\d.]+ m$", out, re.MULTILINE)
+    assert re.search(rf"^  shape +{params['shape']}$", out, re.MULTILINE)
+    for once in ("loss", "60 renders", "stopped", "end/summary.png", "fide solutions end"):
+        assert out.count(once) == 1, out
+    assert Path("end/summary.png").exists()
+
+
+@pytest.mark.usefixtures("target")
 def test_the_other_rules_by_which_a_fit_stops(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["fit", "target.png", "--renderer", "scene.py:render", "--workers", 0, "--json"]
     assert fide(*words, "--stop-at", 0.5) == 0
@@ -195,6 +208,8 @@ def test_ctrl_c_saves_and_resume_goes_on(
     code, err = command.stop(signal.SIGINT)
     assert code == 130, err
     assert "stopped by SIGINT after" in err and "--resume" in err
+    assert "\nbest loss" in err and "look at out/summary.png" in err
+    assert Path("out/summary.png").exists()
     done = json.loads(Path("out/run.json").read_text())["totals"]["evaluations"]
     assert done > 0
     assert fide(*words, "--budget", done + 5, "--resume", "--json") == 0
@@ -229,7 +244,7 @@ def test_live_shows_the_fit_while_it_goes_on(
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen
-    assert page["status"] == "running" and page["url"] in captured.err
+    assert page["state"] == "running" and page["url"] in captured.err
     assert json.loads(captured.out)["evaluations"] == 20
     assert Path("out/live.json").exists() == ("--renderer" in what)
     with pytest.raises(OSError, match="refused"):

@@ -109,7 +109,7 @@ def test_sys_exit_is_a_failed_run(
     assert captured.out == "" and "sys.exit(0)" in captured.err
     assert "fide run: the run failed" in captured.err
     if method != "__init__":
-        assert json.loads(Path("out/run.json").read_text())["status"] == "failed"
+        assert json.loads(Path("out/run.json").read_text())["state"] == "failed"
 
 
 def test_one_that_takes_images_cannot_be_resumed_and_says_so(
@@ -140,7 +140,7 @@ def test_one_that_takes_images_cannot_be_resumed_and_says_so(
     again = capsys.readouterr()
     assert again.err.startswith("whole is finished") and "takes images" not in again.err
     assert again.out.splitlines()[0] == first.splitlines()[0]
-    assert json.loads(Path("whole/run.json").read_text())["status"] == "finished"
+    assert json.loads(Path("whole/run.json").read_text())["state"] == "finished"
     assert fide(*words[:-1], "again", "--optimizer", "mine.py:Mine") == 0
     assert "takes images" not in capsys.readouterr().err
 

@@ -40,7 +40,7 @@ def test_each_scene_runs_and_says_what_rendered_it(
     assert main([*words, "--json", "--out", str(tmp_path)]) == 0
     printed = json.loads(capsys.readouterr().out.splitlines()[-1])
     run = json.loads((tmp_path / "run.json").read_text())
-    assert (run["status"], run["settings"]["task"]) == ("finished", name)
+    assert (run["state"], run["settings"]["task"]) == ("finished", name)
     assert run["settings"].get("renderer") == renderer
     assert len(printed["x_best"]) == {"robot": 7, "san_miguel": 8, "beads": 18}[name]
     losses = [

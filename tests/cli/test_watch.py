@@ -28,7 +28,7 @@ def test_it_serves_until_it_is_stopped(tmp_path: Path) -> None:
         url = line.split()[0]
         assert url.startswith("http://127.0.0.1:") and str(tmp_path) in line
         with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
-            assert json.load(answer)["status"] == "not begun"
+            assert json.load(answer)["state"] == "not begun"
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 130
 

@@ -15,7 +15,7 @@ from fide_plugins.fitting.durations import seconds_of
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fit.md"
 
 
-def test_the_example_of_the_page() -> None:
+def test_the_example_of_the_page(empty_folder: Path) -> None:
     failures, examples = doctest.testfile(str(PAGE), module_relative=False)
     assert failures == 0 and examples >= 7
 

@@ -115,7 +115,7 @@ def test_it_gives_up_with_a_run_directory_too(tmp_path: Path) -> None:
 
     with pytest.warns(RenderFailedWarning), pytest.raises(GivenUpError):
         fit(render, target(), SPACE, workers=0, seed=0, out=tmp_path / "out")
-    assert json.loads((tmp_path / "out/run.json").read_text())["status"] == "failed"
+    assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "failed"
 
 
 def test_a_wrong_argument_claims_no_directory(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_a_disk_without_room_at_the_end_leaves_the_result_to_the_error(
     if not all_files:
         assert evaluations(tmp_path) == 60 and (tmp_path / "best.png").exists()
         run = json.loads((tmp_path / "run.json").read_text())
-        assert run["status"] == "failed" and run["totals"]["evaluations"] == 60
+        assert run["state"] == "failed" and run["totals"]["evaluations"] == 60
         monkeypatch.undo()
         before = contents(tmp_path)
         with pytest.warns(RuntimeWarning, match="in before-1 now, and the run begins anew"):
@@ -114,7 +114,7 @@ def test_each_file_is_tried_where_another_cannot_be_written(
     assert {"best.png", "improvements.csv", "run.ckpt", "optimizer-60-0.ckpt"} <= {
         path.name for path in tmp_path.iterdir()
     }
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "failed"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
     monkeypatch.undo()
     again = fit(disk(), target(), SPACE, **ARGUMENTS, out=tmp_path, resume=True)
     assert again.evaluations == 60 and evaluations(tmp_path) == 60
@@ -186,7 +186,7 @@ def test_a_second_signal_stops_no_writing(
     with pytest.raises(FitInterrupted) as caught:
         fit(render, target(), SPACE, **ARGUMENTS, out=tmp_path, callbacks=watcher)
     assert caught.value.result.evaluations == 39 and evaluations(tmp_path) == 39
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "interrupted"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "interrupted"
     monkeypatch.undo()
     again = fit(render, target(), SPACE, **ARGUMENTS, out=tmp_path, resume=True)
     np.testing.assert_array_equal(again.curve, whole.curve)
@@ -202,7 +202,7 @@ def test_signals_at_the_end_leave_the_result(
 
     result = fit(disk(), target(), SPACE, **ARGUMENTS, out=tmp_path, callbacks=callback)
     np.testing.assert_array_equal(result.curve, whole.curve)
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "finished"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "finished"
 
 
 # -- missing files ---------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def test_a_larger_budget_goes_on_where_the_smaller_one_stopped(
     part = fit(disk(), target(), SPACE, budget=25, workers=0, seed=5, out=tmp_path)
     assert part.evaluations == 25 and part.out == tmp_path
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["status"] == "finished" and run["limits"] == {"budget": 25, "until": "solved"}
+    assert run["state"] == "finished" and run["limits"] == {"budget": 25, "until": "solved"}
     assert run["totals"]["evaluations"] == 25 and run["settings"]["task"] == "render"
     assert run["settings"]["space"] == SPACE.to_dict() and "budget" not in run["settings"]
     for name in ("target.png", "best.png", "summary.png", "improvements.csv", "run.ckpt"):
@@ -93,7 +93,7 @@ def test_ctrl_c_saves_and_the_rest_is_that_of_the_uninterrupted_fit(
         fit(render, target(), SPACE, **arguments)
     assert isinstance(caught.value, KeyboardInterrupt) and caught.value.signum == signal.SIGINT
     assert caught.value.result.evaluations == 39
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "interrupted"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "interrupted"
     assert same(fit(render, target(), SPACE, resume=True, **arguments), whole)
 
 
@@ -105,7 +105,7 @@ def test_a_failed_fit_is_saved_too(whole: Result, tmp_path: Path) -> None:
     arguments: dict[str, Any] = {"budget": 60, "workers": 0, "seed": 5, "out": tmp_path}
     with pytest.raises(FideError):
         fit(disk(), target(), SPACE, callbacks=callback, **arguments)
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "failed"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
     assert same(fit(disk(), target(), SPACE, resume=True, **arguments), whole)
 
 
@@ -258,4 +258,4 @@ def test_workers_end_with_their_parent_and_need_no_main_guard(
     assert all(map(ends, pids)) and not list(folder.iterdir())
     if signum is signal.SIGTERM:
         assert "FitInterrupted: stopped by SIGTERM" in errors
-        assert json.loads((tmp_path / "run" / "run.json").read_text())["status"] == "interrupted"
+        assert json.loads((tmp_path / "run" / "run.json").read_text())["state"] == "interrupted"

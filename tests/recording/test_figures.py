@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from fide_plugins import Choice, Float, Space
-from fide_plugins.recording.figures import _curve, _time_bar, _title
+from fide_plugins.recording.figures import _time_bar, _title, draw_curve
 from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import PARTS, Record
 
@@ -19,7 +19,7 @@ from fide_plugins.recording.record import PARTS, Record
 def drawn(*losses: float) -> Any:
     """Axes with the curve of these losses."""
     axes = Figure().add_subplot()
-    _curve(axes, SimpleNamespace(losses=np.array(losses), loss="mse"))  # type: ignore[arg-type]
+    draw_curve(axes, np.array(losses), "mse")
     return axes
 
 

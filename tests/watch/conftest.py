@@ -38,7 +38,7 @@ def directory(tmp_path: Path) -> Path:
     out = tmp_path / "run"
     out.mkdir()
     settings = {"task": "scene.py:render", "optimizer": "fide", "loss": "mse"}
-    (out / "run.json").write_text(json.dumps({"status": "running", "settings": settings}))
+    (out / "run.json").write_text(json.dumps({"state": "running", "settings": settings}))
     lines = ["evaluation,loss,best_loss,seconds", "0,0.5,0.5,0.1", "1,inf,0.5,0.2", "2,0.1,0.1,0.3"]
     (out / "curve.csv").write_text("\n".join(lines) + "\n")
     write_picture(out / "target.png", 200)

@@ -46,14 +46,14 @@ def test_a_fit_is_shown_while_it_goes_on(tmp_path: Path) -> None:
         callbacks=[LiveFile(every=0.0), look],
     )
     (during,) = seen
-    assert during["status"] == "running"
+    assert during["state"] == "running"
     assert during["evaluations"] == 26 and during["budget"] == 40
     losses = [loss for _, loss in during["improvements"]]
     assert losses == sorted(losses, reverse=True) and losses[-1] == during["best_loss"]
     assert [(row[0], row[2]) for row in during["parameters"]] == [("angle", "deg"), ("level", "")]
     assert set(during["pictures"]) == {"target.png", "best.png", "difference.png"}
     after = RunFiles(tmp_path / "run").state()
-    assert after["status"] == "finished" and after["evaluations"] == 40 and "busy" not in after
+    assert after["state"] == "finished" and after["evaluations"] == 40 and "busy" not in after
     assert after["best_loss"] <= during["best_loss"]
 
 
@@ -118,7 +118,7 @@ def test_a_run_of_the_command_line_is_shown(tmp_path: Path) -> None:
     words = ["run", "voronoi", "--size", "16", "--budget", "40", "--out", str(tmp_path / "run")]
     assert main([*words, "--set", "popsize=6"]) == 0
     state = RunFiles(tmp_path / "run").state()
-    assert state["status"] == "finished" and state["evaluations"] == 40
+    assert state["state"] == "finished" and state["evaluations"] == 40
     assert set(state["pictures"]) == {"target.png", "best.png", "difference.png"}
     assert state["improvements"][-1][1] == state["best_loss"]
 

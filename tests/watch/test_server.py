@@ -51,7 +51,7 @@ def test_the_page_and_its_parts(server: Server) -> None:
 
 def test_the_state_is_that_of_the_files(server: Server, directory: Path) -> None:
     state = json.loads(ask(server, "/state.json")[1])
-    assert (state["status"], state["task"], state["loss"]) == ("running", "scene.py:render", "mse")
+    assert (state["state"], state["task"], state["loss"]) == ("running", "scene.py:render", "mse")
     assert (state["evaluations"], state["best_loss"], state["busy"]) == (120, 0.002, 7)
     assert state["improvements"] == [[1, 0.5], [20, 0.03], [120, 0.002]]
     assert state["parameters"][0] == ["azimuth", "12.5", "deg"]
@@ -66,11 +66,11 @@ def test_the_state_is_that_of_the_files(server: Server, directory: Path) -> None
 def test_totals_of_an_earlier_call_are_not_shown(server: Server, directory: Path) -> None:
     (directory / "live.json").unlink()
     run = json.loads((directory / "run.json").read_text())
-    finished = {**run, "totals": {"status": "solved"}}
+    finished = {**run, "totals": {"status": "solved", "sentence": "Solved."}}
     (directory / "run.json").write_text(json.dumps(finished))
     assert "sentence" not in json.loads(ask(server, "/state.json")[1])
-    (directory / "run.json").write_text(json.dumps({**finished, "status": "finished"}))
-    assert json.loads(ask(server, "/state.json")[1])["sentence"] == "solved"
+    (directory / "run.json").write_text(json.dumps({**finished, "state": "finished"}))
+    assert json.loads(ask(server, "/state.json")[1])["sentence"] == "Solved."
 
 
 def age(directory: Path, seconds: float) -> None:
@@ -88,14 +88,14 @@ def test_a_run_whose_process_was_killed_is_not_shown_as_running(
         return json.loads(ask(server, "/state.json")[1])
 
     age(directory, 3600)
-    assert shown()["status"] == "running", "without a lock nothing is known"
+    assert shown()["state"] == "running", "without a lock nothing is known"
     with files.locked(directory / ".run.lock"):
-        assert (shown()["status"], shown()["busy"]) == ("running", 7)
+        assert (shown()["state"], shown()["busy"]) == ("running", 7)
     state = shown()
-    assert state["status"] == "stopped without an end; continue with --resume"
+    assert state["state"] == "stopped without an end; continue with --resume"
     assert "busy" not in state
     write_live(directory, 121, 0.002)
-    assert shown()["status"] == "running", "the lock of another machine may not be seen here"
+    assert shown()["state"] == "running", "the lock of another machine may not be seen here"
 
 
 def test_the_difference_is_that_of_the_pictures(server: Server) -> None:
@@ -204,7 +204,7 @@ def test_an_empty_directory_and_none(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "later"):
         server, url = serve(path)
         assert url == f"http://127.0.0.1:{server.server_port}/"
-        assert json.loads(ask(server, "/state.json")[1])["status"] == "not begun"
+        assert json.loads(ask(server, "/state.json")[1])["state"] == "not begun"
         assert ask(server, "/target.png")[0] == 404
         server.close()
 

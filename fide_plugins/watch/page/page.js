@@ -114,7 +114,7 @@ async function update() {
     const state = await (await fetch("/state.json", { cache: "no-store" })).json();
     document.title = "best_loss" in state ? `${short(state.best_loss)} · ${state.task}` : state.task;
     byId("task").textContent = state.task;
-    byId("status").textContent = state.sentence ? `${state.status}: ${state.sentence}` : state.status;
+    byId("status").textContent = state.sentence ? `${state.state}: ${state.sentence}` : state.state;
     byId("curve-title").textContent = `${state.loss}, best so far`;
     numbers(state);
     pictures(state.pictures);

@@ -8,6 +8,7 @@ import math
 import os
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fide_plugins.cli.messages import (
@@ -23,8 +24,11 @@ from fide_plugins.cli.messages import (
     warnings_as_notes,
 )
 from fide_plugins.errors import FideError, RenderError
+from fide_plugins.recording.parameters import lines
 
 __all__ = ["execute_comparisons", "execute_each", "execute_run"]
+
+_MOST = 12  # parameters that are printed where a run is stopped
 
 
 def execute_run(
@@ -67,6 +71,7 @@ def execute_run(
 
     def stopped(run: Any) -> tuple[str, str]:
         saved = f" after {run.progress.evaluations} renders, saved in {plain(run.out)}"
+        saved = "\n".join([saved, *_found(run)])
         return saved, continuation(command, str(run.out)) if _resumable(run) else ""
 
     return _execute(command, prepare, execute, stopped, "the run failed")
@@ -164,6 +169,15 @@ def _execute(
     except (FideError, OSError) as error:
         note(f"{who}: {failed}: {paragraph(error)}")
         return 1
+
+
+def _found(run: Any) -> list[str]:
+    """Lines with the best loss so far, and its parameters in their units."""
+    best, space = run.record.best, getattr(run.task, "space", None)
+    if best is None:
+        return []
+    named = best if isinstance(space, int | None) else replace(best, space=space)
+    return [f"best loss {number(best.loss)}", *(f"  {paragraph(p)}" for p in lines(named, _MOST))]
 
 
 def _resumable(run: Any) -> bool:

@@ -90,7 +90,7 @@ def examine(
         left = results_in(folder)
         return State("damaged", f"{folder / left[0]} has no run.json") if left else State("missing")
     check_settings(run["settings"], settings, f"{folder} holds a run")
-    if run.get("status") != "finished":
+    if run.get("state") != "finished":
         changed = edited(versions_there(run), sources or {})
         if changed:
             return State("outdated", f"{file_of(changed[0])} has changed since it was begun")

@@ -93,7 +93,7 @@ def _edited(folder: Path, sources: Mapping[str, str]) -> list[str]:
         run = read_run(folder)
     except (RunDirectoryError, OSError):  # it will be repeated, or reported as damaged
         return []
-    finished = run is not None and run.get("status") == "finished"
+    finished = run is not None and run.get("state") == "finished"
     return edited(versions_there(run), sources) if finished else []
 
 

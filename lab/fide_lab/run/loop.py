@@ -280,7 +280,7 @@ class Run:
         directory.write_tables(self.record, self.record.image)
         directory.write_target(self.target)
 
-    def _leave(self, status: str) -> None:
+    def _leave(self, state: str) -> None:
         """Save a consistent state, or all but that, before an exception is raised on."""
         if self._directory is None:
             return
@@ -295,7 +295,10 @@ class Run:
             seen = judge(None, *found, metrics=self._metrics)
         except Exception:  # of the metric that has ended the run
             seen = judge(None, *found)
-        self._directory.write_run(status, self._result(seen))
+        result = self._result(seen)
+        self._directory.write_run(state, result)
+        if state == "interrupted" and self._keep.summary and self.record.evaluations:
+            self._directory.write_summary(result, self.target)
 
     def _finish(self, verdict: Verdict) -> RunResult:
         """Write all results."""
@@ -345,5 +348,6 @@ class Run:
             verdict,
             budget=self._budget,
             samples=None if self._fidelity is None else self._fidelity.total,
-            status=None if self.optimizer.status is None else str(self.optimizer.status),
+            status=self.optimizer.status,
+            space=getattr(self.task, "space", None),
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.callables import own_name
+from fide_plugins.status import Status
 from fide_plugins.types import Float64, Optimizer, Solution
 
 __all__ = ["AskTell", "UserOptimizer", "complete"]
@@ -61,9 +62,10 @@ class UserOptimizer:
         return bool(self._own("training", False))
 
     @property
-    def status(self) -> Any:
-        """What is known of the run, as far as it says."""
-        return self._own("status")
+    def status(self) -> Status | None:
+        """What is known of the run, as far as it says: a `Status`, or anything else as a text."""
+        status = self._own("status")
+        return status if isinstance(status, Status | None) else Status("unknown", str(status))
 
     def ask(self, n: int | None = None) -> Any:
         """Candidates (n, dim), as many as it likes with n None."""

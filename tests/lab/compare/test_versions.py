@@ -265,7 +265,7 @@ def test_an_unfinished_run_of_a_model_that_was_learned_again_begins_anew(
     one = plan("fide:learned=m.fide")
     compare.run(one, "out")
     (file,) = Path("out").rglob("run.json")
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"status": "interrupted"}))
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"state": "interrupted"}))
     shutil.copy(models[1], model)
     (outcome,) = compare.run(one, "out", resume=True)
     assert outcome.kind == "done"

@@ -85,12 +85,12 @@ def test_resuming_after_ctrl_c_gives_the_uninterrupted_result(
         harness.run(task, optimizer, **settings, out=tmp_path)
     assert caught.value.signum == signal.SIGINT
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["status"] == "interrupted"
+    assert run["state"] == "interrupted"
     assert run["totals"]["evaluations"] == [0, 32, 64, 70, 102][call - 1]
     resumed = harness.run(NoisyTint(), optimizer, **settings, out=tmp_path, resume=True)
     assert same(whole, resumed)
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["status"] == "finished" and len(run["resumed"]) == 1
+    assert run["state"] == "finished" and len(run["resumed"]) == 1
     assert len(list(tmp_path.glob("optimizer-*.ckpt"))) == 1
     task = NoisyTint()
     assert same(whole, harness.run(task, optimizer, **settings, out=tmp_path, resume=True))
@@ -214,7 +214,7 @@ def test_a_second_signal_stops_no_writing(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(harness.Interrupted):
         harness.run(task, **settings, out=tmp_path)
     run = json.loads((tmp_path / "run.json").read_text())
-    assert run["status"] == "interrupted" and run["totals"]["evaluations"] == 20
+    assert run["state"] == "interrupted" and run["totals"]["evaluations"] == 20
     monkeypatch.undo()
     resumed = harness.run(Tint(), **settings, out=tmp_path, resume=True)
     assert same(resumed, harness.run(Tint(), **settings))
@@ -303,7 +303,7 @@ def test_a_renderer_that_fails_loses_nothing(tmp_path: Path) -> None:
     task.at_call[3] = lambda: 1 // 0
     with pytest.raises(RenderError, match=r"tint failed to render candidates 64 to 79.*Zero"):
         harness.run(task, "cma", budget=200, seed=0, options={"popsize": 80}, out=tmp_path)
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "failed"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
     settings: dict[str, Any] = {"budget": 200, "seed": 0, "options": {"popsize": 80}}
     resumed = harness.run(Tint(), "cma", **settings, out=tmp_path, resume=True)
     assert same(resumed, harness.run(Tint(), "cma", **settings))
@@ -356,7 +356,7 @@ def test_a_metric_that_fails_hides_no_error(
         harness.run(task, "random", budget=40, seed=0, out=tmp_path, keep=keep)
     lines = (tmp_path / "improvements.csv").read_text().splitlines()
     assert lines[0].endswith(",loi") and lines[1].endswith(",")
-    assert json.loads((tmp_path / "run.json").read_text())["status"] == "failed"
+    assert json.loads((tmp_path / "run.json").read_text())["state"] == "failed"
     assert {"run.ckpt", "best.png"} & {p.name for p in tmp_path.iterdir()} == {"best.png"}
 
 

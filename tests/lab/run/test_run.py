@@ -97,7 +97,7 @@ def test_the_run_directory(tmp_path: Path) -> None:
         "target.ckpt", "run.ckpt", "optimizer-80-4.ckpt",  # 80 of 84: seven generations of 12
     }  # fmt: skip
     run = json.loads((out / "run.json").read_text())
-    assert run["status"] == "finished" and run["command"] == "fide 'a b'"
+    assert run["state"] == "finished" and run["command"] == "fide 'a b'"
     assert run["settings"]["task"] == "spline" and run["settings"]["seed"] == 4
     assert {"python", "numpy", "fide-plugins"} <= set(run["versions"])
     assert run["machine"]["cores"] >= 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Solution, Space
-from fide_plugins.solutions import rows
+from fide_plugins.recording.parameters import described, lines, rows
 from fide_plugins.types import Estimated
 
 
@@ -22,13 +22,22 @@ def test_standard_deviations_are_in_the_units_of_the_parameters() -> None:
     )  # fmt: skip
     x = space.encode({"sun": 0, "rough": 0.1, "rows": 3, "floor": "b", "ball": {"x": 1}})
     std = np.array([0.01, 0.1, 0.05, 0.01, 0.01, 0.01, 0.25])
-    table = {row.name: row for row in rows([solution(x, std, space), solution(x, None, space)])}
+    table = {row.label: row for row in rows([solution(x, std, space), solution(x, None, space)])}
     assert table["sun [deg]"].values == ["0.0 ± 1.0", "0"]
     assert table["rough"].values == ["0.100 ± 0.046", "0.1"]  # 0.1 * ln(100) * 0.1
     assert table["rows"].values == ["3 ± 0.20", "3"]
     assert table["floor"].values == ["b", "b"]
     assert table["ball.x [m]"].values == ["1.00 ± 0.50", "1"]
-    assert [row.name for row in table.values() if not row.determined] == ["ball.x [m]"]
+    assert [row.label for row in table.values() if not row.determined] == ["ball.x [m]"]
+
+
+def test_a_line_and_lines_have_units() -> None:
+    space = Space(sun=Float(-50, 50, unit="deg"), ball=2 * Group(x=Float(0, 2, unit="m")))
+    one = solution(space.encode({"sun": 0, "ball": [{"x": 1}, {"x": 1.5}]}), [0.01] * 3, space)
+    sun, first, second = "0.0 ± 1.0 deg", "1.000 ± 0.020 m", "1.500 ± 0.020 m"
+    assert described(one) == f"sun={sun}, ball[0].x={first}, ball[1].x={second}"
+    assert lines(one, 2) == [f"sun        {sun}", f"ball[0].x  {first}", "... 1 more"]
+    assert lines(one, 3)[2] == f"ball[1].x  {second}"
 
 
 def test_the_deviation_of_a_logarithm_is_that_of_its_samples() -> None:

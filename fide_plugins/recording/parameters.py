@@ -13,20 +13,27 @@ from fide_plugins.renderers.naming import flat
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Solution
 
-__all__ = ["Row", "rows"]
+__all__ = ["Row", "described", "lines", "rows"]
 
 
 @dataclass(frozen=True)
 class Row:
     """One parameter of several solutions.
 
-    name: with its unit.  values: one text a solution, with its standard deviation if it is known.
+    name: as `Space.names` has it; unit: "" without one.
+    values: one text a solution, with its standard deviation if it is known.
     determined: False if the best solution says so, see `Solution.undetermined`.
     """
 
     name: str
+    unit: str
     values: list[str]
     determined: bool = True
+
+    @property
+    def label(self) -> str:
+        """Name with its unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 def rows(solutions: Sequence[Solution]) -> list[Row]:
@@ -40,11 +47,26 @@ def rows(solutions: Sequence[Solution]) -> list[Row]:
     return [_row(name, kind, space, solutions, params) for name, kind in space.parameters.items()]
 
 
+def described(solution: Solution) -> str:
+    """Parameters of a solution in one line of text: ``azimuth=12.30 ± 0.05 deg, rows=3``."""
+    pairs = [(f"{row.name}={row.values[0]}", row.unit) for row in rows([solution])]
+    return ", ".join(f"{text} {unit}" if unit else text for text, unit in pairs)
+
+
+def lines(solution: Solution, most: int) -> list[str]:
+    """The same, a line for each parameter in columns, at most so many: ``azimuth  12.3 deg``."""
+    table = rows([solution])
+    width = max((len(row.name) for row in table[:most]), default=0)
+    shown = [f"{row.name:{width}}  {row.values[0]} {row.unit}".rstrip() for row in table[:most]]
+    more = len(table) - most
+    return [*shown, f"... {more} more"] if more > 0 else shown
+
+
 def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:
     deviations = [None if one.std is None else float(one.std[i]) for one in solutions]
     pairs = zip(solutions, deviations, strict=True)
     values = [_text(float(one.x[i]), deviation) for one, deviation in pairs]
-    return Row(f"x[{i}]", values, f"x[{i}]" not in solutions[0].undetermined)
+    return Row(f"x[{i}]", "", values, f"x[{i}]" not in solutions[0].undetermined)
 
 
 def _row(
@@ -60,8 +82,7 @@ def _row(
         std = None if solution.std is None or len(axes) != 1 else float(solution.std[axes[0]])
         scaled = None if std is None else _in_units(kind, given[name], std)
         values.append(_text(given[name], scaled))
-    label = name if kind.unit is None else f"{name} [{kind.unit}]"
-    return Row(label, values, name not in solutions[0].undetermined)
+    return Row(name, kind.unit or "", values, name not in solutions[0].undetermined)
 
 
 def _in_units(kind: Kind, value: Any, std: float) -> float | None:
