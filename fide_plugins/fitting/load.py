@@ -22,7 +22,7 @@ from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import images
-from fide_plugins.validation.value_range import ValueRange, value_range_of
+from fide_plugins.validation.value_range import ValueRange, restored, value_range_of
 
 __all__ = ["load_run"]
 
@@ -71,7 +71,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
-        target=_restored(_cut(_picture(path / "target.png"), views), values),
+        target=restored(_cut(_picture(path / "target.png"), views), values),
         weights=known.weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
@@ -142,7 +142,7 @@ def _best(
         record.x_best,
         record.best_loss,
         record.best_evaluation,
-        None if record.image is None else _restored(unpacked(record.image, views), values),
+        None if record.image is None else restored(unpacked(record.image, views), values),
         None if known is None else known.probability,
         space,
         None if known is None else known.estimate,
@@ -154,15 +154,6 @@ def _values(settings: dict[str, Any]) -> ValueRange | None:
     if isinstance(values, str):
         raise TypeError(f"the range of values is {values!r}")
     return values
-
-
-def _restored(image: Any, values: ValueRange | None) -> Any:
-    """An image in [0, 1], or a list of them, in the user's values."""
-    if values is None:
-        return image
-    if isinstance(image, list):
-        return [values.restored(one) for one in image]
-    return values.restored(image)
 
 
 def unpacked(image: Float32, views: Any) -> Any:

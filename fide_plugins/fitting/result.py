@@ -39,8 +39,8 @@ class Result:
     params: what `render` got for it: a dictionary, or x (dim,) without a space; None without best.
     solutions: distinct candidates, best first, at most five; see `FIDE.solutions`.
     status: what is known of the run: a code and a sentence; see `FIDE.status`.
-    target: picture (H, W, 3) in [0, 1] or the range of values, a list of them for several views; weights: (H, W), which
-        pixels count, likewise; None: all.
+    target: picture (H, W, 3) in [0, 1] or the range of values, a list of them for several views;
+        weights: (H, W), which pixels count, likewise; None: all.
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
     losses: (n,), loss of each evaluation; loss: its name.
     improved_at: (m,), evaluations, from 0, that were the best so far; path: (m, dim), their points

@@ -12,7 +12,7 @@ from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.types import Float32, Mask
 from fide_plugins.validation.image_sources import Pixels
 
-__all__ = ["AUTO", "ValueRange", "range_of", "value_range_of"]
+__all__ = ["AUTO", "ValueRange", "range_of", "restored", "value_range_of"]
 
 AUTO: Final = "auto"
 _MARGIN = 0.5  # of the span of a picture, beyond both ends
@@ -47,6 +47,15 @@ class ValueRange:
 
     def __str__(self) -> str:
         return f"[{self.low:.6g}, {self.high:.6g}]"
+
+
+def restored(image: Any, values: ValueRange | None) -> Any:
+    """An image in [0, 1], or a list of them, in the user's values; None stays None."""
+    if values is None or image is None:
+        return image
+    if isinstance(image, list):
+        return [values.restored(one) for one in image]
+    return values.restored(image)
 
 
 def value_range_of(given: Any) -> ValueRange | str | None:

@@ -21,7 +21,13 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.clipping import Clip, OnClip
 from fide_plugins.validation.image_sources import describe
 from fide_plugins.validation.images import as_batch, is_image
-from fide_plugins.validation.value_range import AUTO, ValueRange, range_of, value_range_of
+from fide_plugins.validation.value_range import (
+    AUTO,
+    ValueRange,
+    range_of,
+    restored,
+    value_range_of,
+)
 from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_given, sizes_of
 from fide_plugins.views.view import View
 
@@ -116,11 +122,7 @@ class Views:
 
     def restored(self, image: Any) -> Any:
         """An image in [0, 1], or a list of them, in the user's values."""
-        if self.values is None or image is None:
-            return image
-        if isinstance(image, list):
-            return [self.values.restored(one) for one in image]
-        return self.values.restored(image)
+        return restored(image, self.values)
 
     @property
     def value_range(self) -> tuple[float, float] | None:

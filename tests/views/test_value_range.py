@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins import FIDE, Float, Space, fit
+from fide_plugins import FIDE, Float, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.validation.images import as_batch, as_target, load, save
@@ -167,6 +167,7 @@ def test_the_next_picture_has_the_range_of_the_first() -> None:
     np.testing.assert_allclose(opt.target[..., 0], 8 * TARGET, rtol=1e-5)
 
 
+@pytest.mark.figures
 def test_a_fit_of_a_signed_field(tmp_path: Path) -> None:
     target = 10 * TARGET - 3
     options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "run", "until": "budget"}
@@ -177,6 +178,11 @@ def test_a_fit_of_a_signed_field(tmp_path: Path) -> None:
     assert "value range: -3 to 17" in repr(result)
     written = load_raw(tmp_path / "run" / "best.tif")
     np.testing.assert_allclose(written, result.best.image, atol=1e-6)
+    loaded = load_run(tmp_path / "run")
+    assert loaded.value_range == result.value_range == (-3.0, 17.0) and loaded.best is not None
+    np.testing.assert_array_equal(loaded.best.image, result.best.image)
+    np.testing.assert_allclose(loaded.target, result.target, atol=0.51 * 20 / 255)
+    assert result.plot() and "value range" in repr(loaded)
     run = read_run(tmp_path / "run")
     assert run is not None and run["settings"]["value_range"] == [-3.0, 17.0]
     assert run["totals"]["clipped"] == result.clipped == 0
