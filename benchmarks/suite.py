@@ -165,7 +165,7 @@ def take_over(suite: Suite, found: results.Results, out: Path) -> str:
     for row in missing(rows, out, key, counts=long_enough(budget)):
         append(out, row, made_by=made_by)
         taken += 1
-    others = Counter(run.status for run in found.runs if run.curve is None)
+    others = Counter(run.state for run in found.runs if run.curve is None)
     there = {f"in {out} already": len(rows) - taken} if taken < len(rows) else {}
     why = [f"{n} {status}" for status, n in (there | others).items()]
     return f"{taken} of {len(found.runs)} runs are taken{'; '.join(['', *why])}"

@@ -20,7 +20,6 @@ from fide_plugins.validation.points import as_points
 from fide_plugins.validation.value_range import ValueRange
 
 if TYPE_CHECKING:
-    from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.recording.figures import Panel
@@ -83,8 +82,8 @@ class Result:
     unsaved: Unsaved | None = None
 
     @cached_property
-    def optimizer(self) -> FIDE | None:
-        """It goes on where the fit has ended, by ask and tell.
+    def optimizer(self) -> Any:
+        """A `FIDE` that goes on where the fit has ended, by ask and tell.
 
         Of a result that was read it is loaded when it is first asked for; None where another
         optimizer than FIDE ran, or where its checkpoint is missing.

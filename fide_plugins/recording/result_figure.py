@@ -71,7 +71,11 @@ def result_figure(
     draw_curve(parts[1].subplots(), losses, loss)
     if best is not None and lines:
         grid = parts[2].subplots(lines, _COLUMNS, squeeze=False).ravel()
-        values = {row.name: row.values[0].partition(" ±")[0] for row in rows([best])}
+        table = rows([best])
+        if len(shown) < len(table):
+            words = f"{len(shown)} of {len(table)} parameters, those that moved most"
+            parts[2].suptitle(words, fontsize=9, color=MUTED)
+        values = {row.name: row.values[0].partition(" ±")[0] for row in table}
         for axes, one in zip(grid, shown, strict=False):
             _draw_path(axes, one, values[one.name], improved_at, len(losses))
         for axes in grid[len(shown) :]:

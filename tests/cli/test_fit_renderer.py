@@ -123,7 +123,7 @@ def test_a_fit_without_a_best_candidate_says_why(
         best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
         seconds=1.0, stopped="time", clipped=0,
     )  # fmt: skip
-    _report(result, Path("out"))
+    _report(result, Path("out"))  # type: ignore[arg-type]
     assert capsys.readouterr().out.splitlines()[-1] == text
 
 

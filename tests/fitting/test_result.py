@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import shutil
 from html.parser import HTMLParser
@@ -267,3 +268,16 @@ def test_points_are_drawn_by_every_two_of_their_parameters(kept: Result) -> None
         kept.plot_pairs(samples[:, :2])
     with pytest.raises(OptionError, match="nothing to draw"):
         kept.plot_pairs(samples[:0])
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes on Windows")
+@pytest.mark.parametrize("name", ["run.json", "run.ckpt", "target.png"])
+def test_a_pipe_in_a_run_is_refused_and_not_waited_for(
+    kept: Result, tmp_path: Path, name: str
+) -> None:
+    assert kept.out is not None
+    shutil.copytree(kept.out, tmp_path / "run")
+    (tmp_path / "run" / name).unlink()
+    os.mkfifo(tmp_path / "run" / name)
+    with pytest.raises((OSError, FideError), match="pipe"):
+        load_run(tmp_path / "run")

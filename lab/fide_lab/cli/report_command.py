@@ -61,7 +61,7 @@ def make(
         if optimizers is not None:
             results = results.of(optimizers)
         for stored in results.runs:
-            if stored.status == "damaged":
+            if stored.state == "damaged":
                 note(f"{stored.key} is damaged and left out: {plain(stored.why)}")
         path = page or directory / "report.html"
         if "suite" in results.settings["task_options"]:

@@ -40,8 +40,8 @@ class AllFailedError(NoResultsError):
     @classmethod
     def check(cls, results: Results) -> None:
         """Raise it if runs failed and none is finished."""
-        failed = sum(run.status == "failed" for run in results.runs)
-        if failed and not any(run.status == "finished" for run in results.runs):
+        failed = sum(run.state == "failed" for run in results.runs)
+        if failed and not any(run.state == "finished" for run in results.runs):
             raise cls(
                 f"no run in {results.path} is finished, and {failed} of {len(results.runs)} "
                 f"failed; {ERROR} in their directories has the tracebacks"
@@ -88,14 +88,14 @@ class StoredRun:
     """One run of a comparison as its directory holds it.
 
     key: which run; folder: its run directory.
-    status: "finished", "failed", "unfinished", "missing" or "damaged"; why: what went wrong.
+    state: "finished", "failed", "unfinished", "missing" or "damaged"; why: what went wrong.
     run: contents of `run.json`.
     curve: None unless the run is finished.
     """
 
     key: RunKey
     folder: Path
-    status: Literal["finished", "failed", "unfinished", "missing", "damaged"]
+    state: Literal["finished", "failed", "unfinished", "missing", "damaged"]
     why: str = ""
     run: dict[str, Any] = field(default_factory=dict)
     curve: Curve | None = None
@@ -170,7 +170,7 @@ def read(path: str | os.PathLike[str]) -> Results:
     if record is None:
         raise NoResultsError(f"{folder} holds no comparison; make one: fide compare ... --out DIR")
     runs = [_read_run(folder, key, identity) for key, identity in runs_of(record)]
-    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.status == "finished"])
+    warn_of_mixed(folder, [(one.key, one.run) for one in runs if one.state == "finished"])
     return Results(
         folder,
         record["settings"],

@@ -23,7 +23,7 @@ def results_csv(results: Results) -> str:
     """
     metrics = results.settings["metrics"]
     names = [
-        "task", "loss", "optimizer", "seed", "status", "dim", "renders", "best_loss",
+        "task", "loss", "optimizer", "seed", "state", "dim", "renders", "best_loss",
         "best_evaluation", "final_loss", "recommended_loss", *(f"final_{m}" for m in metrics),
         "wall_s", *(f"{part}_s" for part in PARTS), "rounds_of_8", "load",
     ]  # fmt: skip
@@ -35,7 +35,7 @@ def results_csv(results: Results) -> str:
             _text(cell.loss),
             _text(cell.configuration),
             cell.seed,
-            result.status,
+            result.state,
         ]
         if result.curve is not None:
             t = result.totals

@@ -198,7 +198,7 @@ def panels(results: Results, thresholds: dict[str, float]) -> list[Panel]:
                 (r for r in mine if r.key.configuration == label), key=lambda r: r.key.seed
             )
             runs = tuple(r for r in planned if r.curve is not None)
-            failed = tuple(r for r in planned if r.status == "failed")
+            failed = tuple(r for r in planned if r.state == "failed")
             if planned:
                 every.append(Row(label, names[label], index, runs, failed, len(planned)))
         rows = tuple(row for row in every if row.runs)

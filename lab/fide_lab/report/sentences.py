@@ -130,8 +130,8 @@ def without_results(results: Results) -> list[str]:
         groups.setdefault(f"{run.key.task}, {run.key.loss}", []).append(run)
     said = []
     for name, runs in groups.items():
-        if not any(run.status == "finished" for run in runs):
-            failed = sum(run.status == "failed" for run in runs)
+        if not any(run.state == "finished" for run in runs):
+            failed = sum(run.state == "failed" for run in runs)
             said.append(f"{name}: no run is finished, {failed} of {len(runs)} failed.")
     return said
 

@@ -34,8 +34,8 @@ class Scores:
     t: (P, S), renders after which a problem was solved; infinite if it was not.
     losses: (B, P, S), lowest loss by each budget.
     failed: optimizer and problem of each run that failed.
-    left_out: optimizer, problem and status of each run because of which a problem is left out.
-        The status is that of a `StoredRun`, or "not planned".
+    left_out: optimizer, problem and state of each run because of which a problem is left out.
+        The state is that of a `StoredRun`, or "not planned".
     not_shown: optimizers of the comparison that are none of these.
     """
 
@@ -107,7 +107,7 @@ def _left_out(
 ) -> tuple[tuple[str, str, str], ...]:
     """`Scores.left_out` of runs by problem and optimizer."""
     every = (
-        (label, problem, runs[label].status if label in runs else "not planned")
+        (label, problem, runs[label].state if label in runs else "not planned")
         for label in labels
         for problem, runs in table.items()
     )

@@ -85,7 +85,7 @@ def test_the_usual_variant_may_be_named() -> None:
     plan = small("cma", seeds=1, losses=("mine:usual",))
     assert kinds(plan) == ["done"]
     assert kinds(replace(plan, seeds=2), resume=True) == ["kept", "done"]
-    assert [run.status for run in compare.read("out").runs] == ["finished"] * 2
+    assert [run.state for run in compare.read("out").runs] == ["finished"] * 2
 
 
 def test_the_report_says_that_a_loss_changed_between_its_runs(other: Any) -> None:

@@ -60,7 +60,7 @@ def test_it_is_rendered_once_for_all_runs_and_all_calls(
     kinds = [outcome.kind for outcome in compare.run(more, out, resume=True)]
     assert sorted(kinds) == ["done"] * 4 + ["kept"] * 2
     assert len(targets(out)) == 1
-    assert {run.status for run in compare.read(out).runs} == {"finished"}
+    assert {run.state for run in compare.read(out).runs} == {"finished"}
     assert [path.name for path in out.rglob("target.ckpt")] == []
     assert len(list((out / "targets").glob("*.ckpt"))) == 1
 

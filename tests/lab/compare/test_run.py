@@ -107,7 +107,7 @@ def test_a_run_in_the_place_of_another_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunDirectoryError, match="seed-1 holds a run with other.*seed is 0 there"):
         compare.run(small(), tmp_path, resume=True)
     moved = next(r for r in compare.read(tmp_path).runs if r.key.seed == 1)
-    assert moved.status == "damaged" and "a run with other settings" in moved.why
+    assert moved.state == "damaged" and "a run with other settings" in moved.why
 
 
 def _cut(path: Path) -> None:
@@ -157,7 +157,7 @@ def test_damaged_runs_are_repeated_and_reported(
     whole = losses_of(tmp_path / key.folder)
     DAMAGE[damage](tmp_path / key.folder)
     found = next(r for r in compare.read(tmp_path).runs if r.key == key)
-    assert found.status == "damaged" and found.curve is None
+    assert found.state == "damaged" and found.curve is None
     comparison = prepare(small(), tmp_path, resume=True)
     assert comparison.states[key].kind == "damaged"
     outcomes = {outcome.key: outcome for outcome in comparison.execute()}
@@ -190,7 +190,7 @@ def stopped(tmp_path: Path) -> Any:
 
 
 def test_a_comparison_that_was_stopped_goes_on(stopped: Path, tmp_path: Path) -> None:
-    status = {r.key.seed: r.status for r in compare.read(stopped).runs}
+    status = {r.key.seed: r.state for r in compare.read(stopped).runs}
     assert status == {0: "finished", 1: "unfinished"}
     outcomes = compare.run(small("stops"), stopped, resume=True)
     assert kinds(outcomes) == {("stops", 0): "kept", ("stops", 1): "done"}
@@ -218,13 +218,13 @@ def test_a_failure_is_recorded_and_the_others_go_on(
     }  # fmt: skip
     assert outcomes["raises"].note == "ArithmeticError: singular <matrix>"
     found = {r.key.configuration: r for r in compare.read(tmp_path).runs}
-    assert found["raises"].status == "failed" and "in tell" in found["raises"].why
+    assert found["raises"].state == "failed" and "in tell" in found["raises"].why
     assert "raise ArithmeticError" in found["raises"].why
     assert "must lie in [0, 1]" in found["astray"].why and "nan" in found["nowhere"].why
     misbehaving.mended = True
     again = kinds(compare.run(plan, tmp_path, resume=True))
     assert again[("raises", 0)] == "done" and again[("astray", 0)] == "failed"
-    assert {r.key.configuration: r.status for r in compare.read(tmp_path).runs}[
+    assert {r.key.configuration: r.state for r in compare.read(tmp_path).runs}[
         "raises"
     ] == "finished"
 
@@ -257,11 +257,11 @@ def test_a_failure_that_is_repeated_and_interrupted_is_one_no_more(
 
     plan = small("raises", seeds=1)
     compare.run(plan, tmp_path)
-    assert [run.status for run in compare.read(tmp_path).runs] == ["failed"]
+    assert [run.state for run in compare.read(tmp_path).runs] == ["failed"]
     monkeypatch.setattr(misbehaving, "tell", kill)
     with pytest.raises(Killed):
         compare.run(plan, tmp_path, resume=True)
-    assert [run.status for run in compare.read(tmp_path).runs] == ["unfinished"]
+    assert [run.state for run in compare.read(tmp_path).runs] == ["unfinished"]
 
 
 def test_a_run_that_another_process_executes_is_left_alone(tmp_path: Path) -> None:
@@ -285,7 +285,7 @@ def test_what_others_write_meanwhile_is_kept(tmp_path: Path) -> None:
     first.execute(extend)
     assert live.exists()
     found = compare.read(tmp_path)
-    assert {r.key.configuration: r.status for r in found.runs} == {
+    assert {r.key.configuration: r.state for r in found.runs} == {
         "cma": "finished",
         "random": "finished",
     }

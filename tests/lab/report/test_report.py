@@ -138,8 +138,8 @@ def test_results_csv_has_a_line_for_each_cell(written: Path, study: Path) -> Non
     runs = compare.read(study).runs
     assert len(rows) == len(runs) == 6
     for row, stored in zip(rows, runs, strict=True):
-        assert row["optimizer"] == stored.key.configuration and row["status"] == stored.status
-        if stored.status == "finished":
+        assert row["optimizer"] == stored.key.configuration and row["state"] == stored.state
+        if stored.state == "finished":
             run = json.loads((stored.folder / "run.json").read_text())
             assert float(row["final_loss"]) == run["totals"]["best_loss"] == stored.final
             assert float(row["final_mse"]) == pytest.approx(stored.final)
