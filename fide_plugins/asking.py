@@ -122,7 +122,7 @@ class Asking(Retargeting):
         elif first is None or state.stage is Stage.SEARCH:
             self.draw(population, state.rng)
         else:  # hypotheses of a model, which all are asked, too
-            x = state.search.clipped(np.concatenate([first, state.moves.draw(state.rng)]))
+            x = np.concatenate([state.search.clipped(first), state.draw_moves(state.rng)])
             population.draw(x, x)
         if state.steps is not None:
             state.steps.end()  # they come before a generation, not in it
@@ -168,7 +168,7 @@ class Asking(Retargeting):
             _, z = search.sample(min(n, left), state.rng)
             v = search.stretched(z)
             x = state.steps.propose(v, target, search.mean, search.std, state.rng)
-        return state.steps.new_ones(search.place_proposals(x), state.population.is_pending)
+        return state.steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
 
     def _hand_out_steps(self, x: Float64) -> None:
         """Count steps (m, dim) as asked."""

@@ -51,6 +51,7 @@ from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.search.one_search import Search, Setting
+from fide_plugins.search.validity import validity_of
 from fide_plugins.space import Space
 from fide_plugins.state import State
 from fide_plugins.types import Float64, Posterior
@@ -109,6 +110,10 @@ class FIDE(Asking):
         model of this renderer, or its file, see `fide_plugins.learn`: its hypotheses of the target
         are rendered first, after x0 if that is given, and the best are where the first searches
         begin.
+    constraints
+        function of the parameters (a dictionary with a `Space`, else x of shape (dim,)) that
+        returns True where they are valid, or margins: a number or several, <= 0 where they are.
+        `ask` gives valid points only; those of the space's own `constraints` are respected, too.
     **options
         any other option, see `fide_plugins.options`.
 
@@ -140,6 +145,7 @@ class FIDE(Asking):
         seed: int | None = None,
         device: str = "auto",
         learned: Any = None,
+        constraints: Callable[[Any], object] | None = None,
         **options: Any,
     ) -> None:
         self.space = dim if isinstance(dim, Space) else None
@@ -151,6 +157,10 @@ class FIDE(Asking):
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
+        self.validity = validity_of(self.space, constraints, self.seed)
+        self.has_own_constraints = constraints is not None
+        if self.validity is not None and self.guess is not None:
+            self.validity.check_guess(self.guess)
         self.evaluator = Evaluator(
             target,
             loss,
@@ -173,7 +183,7 @@ class FIDE(Asking):
         o, k = self.options, self.popsize
         subsets = channel_subsets(o.proposal, self.encoder)
         layout = None if self.space is None else self.space.layout
-        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout)
+        setting = Setting(k, np.broadcast_to(self.sigma0, self.dim), o, layout, self.validity)
         groups: Sequence[Sequence[int]] | None = o.groups
         if groups is None and self.space is not None:
             groups = self.space.largest_family or None  # if there is none, they are tested for
@@ -181,6 +191,7 @@ class FIDE(Asking):
             self.x0, setting.sigma0, popsize=k, target=self.target_tokens, channels=subsets[0],
             seed=self.seed, groups=groups, layout=layout, posterior=posterior,
         )  # fmt: skip
+        moves.start = setting.valid_start(moves.start, 1)
         known = posterior is not None
         return State(
             rng=np.random.default_rng(self.seed),
@@ -203,7 +214,7 @@ class FIDE(Asking):
         if state.stage is Stage.SEARCH:
             self._draw_samples(population, rng)
         else:
-            x = state.search.clipped(state.moves.draw(rng))
+            x = state.draw_moves(rng)
             population.draw(x, x)
 
     def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
@@ -231,7 +242,7 @@ class FIDE(Asking):
         assert proposer is not None
         with timed(self.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
-        x = search.place_proposals(made)
+        x = search.place_proposals(made, z)
         return x, search.near(x)
 
     @one_at_a_time
@@ -368,12 +379,15 @@ class FIDE(Asking):
         """Mean (dim,) of the search distribution that found the best point (line 12).
 
         The best point itself if no search found it: a sensitivity sample, a restart candidate, a
-        point that was never asked.
+        point that was never asked; also where the mean violates a constraint.
         """
         best = self.state.best
         mean = self.state.search.mean if best is None else best.mean
         recommended: Float64 = self.state.search.render_mean(mean)
-        return recommended
+        validity = self.validity
+        if best is None or validity is None or validity.allows(recommended):
+            return recommended
+        return best.solution.x.copy()
 
     # -- saving ------------------------------------------------------------------------------------
 

@@ -18,7 +18,9 @@ from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
+from fide_plugins.search.validity import Validity
 from fide_plugins.space import Space
+from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
 from fide_plugins.status import Facts, Status, status_of
 from fide_plugins.types import Float64, Posterior, Solution
@@ -49,6 +51,8 @@ class Readings(Saved):
     evaluator: Evaluator
     state: State
     same_images: SameImages
+    validity: Validity | None
+    has_own_constraints: bool
 
     @property
     def target(self) -> Any:
@@ -216,14 +220,17 @@ class Readings(Saved):
         given = {name: getattr(self, name) for name in _ARGUMENTS}
         given |= {"target": self.views.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
-        return given | flat(self.options) | {"popsize": self.popsize, "space": space}
+        own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
+        return given | flat(self.options) | own
 
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor, by name, of what `settings` gave."""
         given = dict(settings) | {"target": Views.from_settings(settings)}
-        del given["weights"], given["value_range"]
+        for name in ("weights", "value_range"):  # which the views have
+            given.pop(name, None)
         space = given.pop("space")
+        given["constraints"] = constraints_not_stored if given.get("constraints") else None
         return given if space is None else given | {"dim": Space.from_dict(space)}
 
     @classmethod
@@ -264,7 +271,8 @@ class Readings(Saved):
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
         expected = {*_ARGUMENTS, "target", "popsize", "space", *flat(Options())}
-        odd = sorted(set(settings) ^ expected)
+        later = {"constraints", "value_range"}  # which earlier versions lack
+        odd = sorted((set(settings) ^ expected) - later)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
         check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")

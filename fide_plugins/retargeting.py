@@ -21,7 +21,7 @@ from fide_plugins.readings import Readings
 from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.runtime.timing import timed
-from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves.base import Stage, Start
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64, Posterior
 
@@ -44,6 +44,22 @@ class Retargeting(Readings):
         self.state = self._initial_state(self._posterior(model, self.views.targets))
         self.state.begin_after(renders)
         self._model = model  # of the renderer, so of the next picture, too; it is never saved
+
+    def anywhere(self, number: int) -> Float64:
+        """Random point (dim,) that may be rendered; the same for the same number, from 0."""
+        rng = np.random.default_rng((self.seed, 3, number))
+        x: Float64 = self.state.search.clipped(rng.random((1, self.dim)))[0]
+        return x if self.validity is None else self.validity.start(x, number + 2)
+
+    @one_at_a_time
+    def begin_at(self, x: Float64) -> None:
+        """Begin the first search at x (dim,), which may have been told; candidates are forgotten.
+
+        Where something else comes first, such as hypotheses of a learned model, nothing happens.
+        """
+        state = self.state
+        if state.stage is Stage.SEARCH and not state.population.generations:
+            state.begin_at(x)
 
     def _posterior(self, model: Model | None, target: Any) -> Posterior | None:
         """What a model says of a target, as the seed draws it."""

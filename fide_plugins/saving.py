@@ -92,16 +92,18 @@ class Saved(Locked, ABC):
         loss: object = None,
         device: str = "auto",
         encoder: object = None,
+        constraints: object = None,
     ) -> Self:
         """Optimizer in the state in which `snapshot` was called.
 
-        loss, encoder: None for those named in the snapshot.
+        loss, encoder: None for those named in the snapshot.  constraints: None for none.
 
         Raises ValueError and other errors if the snapshot is impossible.
         """
         used = loss or snapshot["loss"] or loss_not_stored
         arguments = cls.arguments(snapshot["settings"])
-        arguments |= {} if encoder is None else {"encoder": encoder}
+        given = {"encoder": encoder, "constraints": constraints}
+        arguments |= {name: value for name, value in given.items() if value is not None}
         optimizer = cls(loss=used, device=device, **arguments)  # type: ignore[call-arg]
         optimizer.load_state_dict(snapshot["state"])
         return optimizer
@@ -115,11 +117,13 @@ class Saved(Locked, ABC):
         loss: str | Callable[..., object] | None = None,
         device: str = "auto",
         encoder: Callable[..., object] | None = None,
+        constraints: Callable[..., object] | None = None,
     ) -> Self:
         """Optimizer in the state that was saved at `path`.
 
         A checkpoint stores a loss and an encoder only by name: give a callable again as `loss` (or
-        tell losses) or `encoder`, of optimizers that have one.
+        tell losses) or `encoder`, of optimizers that have one.  A function of constraints is not
+        stored: without it FIDE can be read and told, but not asked.
 
         Raises OSError, or CheckpointError (a ValueError) if the file is truncated, damaged, of
         another version, or of another optimizer; and the errors of the constructor for a wrong
@@ -135,7 +139,7 @@ class Saved(Locked, ABC):
             cls.check_settings(settings)
         given = None if loss is None else cls.resolve_loss(loss, settings, device)
         with _possible(path):
-            return cls.restore(saved, given, device, encoder)
+            return cls.restore(saved, given, device, encoder, constraints)
 
     @one_at_a_time
     @one_thread

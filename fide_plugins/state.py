@@ -226,6 +226,13 @@ class State:
         self.evaluations = evaluations
         self.improved_at = self.retargeted_at = self.over_at = evaluations
 
+    def begin_at(self, x: Float64) -> None:
+        """Begin the present search again at x (d,), before its first generation is complete."""
+        self.population.close_generation()
+        self.population.forget_pending()
+        self.moves.start = replace(self.moves.start, mean=x.copy())
+        self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
+
     def retarget(self, target: torch.Tensor, start: Start, posterior: Posterior | None) -> None:
         """Forget what is of the old target only; search for another, tokens (T, C), from `start`.
 
@@ -246,11 +253,21 @@ class State:
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
+        self.moves.start = self.search.setting.valid_start(self.moves.start, self.searches)
         self.search = Search(self.moves.start, self.moves.goal, self.search.setting)
         if self.proposer is not None:
             self.proposer.forget()
         if self.steps is not None:
             self.steps.forget()
+
+    def draw_moves(self, rng: np.random.Generator) -> Float64:
+        """Candidates (n, d) of the present stage, which must not be SEARCH; valid ones only."""
+        validity, moves = self.search.setting.validity, self.moves
+        if validity is None:
+            return self.search.clipped(moves.draw(rng))
+        return validity.redrawn(
+            lambda: self.search.clipped(moves.draw(rng)), moves.has_more, moves.start.mean
+        )
 
     def estimate_of(self, x: Float64) -> Estimate | None:
         """How well the parameters of a solution (d,) are known; None if no sample says that.
@@ -314,6 +331,10 @@ class State:
 
         sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
         """
+        if "clip_warned" in state:  # of an earlier version, which counted no images
+            warned = bool(state["clip_warned"])
+            state = {name: value for name, value in state.items() if name != "clip_warned"}
+            state["clipping"] = Clipping(warned=warned).state_dict()
         check(state, _SCHEMA, dict(sides))
         self.rng.bit_generator.state = state["rng"]
         self.population = Population.from_state(state["population"], sides["d"])

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.pictures import as_told, canonical
-from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Renderer
 from fide_plugins.fitting.workers.choice import workers_for
 from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.types import Float32, Float64
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
 __all__ = ["check_first", "outcomes"]
+
+_PLACES = 24  # random ones that are rendered if the first one fails
 
 
 def check_first(
@@ -30,20 +34,48 @@ def check_first(
 ) -> None:
     """Render where the search begins, as a fit would render it, and check the images.
 
+    If that fails, and not by an error that other parameters hardly mend, random places are tried;
+    the search then begins at the first that gives an image.
+
     targets: (H, W, 3), one for each view; names: of the targets, for messages.
     workers, timeout: as for `fit`.
 
     Raises RenderError if there is no image, ImageError (a ValueError) for what `FIDE.tell` refuses:
     not one of the target's size for each view, or impossible values.
     """
-    (outcome,) = outcomes(render, optimizer, optimizer.x0[None], min(workers, 1), timeout)
+    x = optimizer.state.search.mean
+    (outcome,) = outcomes(render, optimizer, x[None], min(workers, 1), timeout)
     if isinstance(outcome, Failed):
-        raise RenderError(f"the first render failed: {_shown(outcome)}")
+        x, outcome = _elsewhere(render, optimizer, outcome, workers, timeout)
+        optimizer.begin_at(x)
     try:
         canonical(optimizer, outcome.image)
     except ImageError as error:
         _compare_sizes(targets, names, as_told(optimizer, outcome.image))
         raise type(error)(f"the first render gave no image that fits: {error}") from error
+
+
+def _elsewhere(
+    render: Callable[[Any], object],
+    optimizer: FIDE,
+    first: Failed,
+    workers: int,
+    timeout: float | str | None,
+) -> tuple[Float64, Rendered]:
+    """A place (d,) that can be rendered, with its image; raises RenderError if none is found."""
+    if first.broken:
+        raise RenderError(f"the first render failed: {_shown(first)}")
+    at_once = max(1, workers)
+    for begun in range(0, _PLACES, at_once):
+        X = np.array([optimizer.anywhere(begun + i) for i in range(at_once)])
+        for x, outcome in zip(X, outcomes(render, optimizer, X, workers, timeout), strict=True):
+            if isinstance(outcome, Rendered):
+                return x, outcome
+    raise RenderError(
+        f"the first render failed, and so did those of {_PLACES} random places. If most parameters "
+        "are invalid, say in the space which are valid: [constraints], and below it wall = "
+        f'"inner < 0.6 * outer". The first one: {_shown(first)}'
+    )
 
 
 def outcomes(

@@ -78,6 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "limits alone (solved)")  # fmt: skip
     until.add_argument("--until-stalled", action="store_true", default=None,
         help="former name of --until stalled")  # fmt: skip
+    add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
 

@@ -25,6 +25,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
+from fide_plugins.validation.option_rules import positive_fraction
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -37,7 +38,7 @@ __all__ = ["OWN", "execute"]
 
 OWN = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until", "until_stalled",
-    "encoder", "learned", "value_range",
+    "encoder", "learned", "max_failures", "value_range",
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
@@ -110,6 +111,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     )
     until = args.until or "solved"
     stalled = bool(args.until_stalled)
+    share = args.max_failures
     endless = args.budget is None and (args.time is not None or stalled or until == "stalled")
     budget = None if endless else args.budget or _BUDGET
     workers = default_number() if args.workers is None else args.workers
@@ -137,6 +139,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         callbacks=_callbacks(args),
         progress=_progress(),
         check=check,
+        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
     )
     return fitting, out, again
 
@@ -259,6 +262,8 @@ def _report(result: Result, out: Path) -> None:
     """Print the end of a fit: the status has the loss."""
     failed = f", {result.failures} renders failed" if result.failures else ""
     failed += f", {result.clipped} images clipped" if result.clipped else ""
+    if result.rejected:
+        failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
     stopped = f"stopped: {result.stopped.replace('_', '-')}"
     print(f"{result.evaluations} renders in {duration(result.seconds)}, {stopped}{failed}")
     if result.best is None:

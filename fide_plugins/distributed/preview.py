@@ -32,7 +32,7 @@ def preview_candidate(optimizer: FIDE, rng: np.random.Generator) -> Candidate | 
     if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
         v, target = search.stretched(z), optimizer.target_tokens
         made = proposer.propose(v, target, search.mean, search.std, rng)
-        x, proposed = search.place_proposals(made), True
+        x, proposed = search.place_proposals(made, z), True
         z = search.near(x)
     return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
 

@@ -63,8 +63,9 @@ class Fitting:
         checkpoint_every: float = 5.0,
         rounds: Rounds | None = None,
         plan: Mapping[str, Any] | None = None,
+        max_failures: float = 1.0,
     ) -> None:
-        self._rounds, self._plan = rounds, plan or {}
+        self._rounds, self._plan, self._max_failures = rounds, plan or {}, max_failures
         self.optimizer, self.record, self.saved = optimizer, record or Record(), saved
         self._renderer, self._workers, self._stopping = renderer, workers, stopping
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
@@ -74,8 +75,8 @@ class Fitting:
     def execute(self) -> Result:
         """Fit until a rule says stop.
 
-        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if most
-        renders fail or a callback, the loss or the encoder raises, any error of the optimizer,
+        Raises FitInterrupted (a KeyboardInterrupt) after SIGINT or SIGTERM, FitError if hardly any
+        render succeeds or a callback, the loss or the encoder raises, any error of the optimizer,
         OSError if the run directory cannot be written.  What was computed is saved before, as far
         as that can be done, and is the attribute `result` of whatever is raised.
         """
@@ -93,6 +94,7 @@ class Fitting:
                 self._callbacks,
                 self._timeout,
                 interrupts,
+                self._max_failures,
             )
             self._checkpoints = CheckpointTimer(self._checkpoint_every)
             try:
@@ -193,6 +195,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, best, loop = self.record, self.optimizer.best, self._loop
+        validity = self.optimizer.validity
         loop.note_pending()
         searched = max(loop.search_ended - loop.search_began, 1e-9)
         workers = max(1, self._workers.number)
@@ -205,6 +208,7 @@ class Fitting:
             weights=self.optimizer.weights,
             loss=self.optimizer.evaluator.loss.name,
             failures=loop.failures.count,
+            rejected=None if validity is None else validity.share_rejected,
             first_failure=loop.failures.first,
             busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,

@@ -41,6 +41,7 @@ class Loop:
 
     record: history of the run, of earlier calls too; what was pending is rendered first.
     interrupts: Ctrl-C and SIGTERM stop the waiting, but no step of the optimizer.
+    max_failures: share of the latest renders that may fail, in (0, 1].
     """
 
     def __init__(
@@ -53,9 +54,10 @@ class Loop:
         callbacks: Callbacks,
         timeout: float | None,
         interrupts: Interrupts,
+        max_failures: float = 1.0,
     ) -> None:
         self.optimizer, self.record, self.workers = optimizer, record, workers
-        self.failures = Failures(record.failures)
+        self.failures = Failures(record.failures, max_failures)
         self.whole = True
         """Whether record and optimizer agree, so that they may be saved."""
         self.render_seconds = 0.0
@@ -140,12 +142,25 @@ class Loop:
             if not self._waiting:
                 self.whole = False
                 with self.record.timing(self.optimizer):
-                    self._waiting.append(self.optimizer.ask(1)[0])
+                    self._waiting.append(self._candidate())
                 self.whole = True
             with self._waiting_for_renders(), self._interrupts.stoppable():
                 task = self.workers.submit(self._waiting[0])  # in this process it renders
             self._running[task] = self._waiting.popleft()
             task.add_done_callback(self._arrived.put)
+
+    def _candidate(self) -> Float64:
+        """Next candidate (d,); after the first ones have all failed, a random place."""
+        if not self._is_lost:
+            x: Float64 = self.optimizer.ask(1)[0]
+            return x
+        number = self.failures.count + len(self._running)
+        return self.optimizer.anywhere(number)
+
+    @property
+    def _is_lost(self) -> bool:
+        """Whether no render has given an image so far, and the search cannot say where to go."""
+        return not self.record.evaluations and self.failures.tried
 
     def _goes_on(self) -> bool:
         """Whether renders are under way once a worker is back; there is none now."""
@@ -200,8 +215,9 @@ class Loop:
             return self.workers.outcome(task)
         limit = f"timeout={self._timeout:g} seconds"
         if self.workers.abandon(task):
-            return Failed(f"the render took longer than {limit}")
-        return Failed(f"no result within {limit}; it may have waited for a worker all the time")
+            return Failed(f"the render took longer than {limit}", broken=True)
+        waited = "it may have waited for a worker all the time"
+        return Failed(f"no result within {limit}; {waited}", broken=True)
 
     # -- telling -----------------------------------------------------------------------------------
 
@@ -215,14 +231,17 @@ class Loop:
             self._fail(x, outcome)
             return False
         self.render_seconds += outcome.seconds
+        lost = self._is_lost
         try:
             loss = self._tell(x, as_told(self.optimizer, outcome.image))
         except ValueRangeError:  # it is not this render that is wrong, but all of them
             self._waiting.appendleft(x)
             raise
         except ImageError as error:
-            self._fail(x, Failed(f"render returned no image that fits: {error}"))
+            self._fail(x, Failed.no_fit(error, outcome.image))
             return False
+        if lost:
+            self.optimizer.begin_at(x)
         improved = self._note(x, outcome.image, loss)
         if self._callbacks:
             self._call_back(x, outcome.image, loss, improved)

@@ -26,10 +26,12 @@ from fide_plugins.recording.sources import of_files, of_losses, of_models, of_we
 from fide_plugins.runtime.callables import own_name
 from fide_plugins.runtime.fingerprints import fingerprint_of
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import check_names, switch
+from fide_plugins.validation.option_rules import check_names, positive_fraction, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
+
+_GIVEN = ("self", "dim", "target", "seed")  # arguments of the optimizer that the fit gives it
 
 
 def fit(
@@ -48,6 +50,8 @@ def fit(
     out: str | os.PathLike[str] | None = None,
     seed: int | None = None,
     *,
+    constraints: Callable[[Any], object] | None = None,
+    max_failures: float = 1.0,
     until: str = "solved",
     until_stalled: bool = False,
     timeout: float | str | None = None,
@@ -96,6 +100,13 @@ def fit(
     seed
         same seed, same fit, if there is one worker (0 or 1) and `render` is deterministic.  With
         more the order in which renders arrive matters, too.  None draws one.
+    constraints
+        function of the parameters, as `render` gets them, that returns True where they are valid,
+        or margins: a number or several, <= 0 where they are valid.  Only valid ones are rendered;
+        what is rejected costs nothing.  Those of the space are respected, too.
+    max_failures
+        share of the last 50 renders that may fail, in (0, 1].  By default any may, as long as some
+        succeed, see `fitting.failures`.
     until
         "solved": stop also when the image equals the target but for what no eye sees
         (`views.solved`), or differs from it by noise of its pixels alone and the parameters are
@@ -134,8 +145,8 @@ def fit(
     FideError
         before the first render: an option, the target or the space is not what it must be.
     FitError
-        the first 8 renders all failed, more than half of the last 50 failed, or a callback, the
-        loss or the encoder raised an exception.
+        hardly any render succeeds (`fitting.failures`), or a callback, the loss or the encoder
+        raised an exception.
     ValueRangeError
         the renders are on another scale than the target.
     FitInterrupted
@@ -159,7 +170,9 @@ def fit(
         timeout=timeout,
         resume=resume,
         progress=progress,
-        options=_given(mask=mask, learned=learned, value_range=value_range) | options,
+        max_failures=positive_fraction("max_failures", max_failures),
+        options=_given(mask=mask, learned=learned, constraints=constraints, value_range=value_range)
+        | options,
     ).execute()
 
 
@@ -181,6 +194,7 @@ def prepare(
     checkpoint_every: float = 5.0,
     command: Sequence[str] | None = None,
     check: Callable[[FIDE], None] | None = None,
+    max_failures: float = 1.0,
 ) -> Fitting:
     """Check the arguments, and make or resume a fit; nothing is rendered yet.
 
@@ -198,8 +212,7 @@ def prepare(
     limit = None if timeout is None else seconds_of("timeout", timeout)
     number = default_number(executor) if workers is None else whole_number("workers", workers, 0)
     options = dict(options or {})
-    given = ("self", "dim", "target", "seed")
-    check_names(options, given, "is no option of the optimizer, but an argument of the fit")
+    check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     rounds = rounds_of(
         render, space, optimizer.views.targets, options,
@@ -214,9 +227,9 @@ def prepare(
     if out is not None:
         record = (saved := SavedRun(out, **plan, resume=resume, command=command)).begin(optimizer)
     return Fitting(
-        optimizer, renderer, pool, stopping, watchers, record, saved,
-        timeout=limit, progress=progress, checkpoint_every=checkpoint_every, rounds=rounds,
-        plan=plan,
+        optimizer, renderer, pool, stopping, watchers, record, saved, plan=plan, rounds=rounds,
+        timeout=limit, progress=progress, checkpoint_every=checkpoint_every,
+        max_failures=max_failures,
     )  # fmt: skip
 
 

@@ -38,6 +38,11 @@ __all__ = [
 ]
 
 _T = TypeVar("_T")
+_BROKEN = (
+    NameError, TypeError, AttributeError, ImportError, SyntaxError, NotImplementedError, KeyError,
+    OSError, MemoryError,
+)  # fmt: skip
+"""Errors for which parameters are hardly the reason: a misspelled name, a missing file."""
 _GENERATORS = (np.random.Generator, np.random.RandomState, random.Random)
 _GLOBAL = np.random.mtrand._rand  # that of NumPy, which SciPy's distributions refer to
 
@@ -60,11 +65,13 @@ class Failed:
     reason: in one line.
     details: the traceback in the worker, or what else is known; may be empty.
     names_params: whether they say with which parameters.
+    broken: whether other parameters will hardly do better, as far as the kind of error says.
     """
 
     reason: str
     details: str = ""
     names_params: bool = False
+    broken: bool = False
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:
@@ -74,9 +81,23 @@ class Failed:
         """
         if isinstance(error, RenderError):
             reason, _, details = str(error).partition("\n")
-            return cls(reason, details, names_params=True)
+            inner = error.__context__  # of which the message tells
+            broken = isinstance(inner, _BROKEN) or isinstance(
+                getattr(inner, "__cause__", None), OSError
+            )
+            return cls(reason, details, names_params=True, broken=broken)
         lines = traceback.format_exception(type(error), error, _beyond_here(error))
-        return cls(f"{type(error).__name__}: {error}", "".join(lines).rstrip())
+        text = f"{type(error).__name__}: {error}"
+        return cls(text, "".join(lines).rstrip(), broken=isinstance(error, _BROKEN))
+
+    @classmethod
+    def no_fit(cls, error: ImageError, image: Any) -> Failed:
+        """What is wrong with an image; one of NaN says that the parameters are invalid."""
+        try:
+            finite = bool(np.isfinite(np.asarray(image, np.float64)).all())
+        except (TypeError, ValueError, RuntimeError):  # no array at all
+            finite = True
+        return cls(f"render returned no image that fits: {error}", broken=finite)
 
 
 Outcome: TypeAlias = Rendered | Failed
@@ -120,7 +141,7 @@ class Renderer:
         try:
             return _in_memory(image, self.raw)
         except ImageError as error:
-            return Failed(f"render returned no image that fits: {error}")
+            return Failed.no_fit(error, image)
 
 
 def _in_memory(image: Any, raw: bool) -> Any:

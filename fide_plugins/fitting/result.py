@@ -47,6 +47,8 @@ class Result:
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
     clipped: images whose values went beyond black or white, likewise.
+    rejected: share of this call's candidates that constraints rejected before they were rendered,
+        in [0, 1]; None without constraints, and of a result that was read.
     seconds: of fitting, likewise.
     busy: fraction of the time of this call's search that its workers rendered, in [0, 1].  It
         counts renders that gave an image, and nothing of what `preset="global"` does before the
@@ -80,6 +82,7 @@ class Result:
     clipped: int = 0
     value_range: tuple[float, float] | None = None
     unsaved: Unsaved | None = None
+    rejected: float | None = None
 
     @cached_property
     def optimizer(self) -> Any:
@@ -148,6 +151,8 @@ class Result:
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
         failed += f", {self.clipped:,} images clipped" if self.clipped else ""
+        if self.rejected:
+            failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
         params = f"dim={self._dim}"
         if isinstance(self.params, dict) and self.best is not None:

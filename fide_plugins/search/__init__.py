@@ -10,6 +10,7 @@ file              idea
 `mixed`           integers, choices and periodic parameters
 `margin`          keeps the distribution from settling on one value of an integer or a choice
 `termination`     when a search is over
+`validity`        points that satisfy constraints
 `memory`          samples that are kept for later pictures and for `Solution.std`
 `recall`          where the search for another picture begins
 `scene/`          what has been found out about the scene

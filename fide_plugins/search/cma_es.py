@@ -233,6 +233,12 @@ class CMAES:
         cut = np.where(too_long, self._longest_step / np.maximum(lengths, _TINY), 1.0)
         return y * cut[:, None], lengths * cut
 
+    def shortened(self, z: Float64) -> Float64:
+        """Candidates z (n, d) that are too far for samples, as near as samples may be."""
+        y, _ = self._steps(z, np.ones(len(z), bool))
+        shortened: Float64 = self.mean + self.sigma * y
+        return shortened
+
     def _update_paths(self, y_w: Float64) -> bool:
         """Both evolution paths; True where p_c must pause because p_sigma is long."""
         z_w = self._B @ ((y_w @ self._B) / self._D)  # C^(-1/2) y_w

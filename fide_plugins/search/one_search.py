@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from fide_plugins.search.termination import (
     default_loss_only_patience,
     default_patience,
 )
+from fide_plugins.search.validity import Validity
 from fide_plugins.types import Float64
 
 __all__ = ["Search", "Setting"]
@@ -46,12 +47,20 @@ class Setting:
     sigma0: (d,), standard deviation of the first search.
     options: `guard_search`, `patience`, `improvement`.
     layout: what is discrete or periodic in the cube; None: nothing.
+    validity: which points may be rendered; None: all.
     """
 
     popsize: int
     sigma0: Float64
     options: Options
     layout: AxisLayout | None = None
+    validity: Validity | None = None
+
+    def valid_start(self, start: Start, number: int) -> Start:
+        """Where search `number` begins, at a valid point."""
+        if self.validity is None:
+            return start
+        return replace(start, mean=self.validity.start(start.mean, number))
 
 
 class Search:
@@ -93,6 +102,16 @@ class Search:
 
     def sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         """Draw n candidates z ~ N(m, Sigma), and the points x that they stand for, (n, d) each."""
+        validity = self.setting.validity
+        if validity is None:
+            return self._sample(n, rng)
+        x, z, invalid = validity.sample(lambda m: self._sample(m, rng), n)
+        if invalid.any():
+            x = validity.at_nearest(x, invalid, self._start.mean)
+            z[invalid] = self.distribution.shortened(self.near(x[invalid]))
+        return x, z
+
+    def _sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
         z = self.distribution.sample(n, rng)
         return self._held(self._mixed.into(z, self.mean)), z
 
@@ -109,9 +128,16 @@ class Search:
         """Points of the cube for any (n, d), clipped at its walls, or wrapped."""
         return self._mixed.clipped(x)
 
-    def place_proposals(self, x: Float64) -> Float64:
-        """Points of the cube for proposals (n, d), with the values that this search holds."""
-        return self._held(self.clipped(x))
+    def place_proposals(self, x: Float64, z: Float64) -> Float64:
+        """Points of the cube for proposals x (n, d), with the values that this search holds.
+
+        z: (n, d), samples of which they were made.
+        """
+        x, validity = self._held(self.clipped(x)), self.setting.validity
+        if validity is None:
+            return x
+        sampled = self._held(self._mixed.into(z, self.mean))
+        return validity.moved_back(x, sampled, self._start.mean)
 
     def _held(self, x: Float64) -> Float64:
         """Points (n, d) with the coordinates of the start on the axes that are held."""

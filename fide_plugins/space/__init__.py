@@ -11,7 +11,9 @@ file               idea
 `arguments`        wrong arguments of a parameter are errors with the right word
 `synonyms`         other words for what a parameter is given
 `layout`           numbers of all parameters <-> points of the cube, for many points at once
+`expressions`      conditions on parameters as a text: ``inner < 0.6 * outer``
 `space`            names: `Space`
+`constraints`      by how much a point violates conditions of a space and a function of the user's
 `dictionary`       a space <-> plain dictionaries (JSON)
 `toml_file`        a space <-> a file in TOML
 =================  =================================================================================

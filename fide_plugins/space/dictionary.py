@@ -6,6 +6,7 @@
 
 What has a key of a parameter is one, all else is a group.  Without a "type" it is a choice if it
 has "values", and else a float.  `to_dict` writes it, and leaves out keys that are as by default.
+Conditions on the parameters are the table "constraints", a text for each name (`expressions`).
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
 from fide_plugins.space import dictionary, toml_file
+from fide_plugins.space.expressions import Expression
 from fide_plugins.space.group import (
     Group,
     Leaf,
@@ -27,6 +28,13 @@ __all__ = ["Space"]
 
 Params = dict[str, Any]
 
+_CONSTRAINTS = "constraints"
+_RESERVED = (
+    "no parameter may be called 'constraints', which are conditions on the parameters; call it "
+    'otherwise, and write constraints={"wall": "inner < 0.6 * outer"}, in a file [constraints] and '
+    'below it wall = "inner < 0.6 * outer"'
+)
+
 
 class Space:
     """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
@@ -43,14 +51,27 @@ class Space:
 
     named: a `Float`, `Int`, `Choice`, `Group` or repeated `Group` for each name.
     members: the same as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.
+    constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.expressions`);
+        nothing else is rendered.  So no parameter may be called "constraints".
 
-    A space cannot be changed; spaces of the same parameters in the same order are equal.
+    A space cannot be changed; spaces of the same parameters in the same order, with the same
+    constraints, are equal.
 
     Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
-    or nothing is left to search.
+    a constraint is no condition on the parameters, or nothing is left to search.
     """
 
-    def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
+    def __init__(
+        self,
+        members: Mapping[str, Member] | None = None,
+        /,
+        *,
+        constraints: Mapping[str, str] | None = None,
+        **named: Member,
+    ) -> None:
+        expressions = _expressions(constraints)
+        if isinstance(members, Mapping) and _CONSTRAINTS in members:
+            raise SpaceError(_RESERVED)
         checked = check_members("Space", members, named)
         found = list(leaves(checked))
         layout = Layout([leaf.kind for leaf in found])
@@ -58,9 +79,14 @@ class Space:
             raise SpaceError(
                 "Space needs a parameter that can vary, but each is a Choice of one value; add one"
             )
-        self.__dict__.update(_members=checked, _leaves=found, layout=layout)
+        self.__dict__.update(
+            _members=checked, _leaves=found, layout=layout, _expressions=expressions
+        )
+        for expression in expressions:
+            expression.check(self.decode(np.full(self.dim, 0.5)))
 
     _members: dict[str, Member]
+    _expressions: tuple[Expression, ...]
     _leaves: list[Leaf]
     layout: Layout
     """Where each parameter lies in the cube."""
@@ -85,6 +111,15 @@ class Space:
         """Indices of the axes of each parameter, by flat name."""
         slices = zip(self._leaves, self.layout.slices, strict=True)
         return {leaf.name: list(range(s.start, s.stop)) for leaf, s in slices}
+
+    @property
+    def constraints(self) -> dict[str, str]:
+        """Conditions on the parameters by name, as they were written; {} without."""
+        return {one.name: one.text for one in self._expressions}
+
+    def violations(self, params: Mapping[str, Any]) -> dict[str, float]:
+        """By how much each constraint is violated by `params`, as of `decode`; 0 where it holds."""
+        return {one.name: one.violation(params) for one in self._expressions}
 
     @property
     def periodic(self) -> Mask:
@@ -175,7 +210,8 @@ class Space:
 
         Raises SpaceError if a Choice has values that JSON does not have.
         """
-        return dictionary.to_dict(self._members)
+        data = dictionary.to_dict(self._members)
+        return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
@@ -183,7 +219,12 @@ class Space:
 
         Raises SpaceError, naming table and key.
         """
-        return cls(dictionary.from_dict(data))
+        if not isinstance(data, Mapping) or _CONSTRAINTS not in data:
+            return cls(dictionary.from_dict(data))
+        constraints = data[_CONSTRAINTS]
+        _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
+        members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
+        return cls(dictionary.from_dict(members), constraints=constraints)
 
     def to_toml(self) -> str:
         """Text of a TOML file that `read` reads."""
@@ -222,13 +263,28 @@ class Space:
         return list(self._members.items())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Space) and self._items == other._items
+        return isinstance(other, Space) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(tuple(self._items))
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[Any, ...]:
+        return (*self._items, self._expressions)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a Space cannot be changed; make another one with a new {name}")
+
+
+def _expressions(given: object) -> tuple[Expression, ...]:
+    """Constraints of a space as the user gives them; raises SpaceError."""
+    if given is None:
+        return ()
+    if not isinstance(given, Mapping) or given.get("type") in ("float", "int", "choice"):
+        raise SpaceError(_RESERVED)
+    if any(isinstance(text, Mapping) or not isinstance(name, str) for name, text in given.items()):
+        raise SpaceError(_RESERVED)
+    return tuple(Expression(name, text) for name, text in given.items())
 
 
 def _step_into(inner: Any, key: str | int, empty: Any) -> Any:

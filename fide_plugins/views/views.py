@@ -284,7 +284,7 @@ class Views:
         if isinstance(target, Views):
             return target
         made = cls.read(target, weights=settings["weights"])
-        values = value_range_of(settings["value_range"])
+        values = value_range_of(settings.get("value_range"))  # earlier versions have none
         assert not isinstance(values, str)
         return cls(made.views, listed=made.listed, values=values)
 
@@ -292,7 +292,7 @@ class Views:
     def check_settings(settings: Mapping[str, Any]) -> None:
         """Raise ValueError unless `target`, `weights` and `value_range` can be of saved views."""
         target, weights = settings["target"], settings["weights"]
-        if settings["value_range"] is not None:
+        if settings.get("value_range") is not None:
             check(list(settings["value_range"]), row(real(), real()), {}, "value_range")
             value_range_of(settings["value_range"])
         listed = isinstance(target, list)

@@ -121,7 +121,7 @@ def test_a_fit_without_a_best_candidate_says_why(
 ) -> None:
     result = SimpleNamespace(
         best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
-        seconds=1.0, stopped="time", clipped=0,
+        seconds=1.0, stopped="time", clipped=0, rejected=None,
     )  # fmt: skip
     _report(result, Path("out"))  # type: ignore[arg-type]
     assert capsys.readouterr().out.splitlines()[-1] == text
@@ -389,3 +389,88 @@ def test_a_renderer_that_changes_the_folder_leaves_paths_as_they_are(
     assert fide("fit", "target.png", *words, "--budget", 12, "--out", "its run") == 0
     assert (target.parent / "its run" / "best.png").exists()
     assert "or: fide solutions 'its run'" in capsys.readouterr().out
+
+
+RING = """
+[inner]
+type = "float"
+low = 0.05
+high = 0.45
+
+[outer]
+type = "float"
+low = 0.05
+high = 0.45
+"""
+DRAWS_RING = """
+import sys
+import numpy as np
+from PIL import Image
+
+def render(p):
+    if p["inner"] >= 0.6 * p["outer"]:
+        raise ValueError("wall too thin")
+    v, u = np.mgrid[0:8, 0:12]
+    d = np.hypot(u - 6, v - 4) / 8
+    return (d > p["inner"]) * (d < p["outer"]) * 1.0
+
+if __name__ == "__main__":
+    image = render({"inner": float(sys.argv[2]), "outer": float(sys.argv[3])})
+    Image.fromarray((255 * image).astype("uint8")).save(sys.argv[1])
+"""
+
+
+@pytest.fixture
+def ring(target: Path) -> None:
+    """ring.py, which draws only rings with a thick wall, and ring.png."""
+    Path("ring.py").write_text(DRAWS_RING)
+    subprocess.run([sys.executable, "ring.py", "ring.png", "0.1", "0.4"], check=True)
+
+
+@pytest.mark.parametrize("constraint", ['wall = "inner < 0.6 * outer"', ""])
+@pytest.mark.usefixtures("ring")
+def test_a_space_with_invalid_parameters_is_fitted(
+    constraint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where only the renderer knows which are valid, and the middle is not."""
+    Path("ring.toml").write_text(RING + ("\n[constraints]\n" + constraint if constraint else ""))
+    words = ["--renderer", "ring.py:render", "--space", "ring.toml", "--workers", 0, "--seed", 0]
+    assert fide("fit", "ring.png", *words, "--budget", 40, "--out", "out", "--json") == 0
+    told = summary(capsys)
+    assert told["params"]["inner"] < 0.6 * told["params"]["outer"]
+    assert told["failures"] == 0 or not constraint
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("ring")
+def test_constraints_hold_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("ring.toml").write_text(RING + '\n[constraints]\nwall = "inner < 0.6 * outer"')
+    program = shlex.join([sys.executable, "ring.py"]) + " {out} {inner} {outer}"
+    words = ["--command", program, "--space", "ring.toml", "--workers", 2, "--budget", 6]
+    assert fide("fit", "ring.png", *words, "--json", "--seed", 0) == 0
+    assert summary(capsys)["failures"] == 0
+
+
+@pytest.mark.parametrize(
+    ("constraint", "words", "code", "message"),
+    [
+        ("inner < 0.6 * outr", [], 2, "ring.toml: constraint wall = .*unknown parameter 'outr'"),
+        ("inner > 2", [], 2, r"no valid point was found.*wall \(inner > 2\)"),
+        ("inner < 0.6 * outer", ["--set", "x0=[1,0]"], 2, "x0 is not valid: it violates wall"),
+        ("inner < 1", ["--max-failures", 2], 2, "max_failures"),
+        ("outer < 0.06", [], 1, "the first render failed, and so did those of 24 random places"),
+    ],
+)
+@pytest.mark.usefixtures("ring")
+def test_invalid_starts_and_constraints_are_refused_before_anything_is_written(
+    constraint: str,
+    words: list[Any],
+    code: int,
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("ring.toml").write_text(f'{RING}\n[constraints]\nwall = "{constraint}"')
+    given = ["--renderer", "ring.py:render", "--space", "ring.toml", "--workers", 0, "--seed", 0]
+    assert fide("fit", "ring.png", *given, *words) == code
+    assert re.search(message, " ".join(capsys.readouterr().err.split()))
+    assert not Path("runs").exists()

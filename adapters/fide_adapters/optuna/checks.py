@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from inspect import currentframe
 from types import FrameType
+from typing import Any
 
 from optuna.distributions import BaseDistribution
 from optuna.study import Study, StudyDirection
@@ -14,7 +16,35 @@ from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError, ProtocolError
 
-__all__ = ["bare_image", "refuse_several_objectives", "running_trial", "warn_of_space"]
+__all__ = [
+    "as_constraints",
+    "bare_image",
+    "check_function",
+    "refuse_several_objectives",
+    "running_trial",
+    "warn_of_space",
+]
+
+
+def check_function(name: str, function: Any) -> Any:
+    """Return a function, or None; raises OptionError (a ValueError) for anything else."""
+    if function is not None and not callable(function):
+        raise OptionError(f"{name} must be a function of a trial, not {function!r}")
+    return function
+
+
+def as_constraints(values: Any) -> list[float]:
+    """What a `constraints_func` has returned, as it is stored; raises OptionError."""
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError):
+        numbers = [math.nan]
+    if any(map(math.isnan, numbers)):
+        raise OptionError(
+            "constraints_func must return a list of numbers, <= 0 where nothing is violated, not "
+            f"{values!r}"
+        )
+    return numbers
 
 
 def bare_image() -> str:

@@ -1,15 +1,13 @@
-"""The sampler, its independent sampler, and objectives that return images."""
+"""The sampler, and objectives that return images."""
 
 from __future__ import annotations
 
 import threading
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler, RandomSampler
+from optuna.samplers import BaseSampler
 from optuna.storages import BaseStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -18,12 +16,15 @@ from torch import Tensor
 from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.artifacts import ImageArtifacts
 from fide_adapters.optuna.checks import (
+    as_constraints,
     bare_image,
+    check_function,
     refuse_several_objectives,
     running_trial,
     warn_of_space,
 )
 from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.independent import NumberedSampler
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import (
     IMAGE,
@@ -34,41 +35,13 @@ from fide_adapters.optuna.storage import (
     write_image,
 )
 from fide_adapters.optuna.study import StudyState, StudyStates
+from fide_adapters.optuna.trials import CONSTRAINTS
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.validation.points import new_seed, whole_number
 from fide_plugins.views.views import views_of
 
-__all__ = ["FIDESampler", "NumberedSampler", "image_objective"]
-
-
-class NumberedSampler(RandomSampler):
-    """Uniform parameters from (seed, number of the trial, name of the parameter).
-
-    With a plain `RandomSampler` all workers of equal seed would begin with the same parameters.
-    """
-
-    def __init__(self, seed: int | None = None) -> None:
-        super().__init__()  # whose generator is not used, and takes no seed beyond 32 bits
-        self._entropy = np.random.SeedSequence(seed).entropy
-
-    def reseed_rng(self) -> None:
-        """Continue with a seed from the operating system."""
-        super().reseed_rng()
-        self._entropy = np.random.SeedSequence().entropy
-
-    def sample_independent(
-        self,
-        study: Study,
-        trial: FrozenTrial,
-        param_name: str,
-        param_distribution: BaseDistribution,
-    ) -> Any:
-        """Uniform value, equal for equal trial number and name."""
-        key = (trial.number, zlib.crc32(param_name.encode()))
-        seeds = np.random.SeedSequence(self._entropy, spawn_key=key).generate_state(1)
-        once = RandomSampler(int(seeds[0]))
-        return once.sample_independent(study, trial, param_name, param_distribution)
+__all__ = ["FIDESampler", "image_objective"]
 
 
 class FIDESampler(BaseSampler):
@@ -101,6 +74,10 @@ class FIDESampler(BaseSampler):
         of parameters that are not searched together, such as conditional ones; None: uniform.
     consider_pruned_trials
         whether a pruned trial counts, with its last intermediate value.
+    constraints_func
+        as of Optuna's own samplers: a function of a trial that has completed or was pruned, which
+        returns a list of numbers, <= 0 where nothing is violated.  A trial that violates one ranks
+        behind all that do not.  ``trial.set_constraint`` in the objective does the same.
     artifact_store
         of `optuna.artifacts`: `tell_image` stores each image there, and trials without features
         are evaluated from their images there.
@@ -129,6 +106,7 @@ class FIDESampler(BaseSampler):
         n_startup_trials: int = 0,
         independent_sampler: BaseSampler | None = None,
         consider_pruned_trials: bool = False,
+        constraints_func: Callable[[FrozenTrial], Sequence[float]] | None = None,
         artifact_store: Any = None,
         **options: Any,
     ) -> None:
@@ -146,6 +124,7 @@ class FIDESampler(BaseSampler):
             consider_pruned_trials,
             warnings,
         )
+        self._constraints_func = check_function("constraints_func", constraints_func)
         self._search_space = check_space(search_space)
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
         self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
@@ -304,8 +283,11 @@ class FIDESampler(BaseSampler):
         state: TrialState,
         values: Sequence[float] | None,
     ) -> None:
-        """Record the features of an image that the objective has put in the artifact store."""
+        """Record constraints, and the features of an image that is in the artifact store."""
         self._independent_sampler.after_trial(study, trial, state, values)
+        if self._constraints_func is not None and state is not TrialState.FAIL:
+            violations = as_constraints(self._constraints_func(trial))
+            write_attribute(storage_of(study), trial, CONSTRAINTS, violations)
         if self._search_space is not None and state is TrialState.COMPLETE:
             warn_of_space(self._search_space, trial, self._settings.warnings)
         with self._lock:

@@ -30,9 +30,9 @@ _NO_TARGET = np.zeros((16, 16, 3), np.float32)
 _ELSEWHERE = {  # arguments of FIDE and of other samplers that have another place here
     "x0": "is not taken here: enqueue a guess before the first trial, "
     "study.enqueue_trial({'x': 0.3, ...}), and the search begins there; else in the middle",
-    "constraints_func": "is not taken here: the objective says by how much a trial violates a "
-    "constraint, trial.set_constraint(name, value), or with earlier versions of Optuna by the "
-    "attribute constraints",
+    "constraints": "is not taken here: give constraints_func, a function of a finished trial that "
+    "returns numbers, <= 0 where it is valid, or let the objective say it, "
+    "trial.set_constraint(name, value)",
 }
 
 

@@ -35,12 +35,12 @@ from optuna.trial import FrozenTrial, TrialState
 
 from fide_adapters.optuna.storage import ASK, MOST_NAMED, Ask, Trials, WarnOnce, read_ask
 
-__all__ = ["History", "News", "TrialOrder", "loss_of"]
+__all__ = ["CONSTRAINTS", "History", "News", "TrialOrder", "loss_of"]
 
 _COUNTABLE = (TrialState.RUNNING, TrialState.COMPLETE)
 _PATIENCE = 4  # how much longer a trial may take than the slowest of the latest ones
 _LATEST = 4  # generations
-_CONSTRAINTS = "constraints"  # Optuna's attribute: a list until Optuna 4, then one for each
+CONSTRAINTS = "constraints"  # Optuna's attribute: a list until Optuna 4, then one for each
 _INFEASIBLE = 1e100  # above any meaningful loss
 _WORST_VIOLATION = 1e100  # larger ones all count as this
 
@@ -286,9 +286,9 @@ def _value(trial: FrozenTrial, consider_pruned: bool) -> float | None:
 
 def _constraints(trial: FrozenTrial) -> list[object]:
     """What is stored as constraints: numbers that must not be positive, if all is well."""
-    legacy = trial.system_attrs.get(_CONSTRAINTS, [])
+    legacy = trial.system_attrs.get(CONSTRAINTS, [])
     known = list(legacy) if isinstance(legacy, list | tuple) else [legacy]
-    prefix = f"{_CONSTRAINTS}:"
+    prefix = f"{CONSTRAINTS}:"
     return known + [value for key, value in trial.system_attrs.items() if key.startswith(prefix)]
 
 
@@ -296,7 +296,7 @@ def _violation(stored: object, number: int, warnings: WarnOnce) -> float:
     """By how much one constraint is violated; 0 if it is not a number."""
     if not isinstance(stored, Real) or isinstance(stored, bool):
         warnings.warn(
-            _CONSTRAINTS, f"a constraint of trial {number} is not a number, and is ignored"
+            CONSTRAINTS, f"a constraint of trial {number} is not a number, and is ignored"
         )
         return 0.0
     try:

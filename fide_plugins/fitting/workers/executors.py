@@ -73,7 +73,7 @@ class OfExecutor:
         try:
             made = task.result()
         except CancelledError as error:
-            return Failed(f"the executor has cancelled it: {error!r}")
+            return Failed(f"the executor has cancelled it: {error!r}", broken=True)
         except Exception as error:  # of the executor; those of the renderer are outcomes
             return Failed.by(error)
         # from a thread comes what the user's function returned, and bytes of it are no pickle

@@ -29,4 +29,4 @@ def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome
                 yield pool.outcome(task)
             else:
                 pool.abandon(task)
-                yield Failed(f"it did not end within {limit:g} s (--timeout)")
+                yield Failed(f"it did not end within {limit:g} s (--timeout)", broken=True)

@@ -74,7 +74,7 @@ class Processes:
             self._workers.remove(worker)
             end = worker.end()
             worker.kill()
-            return Failed(f"its worker process died{end}", str(error))
+            return Failed(f"its worker process died{end}", str(error), broken=True)
         except Exception as error:
             return Failed.by(error)
 

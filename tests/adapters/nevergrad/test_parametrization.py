@@ -300,3 +300,21 @@ def test_point_24_the_registered_one_in_a_portfolio_gets_its_target() -> None:
     portfolio.optims[0].target = TARGET
     run(portfolio, 20)
     assert portfolio.optims[0].num_images == 20
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_a_start_that_violates_a_cheap_constraint_does_no_harm(workers: int) -> None:
+    """72 % of the box is invalid, the middle too."""
+    parametrization = box(6)
+    parametrization.register_cheap_constraint(thin_wall)
+    optimizer = fide(parametrization, workers=workers)
+    for _ in range(60 // workers):
+        candidates = [optimizer.ask() for _ in range(workers)]
+        for candidate in candidates:
+            assert thin_wall(candidate.value)
+            optimizer.tell(candidate, render(candidate.value))
+    assert optimizer.fide.best.loss < 0.05 and thin_wall(optimizer.recommend().value)
+
+
+def thin_wall(x: Any) -> bool:
+    return bool(x[1] < 0.6 * x[0])

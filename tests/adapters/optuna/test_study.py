@@ -148,6 +148,33 @@ def test_point_13_constraints_are_used(bench: Bench) -> None:
     assert study.best_trial.params["x0"] > 0.42
 
 
+def test_point_13_a_constraints_func_is_that_of_optuna_s_own_samplers(bench: Bench) -> None:
+    """The same as constraints that the objective sets, to the bit."""
+    runs = []
+    for given in (True, False):
+        function = (lambda trial: (trial.params["x0"] - 0.5,)) if given else None
+        study = optuna.create_study(sampler=bench.sampler(constraints_func=function))
+        sampler = bench.sampler_of(study)
+
+        def objective(trial: Trial, given: bool = given, sampler: Any = sampler) -> float:
+            x = bench.suggest(trial)
+            if not given:
+                trial.set_constraint("left half", x[0] - 0.5)
+            return float(sampler.tell_image(trial, bench.render(x)))
+
+        study.optimize(objective, n_trials=40)
+        assert study.best_trial.params["x0"] <= 0.5
+        runs.append(bench.points(study))
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+@pytest.mark.parametrize("returned", [None, ["much"], [float("nan")], 1.0])
+def test_a_constraints_func_that_returns_no_numbers_is_said(bench: Bench, returned: Any) -> None:
+    study = optuna.create_study(sampler=bench.sampler(constraints_func=lambda trial: returned))
+    with pytest.raises(OptionError, match="must return a list of numbers"):
+        study.optimize(lambda trial: float(bench.suggest(trial)[0]), n_trials=1)
+
+
 # -- point 14: in other hands ----------------------------------------------------------------------
 
 

@@ -121,8 +121,8 @@ def test_the_search_holds_the_value_and_nothing_else(known: Known) -> None:
     setting = Setting(12, known.sigma0, Options(), SPACE.layout)
     search = Search(replace(start, std=np.full(SPACE.dim, 0.5)), np.inf, setting)
     rng = np.random.default_rng(0)
-    X, _ = search.sample(200, rng)
-    for points in (X, search.place_proposals(rng.random((200, SPACE.dim)))):
+    X, z = search.sample(200, rng)
+    for points in (X, search.place_proposals(rng.random((200, SPACE.dim)), z)):
         np.testing.assert_array_equal(points[:, floor], np.tile(x[floor], (200, 1)))
         assert len({one["n"] for one in SPACE.decode_many(points)}) > 2
     free = search.clipped(SPACE.snap(rng.random((50, SPACE.dim))))

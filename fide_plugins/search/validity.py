@@ -1,0 +1,201 @@
+"""Points that satisfy constraints: nothing else is rendered.
+
+- *Samples* that are invalid are drawn again, so that those that are rendered follow the search
+  distribution within the valid region, and the search learns from no other.
+- Where hardly any sample is valid, one is moved back to the valid point that is nearest, as far as
+  the constraints ask.
+- *Proposals* that are invalid are moved back towards the samples of which they were made: an answer
+  at the border of the valid region is found there.
+- *Tests and restart candidates* that are invalid are drawn again, or left out.
+- *A search* begins at a valid point: of random ones that which is nearest to their middle, so that
+  it lies inside rather than at a border.  Where none of them is valid, that with the smallest
+  violation is improved by CMA-ES.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fide_plugins.errors import OptionError
+from fide_plugins.search.cma_es import CMAES
+from fide_plugins.search.mixed import Mixed
+from fide_plugins.space import Space
+from fide_plugins.space.constraints import constraints_not_stored, constraints_of
+from fide_plugins.types import Float64, Indices, Mask
+
+__all__ = ["Validity", "validity_of"]
+
+_ROUNDS = 200  # in which samples are drawn, each anew where it is invalid
+_REDRAWN = 20  # in which restart candidates are drawn
+_HALVINGS = 24  # of the way from a valid point to an invalid one
+_TRIED, _BATCH = 5000, 250  # random points, in search of valid ones
+_ENOUGH = 50  # of these, which say where the middle is
+_REPAIRED = 5000  # points by which CMA-ES looks for a valid one
+_POPSIZE = 20
+
+
+def validity_of(space: Space | None, function: object, seed: int) -> Validity | None:
+    """Which points a run may render; arguments as of `FIDE`.  None: all."""
+    constraints = constraints_of(space, function)
+    if constraints is None:
+        return None
+    place = Mixed(None if space is None else space.layout).clipped
+    known = function is not constraints_not_stored
+    return Validity(constraints, constraints.explain, place, seed, is_known=known)
+
+
+class Validity:
+    """Which points of the cube may be rendered.
+
+    violation: by how much points (n, d) violate the constraints, (n,); 0 where they are valid.
+    explain: which constraints a point violates.
+    place: points (n, d) as they are rendered: in the cube, integers and choices in their cells.
+    seed: of the search for valid points, which draws from no other generator.
+    """
+
+    def __init__(
+        self,
+        violation: Callable[[Float64], Float64],
+        explain: Callable[[Float64], str],
+        place: Callable[[Float64], Float64],
+        seed: int,
+        *,
+        is_known: bool = True,
+    ) -> None:
+        self._violation, self._explain = violation, explain
+        self._place, self._seed = place, seed
+        self.is_known = is_known
+        """Whether the constraints can be computed; not before a user's function is given again."""
+        self.checked = self.rejected = 0
+        """Candidates that were checked, and those that were not valid."""
+
+    @property
+    def share_rejected(self) -> float:
+        """Share of the candidates that were not valid, in [0, 1]."""
+        return self.rejected / max(1, self.checked)
+
+    def of(self, X: Float64) -> Mask:
+        """Which points X (n, d) are valid, (n,)."""
+        return self._violation(X) <= 0.0
+
+    def allows(self, x: Float64) -> bool:
+        """Whether x (d,) may be valid, as far as the constraints are known."""
+        return not self.is_known or bool(self.of(x[None])[0])
+
+    def _count(self, X: Float64) -> Mask:
+        """As `of`, of candidates."""
+        valid = self.of(X)
+        self.checked += len(X)
+        self.rejected += int((~valid).sum())
+        return valid
+
+    def check_guess(self, x0: Float64) -> None:
+        """Raise OptionError (a ValueError), naming the constraints, if x0 (d,) is not valid."""
+        if not self.allows(x0):
+            raise OptionError(
+                f"x0 is not valid: it violates {self._explain(x0)}; give a valid one, or leave it "
+                "out: then the search begins at a valid point that it finds"
+            )
+
+    def sample(
+        self, draw: Callable[[int], tuple[Float64, Float64]], n: int
+    ) -> tuple[Float64, Float64, Mask]:
+        """Points and samples, (n, d) each, as `draw` gives them, drawn again where invalid.
+
+        Also which are still invalid, (n,).
+        """
+        x, z = draw(n)
+        invalid = ~self._count(x)
+        for _ in range(_ROUNDS - 1):
+            if not invalid.any():
+                break
+            x[invalid], z[invalid] = draw(int(invalid.sum()))
+            invalid[invalid] = ~self._count(x[invalid])
+        return x, z, invalid
+
+    def moved_back(self, x: Float64, anchors: Float64, other: Float64) -> Float64:
+        """Points x (n, d), invalid ones moved back towards anchors (n, d), as far as is needed.
+
+        other: (d,), a valid point in place of anchors that are not valid.
+        """
+        invalid = np.flatnonzero(~self._count(x))
+        if not len(invalid):
+            return x
+        anchors = np.where(self.of(anchors)[:, None], anchors, other)
+        return self._towards(x, anchors, invalid)
+
+    def at_nearest(self, x: Float64, which: Mask, other: Float64) -> Float64:
+        """Points x (n, d), of which those in `which` (n,) are invalid, moved back to the nearest.
+
+        other: (d,), a valid point for where none of x is.
+        """
+        valid = x[~which] if not which.all() else other[None]
+        distances = np.linalg.norm(x[:, None] - valid, axis=2)  # (n, valid)
+        return self._towards(x, valid[distances.argmin(axis=1)], np.flatnonzero(which))
+
+    def _towards(self, x: Float64, anchors: Float64, which: Indices) -> Float64:
+        """Points `which` of x (n, d) as far from their anchors (n, d) as is valid."""
+        x, ends, anchors = x.copy(), x[which], anchors[which]
+        good, bad = np.zeros((len(which), 1)), np.ones((len(which), 1))
+        for _ in range(_HALVINGS):
+            middle = (good + bad) / 2
+            valid = self.of(self._place(anchors + middle * (ends - anchors)))[:, None]
+            good, bad = np.where(valid, middle, good), np.where(valid, bad, middle)
+        x[which] = np.where(good > 0, self._place(anchors + good * (ends - anchors)), anchors)
+        return x
+
+    def redrawn(self, draw: Callable[[], Float64], has_more: bool, fallback: Float64) -> Float64:
+        """Valid points of what `draw` gives, (m, d), m >= 1.
+
+        has_more: whether it gives others each time; then there are as many as of the first call, if
+            they can be found.  fallback: (d,), a valid point where there is none.
+        """
+        first = draw()
+        found = first[self._count(first)]
+        for _ in range(_REDRAWN if has_more else 0):
+            if len(found) >= len(first):
+                break
+            again = draw()
+            found = np.concatenate([found, again[self._count(again)]])
+        return found[: len(first)] if len(found) else fallback[None]
+
+    def start(self, x: Float64, number: int) -> Float64:
+        """Where search `number` begins: at x (d,), or else at a valid point that is found.
+
+        Raises OptionError (a ValueError) if no valid point is found.
+        """
+        if self.allows(x):
+            return x
+        rng = np.random.default_rng((self._seed, 2, number))
+        tried = np.empty((0, len(x)))
+        violations = np.empty(0)
+        while len(tried) < _TRIED and (violations <= 0).sum() < _ENOUGH:
+            batch = self._place(rng.random((_BATCH, len(x))))
+            tried = np.concatenate([tried, batch])
+            violations = np.concatenate([violations, self._violation(batch)])
+        valid = tried[violations <= 0]
+        if not len(valid):
+            return self._repaired(tried, violations, rng)
+        middle = valid.mean(axis=0) if number <= 1 else x
+        found: Float64 = valid[np.linalg.norm(valid - middle, axis=1).argmin()]
+        return found
+
+    def _repaired(self, tried: Float64, violations: Float64, rng: np.random.Generator) -> Float64:
+        """A valid point that CMA-ES finds from the best of those tried (n, d)."""
+        best = tried[violations.argmin()]
+        search = CMAES(best, 0.1, _POPSIZE)
+        for _ in range(_REPAIRED // _POPSIZE):
+            z = search.sample(_POPSIZE, rng)
+            x = self._place(z)
+            losses = self._violation(x)
+            if losses.min() <= 0:
+                found: Float64 = x[losses.argmin()]
+                return found
+            search.tell(z, losses + np.linalg.norm(z - x, axis=1), np.zeros(_POPSIZE, bool))
+        raise OptionError(
+            f"no valid point was found: of {len(tried):,} random ones none is valid, and the best "
+            f"violates {self._explain(best)}; loosen that, widen the ranges of the parameters, or "
+            "give a valid x0"
+        )
