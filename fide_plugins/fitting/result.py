@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Result"]
 
+_FILES = (".png", ".jpg", ".pdf", ".svg", ".html", ".json", ".csv", ".npz")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
@@ -137,8 +139,14 @@ class Result:
 
         `load_run`, `fide solutions` and `resume=True` read it.  `plot().savefig` writes a picture.
 
-        Raises FideError if `path` holds another run, or if the optimizer went on since; OSError.
+        Raises FideError if `path` is named like a file, holds another run, or if the optimizer went
+        on since; OSError.
         """
+        if Path(path).suffix in _FILES:
+            raise OptionError(
+                f"save writes a run directory, and {os.fspath(path)!r} is named like a file; name "
+                "a folder; plot().savefig(path) writes a picture"
+            )
         if self.out is not None:
             from fide_plugins.fitting.run_files import copy_run
 

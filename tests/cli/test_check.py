@@ -74,7 +74,7 @@ def test_a_program_whose_failures_are_shown(capsys: pytest.CaptureFixture[str]) 
     assert fide("check", *words) == 0
     out = capsys.readouterr().out
     assert "ended with exit code 1" in out and "it is too dark" in out
-    assert re.search(r"gray +0 to 1 +0\.\d+, fails at 0$", out, re.MULTILINE)
+    assert re.search(r"gray +0 to 1 +0\.\d+, no image at 0$", out, re.MULTILINE)
 
 
 @pytest.mark.usefixtures("scene")

@@ -210,7 +210,7 @@ def test_failures_are_counted_by_kind_and_the_center_is_one_that_renders() -> No
     assert facts.images + facts.failed == facts.renders and facts.not_finite >= 1
     text = "\n".join(lines("scene.py:render", facts))
     for shown in ("the middle of the ranges gives no image", "the size of the image changes",
-                  "NaN or infinite values in", "fails at 0.5", "center    x="):  # fmt: skip
+                  "NaN or infinite values in", "no image at 0.5", "center    x="):  # fmt: skip
         assert shown in text
 
 
@@ -260,3 +260,21 @@ def test_renders_and_workers_to_plan() -> None:
     assert workers(measured(1.0, 8, 1.2)) == 8
     assert workers(measured(1.0, 8, 7.5)) == 1  # it uses all cores itself
     assert "about 28 min here with --workers 2" in advice(measured(1.67, 2, 1.67))[-1]
+
+
+def test_points_that_violate_constraints_are_not_rendered() -> None:
+    space = Space(
+        inner=Float(0, 1), outer=Float(0, 1), x=Float(0, 1), constraints={"wall": "inner < outer"}
+    )
+
+    def render(p: dict[str, Any]) -> Any:
+        assert p["inner"] < p["outer"]
+        v, u = grid()
+        far = np.hypot(u - p["x"], v)
+        return ((far > p["inner"]) & (far < p["outer"])) * 1.0
+
+    facts = check(render, space, workers=1)
+    assert facts.failed == 0 and facts.rejected > 2 and not facts.centered
+    assert {one.where for one in facts.effects} == {"center"}
+    text = "\n".join(lines("x", facts))
+    assert "violate constraints, and were not rendered" in text and "no image at 1" in text

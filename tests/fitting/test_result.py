@@ -16,6 +16,7 @@ import pytest
 from fide_plugins import Choice, Float, Int, Result, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError, PointsError
 from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.runtime import checkpoint
 
 V, U = np.mgrid[0:12, 0:12] / 11
 NAMED = Space(
@@ -118,6 +119,8 @@ def test_an_optimizer_that_went_on_is_not_saved_as_the_result(tmp_path: Path) ->
     with pytest.raises(FideError, match="has gone on since"):
         result.save(tmp_path / "run")
     assert not (tmp_path / "run").exists()
+    with pytest.raises(OptionError, match="savefig"):
+        result.save(tmp_path / "fit.png")
 
 
 def test_an_interrupted_run_is_read(tmp_path: Path) -> None:
@@ -151,8 +154,14 @@ def test_a_record_of_an_earlier_version_is_read(kept: Result, tmp_path: Path) ->
     del run["stopped"]
     run |= {"status": run.pop("state"), "totals": {**totals, "status": kept.status.sentence}}
     (tmp_path / "run/run.json").write_text(json.dumps(run))
+    state: Any = checkpoint.read(tmp_path / "run/run.ckpt", "run")
+    del state["record"]["path"]
+    checkpoint.write(tmp_path / "run/run.ckpt", "run", state)
     read = load_run(tmp_path / "run")
     assert read.status == kept.status and read.stopped == "finished"
+    assert read.path.shape == (0, NAMED.dim) and len(read.plot().axes) == 4
+    more = found(scene, NAMED, ANSWER, budget=84, out=tmp_path / "run", resume=True)
+    assert more.evaluations == 84
 
 
 @pytest.mark.parametrize(

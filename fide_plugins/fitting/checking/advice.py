@@ -70,7 +70,10 @@ def _gain(facts: Facts) -> float:
 def _of_images(facts: Facts) -> Iterator[str]:
     if facts.failed:
         share = f"{facts.failed} of {counted(facts.renders, 'render')} failed"
-        yield f"{share}; a fit withdraws such candidates, but finds more where few fail: {_NARROW}"
+        yield (
+            f"{share}; a fit withdraws such candidates, but finds more where few fail: {_NARROW}, "
+            "or say by constraints which parameters are valid"
+        )
     if not facts.centered:
         yield "the middle of the ranges gives no image; begin a fit at values that do (x0)"
     if len(facts.shapes) > 1:

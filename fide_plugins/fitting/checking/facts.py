@@ -59,7 +59,7 @@ class Facts:
 
     dim: axes of the search.  parameters: that can vary.  renders: how many were made.
     repeated: whether some are of things of one kind, which then have random values at the center.
-    images: how many of them gave an image.
+    images: how many of them gave an image.  rejected: points that violate constraints.
     center: parameters of the point around which the others vary; `centered`: it is the middle.
     shapes: those that occurred, each of all views, in the order in which they were seen.
     kinds: types of numbers that occurred.  low, high: of all values.
@@ -79,6 +79,7 @@ class Facts:
     repeated: bool = False
     renders: int = 0
     images: int = 0
+    rejected: int = 0
     center: dict[str, Any] | str = ""
     centered: bool = True
     shapes: list[tuple[tuple[int, ...], ...]] = field(default_factory=list)

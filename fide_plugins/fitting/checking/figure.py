@@ -114,7 +114,7 @@ def _write(canvas: Any, x: float, y: float, text: str, size: Inches, **style: An
 
 def _panel(axes: Any, picture: Float32 | None, facts: Facts) -> None:
     if picture is None:
-        axes.text(0.5, 0.5, "failed", fontsize=8, color=_ALARM, ha="center", va="center")
+        axes.text(0.5, 0.5, "no image", fontsize=8, color=_ALARM, ha="center", va="center")
     else:
         shown = np.clip((picture - facts.black) / facts.span, 0, 1)
         axes.imshow(shown, interpolation="nearest")

@@ -30,6 +30,7 @@ from fide_plugins.fitting.workers.gather import KILLED, gathered
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.machine import cores
 from fide_plugins.space import Space
+from fide_plugins.space.constraints import Constraints, constraints_of
 from fide_plugins.types import Float64
 
 __all__ = ["check"]
@@ -37,6 +38,7 @@ __all__ = ["check"]
 FAST = 0.005
 """Seconds of a render below which sending it to another process is most of the work."""
 _POINTS = 8  # random points
+_DRAWN = 1000  # random points of which the first valid ones are taken, where there are constraints
 _TRIED = 3  # of them, for parameters that change nothing at the center
 _MOST_WORKERS = 8
 _LOUDER = 1.25  # times the noise, from which on a difference is one
@@ -66,7 +68,7 @@ def check(
     dim = space.dim if isinstance(space, Space) else space
     count = len(sweeps(space, np.full(dim, 0.5)))
     facts = Facts(dim, count, repeated=isinstance(space, Space) and bool(space.families))
-    run = _Check(renderer, facts, limit)
+    run = _Check(renderer, facts, limit, constraints_of(renderer.space, None))
     try:
         run.execute(space, workers, told)
     finally:
@@ -78,9 +80,15 @@ def check(
 class _Check:
     """A check under way."""
 
-    def __init__(self, renderer: Renderer, facts: Facts, limit: float | None) -> None:
+    def __init__(
+        self,
+        renderer: Renderer,
+        facts: Facts,
+        limit: float | None,
+        constraints: Constraints | None,
+    ) -> None:
         self.facts = facts
-        self._renderer, self._limit = renderer, limit
+        self._renderer, self._limit, self._constraints = renderer, limit, constraints
         self._pool: Workers = workers_for(renderer, 1, None, limit)
         self._seconds: list[float] = []
         self._rng = np.random.default_rng(0)
@@ -95,6 +103,9 @@ class _Check:
         """All steps."""
         facts = self.facts
         bases = self._rng.random((_POINTS, facts.dim))
+        if self._constraints is not None:
+            drawn = self._rng.random((_DRAWN, facts.dim))
+            bases = drawn[self._constraints(drawn) == 0][:_POINTS]
         found = self._center(middle_of(space, self._rng), bases)
         if found is None:
             return
@@ -123,7 +134,7 @@ class _Check:
             image = self._seen(x, outcome)
             if image is not None:
                 self.facts.center = self._renderer.params(x)
-                self.facts.centered = self.facts.renders == 1
+                self.facts.centered = self.facts.renders + self.facts.rejected == 1
                 self.facts.first = self._seconds[0]
                 return x, image
         return None
@@ -184,16 +195,23 @@ class _Check:
 
     # -- renders -----------------------------------------------------------------------------------
 
-    def _rendered(self, X: Float64) -> Iterator[tuple[Float64, Outcome]]:
-        self.facts.renders += len(X)
-        yield from zip(X, gathered(self._pool, X, self._limit), strict=True)
+    def _rendered(self, X: Float64) -> Iterator[tuple[Float64, Outcome | None]]:
+        """Each point with its outcome; None for one that violates constraints."""
+        valid = np.full(len(X), True) if self._constraints is None else self._constraints(X) == 0
+        self.facts.renders += int(valid.sum())
+        self.facts.rejected += int((~valid).sum())
+        outcomes = gathered(self._pool, X[valid], self._limit)
+        for x, is_valid in zip(X, valid, strict=True):
+            yield x, next(outcomes) if is_valid else None
 
     def _repeated(self, x: Float64, times: int) -> list[Image | None]:
         X = np.repeat(x[None], times, axis=0)
         return [self._seen(x, outcome) for _, outcome in self._rendered(X)]
 
-    def _seen(self, x: Float64, outcome: Outcome) -> Image | None:
+    def _seen(self, x: Float64, outcome: Outcome | None) -> Image | None:
         """The image of a render, noted; None, with the reason noted, where there is none."""
+        if outcome is None:
+            return None
         if isinstance(outcome, Failed):
             self._note_failure(outcome, x)
             return None

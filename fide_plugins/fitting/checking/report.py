@@ -34,6 +34,9 @@ def lines(name: str, facts: Facts) -> list[str]:
         f"the first one {duration(facts.first)}",
         f"noise     {_noise(facts)}",
     ]
+    if facts.rejected:
+        points = counted(facts.rejected, "point")
+        head.append(f"invalid   {points} violate constraints, and were not rendered")
     if not facts.centered:
         head.append(f"center    {described(facts.center)}")
     sentences = [f"- {sentence}" for sentence in advice(facts)]
@@ -48,6 +51,7 @@ def as_data(name: str, facts: Facts) -> dict[str, Any]:
         "renderer": name,
         "dim": facts.dim,
         "renders": facts.renders,
+        "points_rejected": facts.rejected,
         "seconds": facts.seconds,
         "sizes": [[list(shape) for shape in shapes] for shapes in facts.shapes],
         "types": facts.kinds,
@@ -137,4 +141,4 @@ def _table(facts: Facts) -> list[str]:
 def _failed_at(one: Effect) -> str:
     pairs = zip(one.sweep.texts, one.pictures, strict=True)
     failed = [text for text, picture in pairs if picture is None]
-    return f"fails at {', '.join(failed)}" if failed else ""
+    return f"no image at {', '.join(failed)}" if failed else ""
