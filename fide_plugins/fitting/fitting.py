@@ -16,11 +16,13 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.suspicions import suspicion_of
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
+from fide_plugins.runtime.warn import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -157,6 +159,8 @@ class Fitting:
                 note_unsaved(error, unsaved)
             error = error or unsaved
         result = self._result(stopped)
+        if suspicion := suspicion_of(self.optimizer):
+            warn_user(suspicion)
         try:
             with interrupts.let_go():
                 self._callbacks.call("on_end", result)
@@ -209,6 +213,8 @@ class Fitting:
             busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
+            clipped=self.optimizer.clipped,
+            value_range=self.optimizer.value_range,
             unsaved=Unsaved(self.optimizer, r if loop.whole else None, self._plan, stopped),
             **histories(r, self.optimizer.dim),
         )
