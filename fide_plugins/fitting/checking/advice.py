@@ -106,8 +106,8 @@ def _of_values(facts: Facts) -> Iterator[str]:
         low, high = f"{min(facts.low, 0.0):.3g}", f"{facts.high:.3g}"
         yield (
             f"values outside of [0, 1] ({facts.low:.4g} to {facts.high:.4g} in all) in {of}, which "
-            f"a fit clips; if they are no overshoot, give it their range, value_range=({low}, {high}) "
-            f"or --value-range {low} {high}"
+            f"a fit clips; if they are no overshoot, give it their range, value_range=({low}, "
+            f"{high}) or --value-range {low} {high}"
         )
     if facts.drifts:
         yield (
