@@ -28,6 +28,7 @@ __all__ = [
     "RenderError",
     "SpaceError",
     "UnknownNameError",
+    "ValueRangeError",
     "WeightsError",
     "WeightsMismatchError",
     "WeightsNotFoundError",
@@ -50,6 +51,10 @@ class ImageError(FideError, ValueError):
 
 class ImageNotFoundError(ImageError, FileNotFoundError):
     """A path given as an image leads to no file."""
+
+
+class ValueRangeError(ImageError):
+    """Renders are on another scale than the target, or whole numbers, whose scale is unknown."""
 
 
 class FeaturesError(FideError, ValueError):

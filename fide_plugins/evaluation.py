@@ -18,6 +18,7 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.clipping import OnClip
 from fide_plugins.validation.features import as_features
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 from fide_plugins.views import Views
@@ -62,7 +63,8 @@ class Evaluator:
     """Loss and encoder for one target.
 
     target: picture to find, anything that `validation.images.as_target` takes, or a list of views.
-    mask, weights: which pixels count, see `fide_plugins.views`.
+    mask, weights, value_range: which pixels count, and which values are black and white, see
+        `fide_plugins.views`.
     loss: name, callable, made loss, or None for "mse"; see `fide_plugins.losses`.
     encoder: name, an encoder that `encoders.make` made, or any callable of a batch; see
         `fide_plugins.encoders`.  A callable is tried on the target first.
@@ -80,11 +82,12 @@ class Evaluator:
         *,
         mask: object = None,
         weights: object = None,
+        value_range: object = None,
         device: str = "auto",
         for_network: bool = False,
     ) -> None:
         self._device = device
-        self.views = Views.read(target, mask, weights)
+        self.views = Views.read(target, mask, weights, value_range)
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
@@ -154,7 +157,7 @@ class Evaluator:
         images: object,
         losses: object,
         features: object,
-        on_clip: Callable[[str], None],
+        on_clip: OnClip,
     ) -> Images | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
 
@@ -170,7 +173,8 @@ class Evaluator:
         if images is None:
             return None
         if stays_on_device(images) and self._takes_tensors(losses is not None):
-            return as_tensor_batch(images, self.target.shape, n=n, on_clip=on_clip)
+            values = self.views.values
+            return as_tensor_batch(images, self.target.shape, n=n, on_clip=on_clip, values=values)
         return self.views.as_batch(images, n, on_clip)
 
     def evaluate(

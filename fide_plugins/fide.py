@@ -88,6 +88,9 @@ class FIDE(Asking):
         which pixels count: (H, W) in [0, 1], or any gray picture; "alpha": that of the target; for
         views a list of them, None for a view without, or a single one for all, if they have its
         size; both: their product (`fide_plugins.views`).
+    value_range
+        two numbers, the values of target and renders that are black and white, or "auto"
+        (`fide_plugins.views`); None: 0 and 1, for uint8 0 and 255.
     popsize
         candidates a generation, at least 4; None: the preset's own.
     x0
@@ -134,6 +137,7 @@ class FIDE(Asking):
         encoder: str | Callable[..., object] | None = None,
         mask: object = None,
         weights: object = None,
+        value_range: object = None,
         popsize: int | None = None,
         x0: object = None,
         sigma0: float | Float64 = 1 / 6,
@@ -163,6 +167,7 @@ class FIDE(Asking):
             o.encoder if encoder is None else encoder,
             mask=mask,
             weights=weights,
+            value_range=value_range,
             device=device,
             for_network=o.has_network,
         )
@@ -280,14 +285,17 @@ class FIDE(Asking):
         Raises
         ------
         PointsError, ImageError, LossError, FeaturesError
-            all ValueErrors, before anything changes.
+            all ValueErrors, before anything changes; of images also a ValueRangeError, if those
+            told so far are on another scale than the target.
         """
         points = as_points(X, self.dim)
         n, evaluator = len(points), self.evaluator
-        batch = evaluator.as_batch(n, images, losses, features, self.state.warn_clipped)
+        clipping = self.state.clipping.copy()
+        batch = evaluator.as_batch(n, images, losses, features, clipping)
         with timed(self.times, "encode"):
             encode = self.state.proposer is not None
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
+        self.state.clipping = clipping
         self.same_images.note(points, batch, results.losses)
         with timed(self.times, "search"):
             self._enter(results.of(points))

@@ -166,7 +166,7 @@ GLOBAL = "global"
 
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
-_OTHER_ARGUMENTS = ("dim", "target", "weights", "learned", "constraints")
+_OTHER_ARGUMENTS = ("dim", "target", "weights", "value_range", "learned", "constraints")
 _FORMER_NAMES = {
     "share": "proposal_fraction",
     "smallest_share": "smallest_fraction",

@@ -32,7 +32,7 @@ from fide_plugins.views.solved import is_solved
 
 __all__ = ["Readings"]
 
-_ARGUMENTS = ("dim", "target", "weights", "x0", "sigma0", "seed")
+_ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
 _STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 
@@ -56,8 +56,8 @@ class Readings(Saved):
 
     @property
     def target(self) -> Any:
-        """Target (H, W, 3), or a list of them, one for each view."""
-        return self.views.targets
+        """Target (H, W, 3), or a list of them, one for each view, in the values of the user."""
+        return self.views.restored(self.views.targets)
 
     @property
     def encoder(self) -> PatchEncoder:
@@ -86,6 +86,16 @@ class Readings(Saved):
         return self.views.weights
 
     @property
+    def value_range(self) -> tuple[float, float] | None:
+        """Values of target and renders that are black and white; None: 0 and 1."""
+        return self.views.value_range
+
+    @property
+    def clipped(self) -> int:
+        """Images told so far whose values went beyond black or white, and were clipped."""
+        return self.state.clipping.images
+
+    @property
     @one_at_a_time  # an estimate reads what another thread may be training
     def best(self) -> Solution | None:
         """Best point told so far; None before the first with a finite loss.
@@ -97,7 +107,7 @@ class Readings(Saved):
         best = self.state.best
         if best is None:
             return None
-        image = self.views.unpacked(best.solution.image)
+        image = self.views.restored(self.views.unpacked(best.solution.image))
         estimate = self.state.estimate_of(best.solution.x)
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
         return found.copy()
@@ -203,8 +213,12 @@ class Readings(Saved):
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values."""
-        given = {name: getattr(self, name) for name in _ARGUMENTS} | {"x0": self.guess}
+        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values.
+
+        The target is in [0, 1], whatever the user's values are.
+        """
+        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        given |= {"target": self.views.targets, "x0": self.guess}
         space = None if self.space is None else self.space.to_dict()
         own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
         return given | flat(self.options) | own
@@ -212,7 +226,9 @@ class Readings(Saved):
     @classmethod
     def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
         """Arguments of the constructor, by name, of what `settings` gave."""
-        given = dict(settings)
+        given = dict(settings) | {"target": Views.from_settings(settings)}
+        for name in ("weights", "value_range"):  # which the views have
+            given.pop(name, None)
         space = given.pop("space")
         given["constraints"] = constraints_not_stored if given.get("constraints") else None
         return given if space is None else given | {"dim": Space.from_dict(space)}
@@ -220,8 +236,7 @@ class Readings(Saved):
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
         """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""
-        views = Views.read(settings["target"], weights=settings["weights"])
-        return loss_of(views, loss, device=device)
+        return loss_of(Views.from_settings(settings), loss, device=device)
 
     @property
     def loss_name(self) -> str | None:
@@ -255,8 +270,9 @@ class Readings(Saved):
     def check_settings(cls, settings: Mapping[str, Any]) -> None:
         """Raise ValueError unless all settings are there, and can be those of an optimizer."""
         super().check_settings(settings)
-        expected = {*_ARGUMENTS, "popsize", "space", *flat(Options())}
-        odd = sorted((set(settings) ^ expected) - {"constraints"})  # which earlier versions lack
+        expected = {*_ARGUMENTS, "target", "popsize", "space", *flat(Options())}
+        later = {"constraints", "value_range"}  # which earlier versions lack
+        odd = sorted((set(settings) ^ expected) - later)
         if odd:
             raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
         check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")

@@ -41,7 +41,7 @@ class Retargeting(Readings):
         renders: of the same run, from which it was learned.  They count as evaluations.
         """
         model = as_model(learned)
-        self.state = self._initial_state(self._posterior(model, self.target))
+        self.state = self._initial_state(self._posterior(model, self.views.targets))
         self.state.begin_after(renders)
         self._model = model  # of the renderer, so of the next picture, too; it is never saved
 
@@ -79,7 +79,8 @@ class Retargeting(Readings):
         Parameters
         ----------
         picture
-            as `target` of the constructor, of the same size.
+            as `target` of the constructor, of the same size; the range of values stays that of the
+            first one, also if that was "auto".
         loss
             None keeps a loss that was given by its name.  A callable, which may know the old
             picture only, must be given again.

@@ -31,7 +31,6 @@ from fide_plugins.runtime.schema import (
     array,
     check,
     each,
-    flag,
     maybe,
     real,
     row,
@@ -42,7 +41,7 @@ from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.validation.images import warn_clipped
+from fide_plugins.validation.clipping import Clipping
 from fide_plugins.views.grain import Grain
 
 __all__ = ["State"]
@@ -73,7 +72,7 @@ class State:
     memory: samples for the next target and for `Solution.std`.
     grain: noise of pixels, measured where a test renders one candidate twice.
     retargeted_at: evaluations when the search for the present one began.
-    clip_warned: whether the user was warned of values outside [0, 1].
+    clipping: images with values outside [0, 1].
     times: seconds in "encode", "train" and "search".
     """
 
@@ -98,7 +97,7 @@ class State:
     over_at: int = 0
     memory: Memory = field(default_factory=lambda: Memory(0.0))
     retargeted_at: int = 0
-    clip_warned: bool = False
+    clipping: Clipping = field(default_factory=Clipping)
     times: dict[str, float] = field(
         default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0}
     )
@@ -303,12 +302,6 @@ class State:
         ends = [optimum.sample for optimum in self.moves.known.optima.all]
         return ends if self.search_best is None else [*ends, self.search_best]
 
-    def warn_clipped(self, message: str) -> None:
-        """Warn of values outside [0, 1], once."""
-        if not self.clip_warned:
-            self.clip_warned = True
-            warn_clipped(message)
-
     def state_dict(self) -> dict[str, Any]:
         """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
         self.population.settle()  # which may change the proposer
@@ -328,6 +321,7 @@ class State:
             "search_best": None if found is None else found.state_dict(),
             "memory": self.memory.state_dict(),
             "grain": self.grain.state_dict(),
+            "clipping": self.clipping.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN},
             "times": dict(self.times),
         }
@@ -337,6 +331,10 @@ class State:
 
         sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
         """
+        if "clip_warned" in state:  # of an earlier version, which counted no images
+            warned = bool(state["clip_warned"])
+            state = {name: value for name, value in state.items() if name != "clip_warned"}
+            state["clipping"] = Clipping(warned=warned).state_dict()
         check(state, _SCHEMA, dict(sides))
         self.rng.bit_generator.state = state["rng"]
         self.population = Population.from_state(state["population"], sides["d"])
@@ -358,6 +356,7 @@ class State:
         self.search_best = None if found is None else TrainingSample.from_state(found, device)
         self.memory.load_state_dict(state["memory"], sides, device)
         self.grain.load_state_dict(state["grain"], sides)
+        self.clipping = Clipping.from_state(state["clipping"])
         for name in _PLAIN:
             setattr(self, name, state[name])
         self.times = dict(state["times"])
@@ -379,15 +378,15 @@ _PLAIN: dict[str, Schema] = {
     "improved_to": real(high=np.inf),
     "over_at": whole(),
     "retargeted_at": whole(),
-    "clip_warned": flag,
 }
 _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
     "times": {"encode": real(), "train": real(), "search": real()},
     # the parts check their own
     **dict.fromkeys(
-        ("population", "search", "moves", "gate", "proposer", "steps", "memory", "grain"), anything
+        ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
     ),
+    **dict.fromkeys(("grain", "clipping"), anything),
     "best": maybe(BEST),
     "samples": each(SAMPLE),
     "learned": each(SAMPLE),

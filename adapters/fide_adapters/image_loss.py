@@ -20,6 +20,8 @@ import numpy as np
 from fide_plugins.errors import ImageError, ImageNotFoundError, LossError
 from fide_plugins.types import Float32
 from fide_plugins.validation import images
+from fide_plugins.validation.clipping import Clipping
+from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.image_sources import is_path, is_pil, is_torch_tensor
 from fide_plugins.views import Views
 
@@ -104,13 +106,13 @@ class ImageRef:
     def __hash__(self) -> int:
         return hash(self.path)
 
-    def load(self) -> Any:
-        """Array (H, W) or (H, W, C).
+    def load(self, raw: bool = False) -> Any:
+        """Array (H, W) or (H, W, C); raw: with the numbers of the file, for a range of values.
 
         Raises `ImageNotFoundError`, or `ImageError` for a file that is not an image.
         """
         if not self.path.endswith(".npy"):
-            return images.load(self.path)
+            return read_pixels(self.path, None, raw=True) if raw else images.load(self.path)
         try:
             return np.load(self.path, allow_pickle=False)
         except FileNotFoundError as error:
@@ -119,11 +121,11 @@ class ImageRef:
             raise ImageError(f"cannot read {self.path!r} as an array: {error}") from error
 
 
-def resolve_image(image: object) -> object:
+def resolve_image(image: object, raw: bool = False) -> object:
     """Load `image`, or what is in a list, if it is a reference.  Raises as `ImageRef.load`."""
     if isinstance(image, list | tuple):
-        return [resolve_image(one) for one in image]
-    return image.load() if isinstance(image, ImageRef) else image
+        return [resolve_image(one, raw) for one in image]
+    return image.load(raw) if isinstance(image, ImageRef) else image
 
 
 class ImageReader:
@@ -134,20 +136,16 @@ class ImageReader:
 
     def __init__(self, views: Views) -> None:
         self._views = views
-        self._warned = False  # of values that had to be clipped
+        self._clipping = Clipping()
 
     def __call__(self, image: object) -> Float32:
         """Canonical batch (1, H, W, 3) of an image or an `ImageRef`, or a list of them, packed.
 
         Not always a copy.  Warns once of values outside [0, 1].  Raises `ImageError`, or as
-        `ImageRef.load`.
+        `ImageRef.load`; a ValueRangeError for images on another scale.
         """
-        return self._views.batch_of_one(resolve_image(image), self._warn_clipped)
-
-    def _warn_clipped(self, message: str) -> None:
-        if not self._warned:
-            self._warned = True
-            images.warn_clipped(message)
+        raw = self._views.values is not None
+        return self._views.batch_of_one(resolve_image(image, raw), self._clipping)
 
 
 class Result(NamedTuple):

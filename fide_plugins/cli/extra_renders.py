@@ -52,7 +52,7 @@ def check_first(
         canonical(optimizer, outcome.image)
     except ImageError as error:
         _compare_sizes(targets, names, as_told(optimizer, outcome.image))
-        raise ImageError(f"the first render gave no image that fits: {error}") from error
+        raise type(error)(f"the first render gave no image that fits: {error}") from error
 
 
 def _elsewhere(
@@ -89,7 +89,7 @@ def outcomes(
 
     The start of a worker is no time of its render, as in `fit`.
     """
-    renderer = Renderer(render, optimizer.space)
+    renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
     limit = None if timeout is None else seconds_of("timeout", timeout)
     pool = workers_for(renderer, workers, None, limit)
     try:

@@ -68,6 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--mask", action="append", metavar="FILE",
         help="picture: white counts, black does not; alpha: that of the target")  # fmt: skip
     add("--weights", action="append", metavar="FILE", help="picture: the brighter, the more")
+    add("--value-range", nargs="+", metavar="LOW HIGH",
+        help="values that are black and white: 0 10, or auto, from the target (0 1)")  # fmt: skip
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     add("--stop-at", type=float, metavar="LOSS", help="loss at which to stop")
     until = own.add_mutually_exclusive_group()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from fide_plugins.cli.arguments import free_directory, optimizer_options
-from fide_plugins.cli.fit_pictures import pictures, weights_of
+from fide_plugins.cli.fit_pictures import pictures, value_range_of
 from fide_plugins.cli.live import page_of
 from fide_plugins.cli.messages import (
     USAGE_ERRORS,
@@ -38,7 +38,7 @@ __all__ = ["OWN", "execute"]
 
 OWN = (
     "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until", "until_stalled",
-    "encoder", "learned", "max_failures",
+    "encoder", "learned", "max_failures", "value_range",
 )  # fmt: skip
 """Arguments that no model has."""
 _BUDGET = 2000
@@ -60,6 +60,9 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         except USAGE_ERRORS as error:
             note(f"{who}: {paragraph(error)}")
             return 2
+        if args.value_range == ["auto"]:
+            low, high = fitting.optimizer.value_range or (0.0, 1.0)
+            note(f"value range {low:.6g} to {high:.6g}, from the target")
         if fitting.record.evaluations:
             note(f"continuing {plain(out)} after {fitting.record.evaluations} renders")
         try:
@@ -102,7 +105,10 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.recording.json_record import read_run
 
     render, space, timeout = _renderer(args)
-    targets = pictures(args.targets, args.size)
+    values = value_range_of(args.value_range)
+    targets, mask, weights = pictures(
+        args.targets, args.size, args.mask, args.weights, raw=values is not None
+    )
     until = args.until or "solved"
     stalled = bool(args.until_stalled)
     share = args.max_failures
@@ -126,7 +132,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
         workers=workers,
         seed=args.seed,
         timeout=timeout,
-        options=_options(args, targets),
+        options=_options(args) | _given(mask, weights, values),
         out=out,
         resume=args.resume,
         command=command,
@@ -155,20 +161,23 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
     # the program is stopped before its worker, so that its output is known
     of_worker = None if args.timeout is None or args.workers == 0 else limit + 5
-    return *program_of(templates, space, limit), of_worker
+    raw = args.value_range is not None
+    return *program_of(templates, space, limit, raw), of_worker
 
 
-def _options(args: argparse.Namespace, targets: list[Any]) -> dict[str, Any]:
-    """Options of the optimizer for these pictures."""
+def _options(args: argparse.Namespace) -> dict[str, Any]:
+    """Options of the optimizer, but for those of pictures."""
     options = {"loss": args.loss, **optimizer_options(args)}
     for name in ("encoder", "learned"):
         if getattr(args, name) is not None:
             options[name] = getattr(args, name)
-    for name in ("mask", "weights"):
-        read = weights_of(name, getattr(args, name), args.targets, targets, args.size)
-        if read is not None:
-            options[name] = read
     return options
+
+
+def _given(mask: Any, weights: Any, value_range: Any) -> dict[str, Any]:
+    """Options of pictures, those that are given."""
+    options = {"mask": mask, "weights": weights, "value_range": value_range}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _callbacks(args: argparse.Namespace) -> list[Any]:
@@ -226,6 +235,7 @@ def _summary(result: Any, out: Path) -> dict[str, Any]:
         "status": result.status.code,
         "stopped": result.stopped,
         "failures": result.failures,
+        "clipped": result.clipped,
     }
 
 
@@ -251,6 +261,7 @@ def _parameters(best: Solution) -> list[str]:
 def _report(result: Result, out: Path) -> None:
     """Print the end of a fit: the status has the loss."""
     failed = f", {result.failures} renders failed" if result.failures else ""
+    failed += f", {result.clipped} images clipped" if result.clipped else ""
     if result.rejected:
         failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
     stopped = f"stopped: {result.stopped.replace('_', '-')}"

@@ -38,14 +38,14 @@ def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, 
 
 
 def program_of(
-    templates: str | Sequence[str], space: Space | None, timeout: float
+    templates: str | Sequence[str], space: Space | None, timeout: float, raw: bool = False
 ) -> tuple[CommandRenderer, Space]:
     """Program of a command, or of one for each view, and its parameters.
 
-    timeout: seconds until it is stopped.
+    timeout: seconds until it is stopped.  raw: whether it has a range of values.
     """
     from fide_plugins.renderers import CommandRenderer
 
     if space is None:
         raise OptionError("--command needs --space FILE.toml, the parameters and their ranges")
-    return CommandRenderer(templates, space, timeout), space
+    return CommandRenderer(templates, space, timeout, raw), space

@@ -15,6 +15,7 @@
 `durations`      "10m"
 `result`         what it has found
 `result_page`    the same as HTML
+`suspicions`     what the best image says about all renders
 `saved_run`      its run directory
 `load`           a result of a run directory
 `run_files`      the optimizer of one, and a copy

@@ -18,11 +18,13 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.suspicions import suspicion_of
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
@@ -185,6 +187,8 @@ class Fitting:
                 note_unsaved(error, unsaved)
             error = error or unsaved
         result = self._result(stopped)
+        if suspicion := suspicion_of(self.optimizer):
+            warn_user(suspicion)
         try:
             with interrupts.let_go():
                 self._callbacks.call("on_end", result)
@@ -247,6 +251,8 @@ class Fitting:
             busy=min(1.0, loop.render_seconds / searched / workers),
             stopped=stopped,
             out=None if self.saved is None else self.saved.path,
+            clipped=self.optimizer.clipped,
+            value_range=self.optimizer.value_range,
             std_renders=self._std_renders,
             unsaved=Unsaved(
                 self.optimizer, r if loop.whole else None, self._plan, stopped, solutions

@@ -22,6 +22,7 @@ from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import images
+from fide_plugins.validation.value_range import ValueRange, restored, value_range_of
 
 __all__ = ["load_run"]
 
@@ -63,16 +64,19 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
     record, _ = read_record(path, dim, settings["size"])
     totals = _totals(run, record)
     known = _known(path, settings, totals, dim, space)
-    best = _best(record, known.solutions, space, views)
+    values = _values(settings)
+    best = _best(record, known.solutions, space, views, values)
     return Result(
         best=best,
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
-        target=_cut(_picture(path / "target.png"), views),
+        target=restored(_cut(_picture(path / "target.png"), views), values),
         weights=known.weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
+        clipped=int(totals.get("clipped", 0)),
+        value_range=None if values is None else (values.low, values.high),
         first_failure=None,
         busy=math.nan,
         stopped=str((totals and run.get("stopped")) or run.get("state")),
@@ -124,7 +128,11 @@ def _known(
 
 
 def _best(
-    record: Record, solutions: list[Solution], space: Space | None, views: Any
+    record: Record,
+    solutions: list[Solution],
+    space: Space | None,
+    views: Any,
+    values: ValueRange | None,
 ) -> Solution | None:
     """The best candidate, with what the solutions know of it."""
     if record.x_best is None:
@@ -134,11 +142,18 @@ def _best(
         record.x_best,
         record.best_loss,
         record.best_evaluation,
-        None if record.image is None else unpacked(record.image, views),
+        None if record.image is None else restored(unpacked(record.image, views), values),
         None if known is None else known.probability,
         space,
         None if known is None else known.estimate,
     )
+
+
+def _values(settings: dict[str, Any]) -> ValueRange | None:
+    values = value_range_of(settings.get("value_range"))
+    if isinstance(values, str):
+        raise TypeError(f"the range of values is {values!r}")
+    return values
 
 
 def unpacked(image: Float32, views: Any) -> Any:

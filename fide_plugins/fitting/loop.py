@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import ImageError
+from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
 from fide_plugins.fitting.failures import EvaluationError, Failures, GivenUpError
@@ -224,7 +224,8 @@ class Loop:
     def _enter(self, x: Float64, outcome: Outcome) -> bool:
         """Tell the outcome of x (d,), or withdraw it; returns whether it is the best so far.
 
-        Raises GivenUpError if most renders fail, EvaluationError as `_tell` (both FitErrors).
+        Raises GivenUpError if most renders fail, EvaluationError as `_tell` (both FitErrors), and
+        ValueRangeError for renders on another scale than the target.
         """
         if isinstance(outcome, Failed):
             self._fail(x, outcome)
@@ -233,6 +234,9 @@ class Loop:
         lost = self._is_lost
         try:
             loss = self._tell(x, as_told(self.optimizer, outcome.image))
+        except ValueRangeError:  # it is not this render that is wrong, but all of them
+            self._waiting.appendleft(x)
+            raise
         except ImageError as error:
             self._fail(x, Failed.no_fit(error, outcome.image))
             return False

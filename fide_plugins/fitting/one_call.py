@@ -57,6 +57,7 @@ def fit(
     timeout: float | str | None = None,
     resume: bool = False,
     progress: object = None,
+    value_range: object = None,
     **options: Any,
 ) -> Result:
     """Find the parameters whose image is the target.
@@ -126,6 +127,10 @@ def fit(
     progress
         True: a bar; False: none; None: a bar in a terminal; or a function of a
         `recording.record.Progress`, which is called some ten times a second at most.
+    value_range
+        two numbers, the values of target and renders that are black and white, such as (0, 10), or
+        "auto": from the target, see `fide_plugins.views`.  Images come back in these values; losses
+        are of images scaled to [0, 1].
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
         be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
@@ -142,6 +147,8 @@ def fit(
     FitError
         hardly any render succeeds (`fitting.failures`), or a callback, the loss or the encoder
         raised an exception.
+    ValueRangeError
+        the renders are on another scale than the target.
     FitInterrupted
         (a KeyboardInterrupt) Ctrl-C or SIGTERM.
     OSError
@@ -164,7 +171,8 @@ def fit(
         resume=resume,
         progress=progress,
         max_failures=positive_fraction("max_failures", max_failures),
-        options=_given(mask=mask, learned=learned, constraints=constraints) | options,
+        options=_given(mask=mask, learned=learned, constraints=constraints, value_range=value_range)
+        | options,
     ).execute()
 
 
@@ -207,10 +215,10 @@ def prepare(
     check_names(options, _GIVEN, "is no option of the optimizer, but an argument of the fit")
     optimizer = _optimizer(render, target, space, seed, options, out if resume else None)
     rounds = rounds_of(
-        render, space, optimizer.target, options,
+        render, space, optimizer.views.targets, options,
         budget=stopping.budget, seed=optimizer.seed, out=out, seconds=stopping.seconds,
     )  # fmt: skip
-    renderer = Renderer(render, optimizer.space)
+    renderer = Renderer(render, optimizer.space, raw=optimizer.value_range is not None)
     pool = workers_for(renderer, number, executor, limit)
     if check is not None:
         check(optimizer)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
+from fide_plugins.validation.clipping import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -48,18 +49,21 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
     Raises ImageError (a ValueError) for whatever `FIDE.tell` refuses.
     """
     told = as_told(optimizer, image)
-    packed: Float32 = optimizer.views.as_batch(told, 1, lambda message: None)[0]
+    packed: Float32 = optimizer.views.as_batch(told, 1, Clipping().note)[0]
     return packed
 
 
 def shown(optimizer: FIDE, image: Float32) -> Any:
-    """Image (H, W, 3), or a list of them for several views, of what the optimizer keeps."""
-    return optimizer.views.unpacked(image)
+    """Image (H, W, 3), or a list of them for several views, in the user's values.
+
+    image: as the optimizer keeps it.
+    """
+    return optimizer.views.restored(optimizer.views.unpacked(image))
 
 
 def picture(optimizer: FIDE, image: Float32) -> Float32:
-    """The same as one picture."""
-    return side_by_side(shown(optimizer, image))
+    """One picture of it with values in [0, 1]."""
+    return side_by_side(optimizer.views.unpacked(image))
 
 
 def side_by_side(image: Any) -> Float32:

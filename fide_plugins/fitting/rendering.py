@@ -22,7 +22,8 @@ from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.image_sources import is_path, is_pil, read_pixels
+from fide_plugins.validation.image_files import read_pixels
+from fide_plugins.validation.image_sources import is_path, is_pil
 
 __all__ = [
     "Failed",
@@ -114,10 +115,14 @@ def attempt(
 
 @dataclass(frozen=True, slots=True)
 class Renderer:
-    """The user's function of a dictionary, or of x (d,) where there is no space."""
+    """The user's function of a dictionary, or of x (d,) where there is no space.
+
+    raw: whether numbers of image files are wanted as they are stored, for a range of values.
+    """
 
     render: Callable[[Any], Any]
     space: Space | None
+    raw: bool = False
 
     def params(self, x: Float64) -> Any:
         """Argument of the user's function for a point x (d,)."""
@@ -134,12 +139,12 @@ class Renderer:
     def _image(self, x: Float64) -> Any:
         image = self.render(self.params(x))
         try:
-            return _in_memory(image)
+            return _in_memory(image, self.raw)
         except ImageError as error:
             return Failed.no_fit(error, image)
 
 
-def _in_memory(image: Any) -> Any:
+def _in_memory(image: Any, raw: bool) -> Any:
     """The image, or the list of images, with the pixels of those that are still in a file.
 
     They are read where they were rendered and before that worker gets another candidate, whose
@@ -148,9 +153,9 @@ def _in_memory(image: Any) -> Any:
     Raises ImageError for a file that is missing or no whole image.
     """
     if isinstance(image, list | tuple) and any(is_path(one) or is_pil(one) for one in image):
-        return [_in_memory(one) for one in image]
+        return [_in_memory(one, raw) for one in image]
     if is_path(image):
-        return read_pixels(image, None)
+        return read_pixels(image, None, raw=raw)
     if is_pil(image):  # of an opened file Pillow has read no pixel yet
         try:
             image.load()

@@ -17,6 +17,7 @@ from fide_plugins.recording.parameters import described
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.renderers import naming
 from fide_plugins.validation.points import as_points
+from fide_plugins.validation.value_range import ValueRange
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.failures import Failure
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from fide_plugins.recording.figures import Panel
     from fide_plugins.recording.result_figure import Figure
     from fide_plugins.status import Status
-    from fide_plugins.types import Float64, Indices, Solution
+    from fide_plugins.types import Float32, Float64, Indices, Solution
 
 __all__ = ["Result"]
 
@@ -39,14 +40,15 @@ class Result:
     params: what `render` got for it: a dictionary, or x (dim,) without a space; None without best.
     solutions: distinct candidates, best first, at most five; see `FIDE.solutions`.
     status: what is known of the run: a code and a sentence; see `FIDE.status`.
-    target: picture (H, W, 3) in [0, 1], a list of them for several views; weights: (H, W), which
-        pixels count, likewise; None: all.
+    target: picture (H, W, 3) in [0, 1] or the range of values, a list of them for several views;
+        weights: (H, W), which pixels count, likewise; None: all.
     curve: (n, 2), number of evaluations, 1 to n, and best loss by then.
     losses: (n,), loss of each evaluation; loss: its name.
     improved_at: (m,), evaluations, from 0, that were the best so far; path: (m, dim), their points
         in [0, 1].
     evaluations: images evaluated, those before resuming included.
     failures: renders that gave no image, likewise; first_failure: of this call.
+    clipped: images whose values went beyond black or white, likewise.
     rejected: share of this call's candidates that constraints rejected before they were rendered,
         in [0, 1]; None without constraints, and of a result that was read.
     seconds: of fitting, likewise.
@@ -59,6 +61,7 @@ class Result:
     out: run directory; None without.
     std_renders: renders around the answer at the end, beside the evaluations, from which
         `best.std` is computed; 0: it is from samples of the search, or was read.
+    value_range: values of target and images that are black and white; None: 0 and 1.
     unsaved: what `save` writes, of a fit that has just ended.
     """
 
@@ -81,6 +84,8 @@ class Result:
     stopped: str
     out: Path | None
     std_renders: int = 0
+    clipped: int = 0
+    value_range: tuple[float, float] | None = None
     unsaved: Unsaved | None = None
     rejected: float | None = None
 
@@ -156,6 +161,7 @@ class Result:
 
     def __repr__(self) -> str:
         failed = f", {self.failures:,} renders failed" if self.failures else ""
+        failed += f", {self.clipped:,} images clipped" if self.clipped else ""
         if self.rejected:
             failed += f", {self.rejected:.0%} of the candidates rejected by constraints"
         loss = "none" if self.best is None else f"{self.best.loss:.6g}"
@@ -169,6 +175,7 @@ class Result:
             f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",
             f"  params: {params}",
             f"  solutions: {len(self.solutions)}",
+            *self._range(),
             f"  {self.status}" + ("" if self.out is None else f"\n  out: {self.out}"),
         ]
         return "\n".join(lines) + ")"
@@ -178,6 +185,19 @@ class Result:
 
         return page(self, self._panels())
 
+    def _range(self) -> list[str]:
+        """A line on the range of values, if there is one."""
+        values = self.value_range
+        return [] if values is None else [f"  value range: {values[0]:.6g} to {values[1]:.6g}"]
+
+    def _shown(self, image: Any) -> Float32:
+        """One picture in [0, 1] of an image, or of a list of them."""
+        if self.value_range is None:
+            return side_by_side(image)
+        values = ValueRange(*self.value_range)
+        listed = image if isinstance(image, list) else [image]
+        return side_by_side([np.clip(values.scaled(one), 0.0, 1.0) for one in listed])
+
     @property
     def _dim(self) -> int:
         return int(self.path.shape[1])
@@ -186,10 +206,10 @@ class Result:
         """Target, best image and difference; views side by side."""
         from fide_plugins.recording.figures import GAIN, Panel, difference
 
-        target = side_by_side(self.target)
+        target = self._shown(self.target)
         panels = [Panel("target", target)]
         if self.best is not None and self.best.image is not None:
-            image = side_by_side(self.best.image)
+            image = self._shown(self.best.image)
             apart = difference(target, image, counting(self.weights, self.target))
             panels += [Panel("best", image), Panel(f"{GAIN}x difference", apart)]
         return panels

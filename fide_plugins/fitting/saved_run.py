@@ -17,7 +17,7 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.fitting.pictures import counting, picture
+from fide_plugins.fitting.pictures import counting, picture, shown, side_by_side
 from fide_plugins.options import GLOBAL
 from fide_plugins.recording import kept_solutions
 from fide_plugins.recording.checkpointing import try_each
@@ -32,7 +32,8 @@ from fide_plugins.types import Solution
 __all__ = ["SavedRun", "Unsaved", "features_of", "seed_there", "settings_of"]
 
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
-_CONTENTS = ("mask", "weights")  # options that are recorded by what they are, not as they are given
+_CONTENTS = ("mask", "weights", "value_range")
+"""Options that are recorded by what they are, not as they are given."""
 
 
 class SavedRun:
@@ -121,7 +122,10 @@ class SavedRun:
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
         best = None if record.image is None else picture(optimizer, record.image)
-        self._directory.write_tables(record, best)
+        values = None
+        if record.image is not None and optimizer.value_range is not None:
+            values = side_by_side(shown(optimizer, record.image))
+        self._directory.write_tables(record, best, values)
 
     def leave(
         self,
@@ -144,6 +148,7 @@ class SavedRun:
         )
         more = {
             "failures": record.failures,
+            "clipped": optimizer.clipped,
             "solutions": kept_solutions.written(solutions),
         }
         writes = [
@@ -221,6 +226,7 @@ def settings_of(
         "task_options": {},
         "size": list(target.shape[:2]),
         "dim": optimizer.dim,
+        "value_range": None if optimizer.value_range is None else list(optimizer.value_range),
         "target": _digest(target),
         "space": None if space is None else space.to_dict(),
         "optimizer": "fide",

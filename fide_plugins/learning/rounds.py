@@ -204,7 +204,8 @@ def rounds_of(
 
     picture: (H, W, 3), or a list of views.  out: run directory.  seconds: of the whole run.
 
-    Raises OptionError for a budget below `LEAST`, for several views, and for `learned` beside it.
+    Raises OptionError for a budget below `LEAST`, for several views, and for `learned` or
+    `value_range` beside it.
     """
     if options.get("preset") != GLOBAL:
         return None
@@ -220,6 +221,11 @@ def rounds_of(
         raise OptionError(
             f"preset='global' learns from one picture, and the target is a list of {len(picture)} "
             "views: take another preset"
+        )
+    if options.get("value_range") is not None:
+        raise OptionError(
+            "preset='global' learns from images in [0, 1], and value_range scales others: divide "
+            "target and renders by the value that is white, or take another preset"
         )
     folder = None if out is None else Path(out) / "rounds"
     limit = None if seconds is None else _TIME * seconds

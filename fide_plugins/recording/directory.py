@@ -5,6 +5,7 @@
     curve.csv      one line for each evaluation
     improvements.csv   one line for each evaluation that was the best so far, with other metrics
     best.png       the best image so far
+    best.tif       the same as floats, where a range of values was given
     target.png     the picture to find
     target.ckpt    the same to the last bit, of a run by itself
     frame-N.png    the best image after N renders, small, if a film is kept
@@ -62,7 +63,7 @@ T = TypeVar("T")
 __all__ = ["LIVE", "TABLES", "RunDirectory", "is_of_a_run", "is_under_way", "results_in"]
 
 TABLES = ("curve.csv", "improvements.csv")
-_RESULTS = (*TABLES, "best.png", "reference.png", "summary.png", CHECKPOINT)
+_RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
 LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _WRITTEN = (
@@ -229,12 +230,18 @@ class RunDirectory:
         """Write the state from which the run can continue."""
         write_checkpoint(self.path, record, optimizer)
 
-    def write_tables(self, record: Record, best: Float32 | None) -> None:
-        """Write the tables and the best image, as a picture; they need no consistent state."""
+    def write_tables(
+        self, record: Record, best: Float32 | None, values: Float32 | None = None
+    ) -> None:
+        """Write the tables and the best image, as a picture; they need no consistent state.
+
+        values: of this image, where they are not in [0, 1].
+        """
         try_each(
             lambda: files.write_text(self.path / "curve.csv", tables.curve(record)),
             lambda: files.write_text(self.path / "improvements.csv", tables.improvements(record)),
             lambda: self.write_best(best),
+            lambda: self._write_values(values),
         )
 
     def write_frame(self, mark: int, image: Float32) -> None:
@@ -257,6 +264,13 @@ class RunDirectory:
             from fide_plugins.recording.figures import as_png
 
             files.write_bytes(self.path / "best.png", as_png(image))
+
+    def _write_values(self, values: Float32 | None) -> None:
+        """Write `best.tif`."""
+        if values is not None:
+            from fide_plugins.validation.image_files import encoded
+
+            files.write_bytes(self.path / "best.tif", encoded(values, ".tif"))
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""

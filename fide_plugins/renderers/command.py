@@ -19,7 +19,8 @@ from fide_plugins.renderers.template import Template
 from fide_plugins.runtime import fingerprints
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
-from fide_plugins.validation.image_sources import read_pixels
+from fide_plugins.validation.image_files import read_pixels
+from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_target
 
 __all__ = ["TIMEOUT", "CommandRenderer"]
@@ -36,6 +37,8 @@ class CommandRenderer:
     space: the parameters.
     timeout: seconds that a render may take, all views together, until its program is stopped; None
         waits for ever.
+    raw: whether numbers of the image file are taken as they are stored, which a `value_range`
+        needs; otherwise those of 8 and 16 bits are scaled to [0, 1].
 
     The program runs in the current folder.  The image and the file of parameters are in a temporary
     folder of their own, which is removed afterwards.
@@ -47,20 +50,24 @@ class CommandRenderer:
     """
 
     def __init__(
-        self, templates: str | Sequence[str], space: Space, timeout: float | None = TIMEOUT
+        self,
+        templates: str | Sequence[str],
+        space: Space,
+        timeout: float | None = TIMEOUT,
+        raw: bool = False,
     ) -> None:
         if timeout is not None and not timeout > 0:
             raise OptionError(f"timeout must be a number of seconds > 0, not {timeout!r}")
         self._one_view = isinstance(templates, str)
         texts = [templates] if isinstance(templates, str) else list(templates)
         self.templates = [Template(text, space) for text in texts]
-        self.space, self.timeout = space, timeout
+        self.space, self.timeout, self.raw = space, timeout, raw
         self._check_used()
         for template in self.templates:
             _check_suffix(template.suffix)
             template.command(space.decode(np.full(space.dim, 0.5)), "out", "params")
 
-    def __call__(self, params: Mapping[str, Any]) -> Float32 | list[Float32]:
+    def __call__(self, params: Mapping[str, Any]) -> Pixels | list[Pixels]:
         """Image (H, W, 3), float32, of the parameters, or one for each view.
 
         Its values lie in [0, 1]; those of a file of floats are as they are, as a function's are.
@@ -82,7 +89,8 @@ class CommandRenderer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = [template.text for template in self.templates]
-        return CommandRenderer, (texts[0] if self._one_view else texts, self.space, self.timeout)
+        text = texts[0] if self._one_view else texts
+        return CommandRenderer, (text, self.space, self.timeout, self.raw)
 
     def __repr__(self) -> str:
         return f"CommandRenderer({', '.join(repr(each.text) for each in self.templates)})"
@@ -96,9 +104,7 @@ class CommandRenderer:
                 f"{{{unused[0]}}} where the program expects it, or take it out of the space"
             )
 
-    def _render(
-        self, template: Template, params: Mapping[str, Any], until: float | None
-    ) -> Float32:
+    def _render(self, template: Template, params: Mapping[str, Any], until: float | None) -> Pixels:
         with folder_of_a_render() as folder:
             written = folder / "image"
             written.mkdir()
@@ -109,7 +115,7 @@ class CommandRenderer:
             command = template.command(params, str(out), str(parameters))
             try:
                 self._run(command, folder / "output.txt", until)
-                return _read(out, folder / "output.txt")
+                return _read(out, folder / "output.txt", self.raw)
             except _Failed as failed:
                 shown = template.command(params, f"out{template.suffix}", "params.json")
                 raise RenderError(_message(failed, shown, params)) from None
@@ -138,7 +144,7 @@ class _Failed(Exception):
         self.what, self.tail = what, tail
 
 
-def _read(out: Path, log: Path) -> Float32:
+def _read(out: Path, log: Path, raw: bool) -> Pixels:
     """The image that was written: the file `out`, or the only one in its folder.
 
     Some programs put a number or an ending after the name they are given.
@@ -149,7 +155,7 @@ def _read(out: Path, log: Path) -> Float32:
         what = f"wrote several files, but not {out.name}: {names}" if files else "wrote no image"
         raise _Failed(f"{what}; is {{out}} where it expects the name?", tail_of(log))
     try:
-        return _pixels(files[0])
+        return read_pixels(files[0], None, raw=True) if raw else _pixels(files[0])
     except ImageError as error:
         reason = str(error).replace(str(files[0]), files[0].name)
         raise _Failed(f"wrote an image that cannot be read: {reason}", tail_of(log)) from None
@@ -158,8 +164,10 @@ def _read(out: Path, log: Path) -> Float32:
 def _pixels(path: Path) -> Float32:
     """Image (H, W, 3).  Floats keep NaN and overshoot, which a mask may hide or `tell` clip."""
     pixels = read_pixels(path, None)
-    if pixels.ndim == 2 and pixels.dtype == np.float32:
+    if pixels.dtype == np.float32 and pixels.ndim == 2:
         return np.repeat(pixels[..., None], 3, axis=2)
+    if pixels.dtype == np.float32 and pixels.shape[2] == 3:
+        return pixels
     return as_target(pixels, what=repr(str(path)))
 
 
@@ -174,7 +182,7 @@ def _message(failed: _Failed, command: list[str], params: Mapping[str, Any]) -> 
 def _check_suffix(suffix: str) -> None:
     from PIL import Image
 
-    if suffix.lower() not in Image.registered_extensions():
+    if suffix.lower() not in (*Image.registered_extensions(), ".hdr"):
         raise OptionError(
             f"images that end with {suffix!r} cannot be read; write {{out}} for .png, or for "
             "example {out:.jpg}, {out:.tif}, {out:.ppm}"

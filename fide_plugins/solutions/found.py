@@ -70,11 +70,12 @@ def read(
     solutions[:1] = [_with_std(one, run) for one in solutions[:1]]
     known = pictures.read(path)
     images = [pictures.of(known, one.x) for one in solutions]
-    if solutions and images[0] is None and solutions[0].image is not None:
-        images[0] = side_by_side(solutions[0].image)
+    best = optimizer.state.best
+    if solutions and images[0] is None and best is not None and best.solution.image is not None:
+        images[0] = side_by_side(optimizer.views.unpacked(best.solution.image))
     return Found(
         str(settings.get("loss")),
-        side_by_side(optimizer.target),
+        side_by_side(optimizer.views.targets),
         solutions,
         images,
         optimizer.elsewhere(solutions),

@@ -2,7 +2,12 @@
 
 ===============  ==============================================
 `images`         targets and renders
-`image_sources`  pixels of a path, a PIL image or a torch tensor
+`image_sources`  pixels of an array or a torch tensor
+`image_files`    files and PIL images, read and written
+`reduction`      pictures made smaller
+`unit_range`     values become floats in [0, 1]
+`value_range`    which values are black and white
+`clipping`       renders beyond them: an overshoot, or another scale
 `tensors`        renders that stay on their GPU
 `rules`          rules of axes and values for both
 `points`         candidates, seeds, standard deviations

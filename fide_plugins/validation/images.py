@@ -16,13 +16,16 @@ axes               channels last.  In a torch tensor channels may come first: if
 NaN, infinity      refused
 outside [0, 1]     refused in a target; clipped in a batch, with a warning (a renderer may
                    overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
-                   Floats that are plainly in [0, 255] are refused: up to 255, above 2, and all of
-                   them whole numbers or their mean above 8
+                   Renders on another scale than the target are refused, see `clipping`
+value range        with one, [low, high] takes the place of [0, 1], and all types are numbers as
+                   they are: uint8 from 0 to 255, uint16 from 0 to 65535, whole numbers of any kind.
+                   Alpha is a share still: of whole numbers, of their type's largest one
 hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
                    refused for them
 files, PIL images  turned upright (EXIF), palettes expanded, 16-bit grays divided by 65535, those
                    of 32 bits refused; of several frames the first, with a warning; at most
-                   `MAX_PIXELS` pixels
+                   `MAX_PIXELS` pixels.  TIFF of floats and HDR keep their values.  With a value
+                   range all numbers are as they are stored
 =================  ============================================================================
 
 PyTorch and Pillow are imported only if an image needs them.
@@ -31,29 +34,28 @@ PyTorch and Pillow are imported only if an image needs them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Mask
+from fide_plugins.validation.clipping import Clip, OnClip, warn_clipped
+from fide_plugins.validation.image_files import MAX_PIXELS, from_pil, read_pixels, save
 from fide_plugins.validation.image_sources import (
-    MAX_PIXELS,
     Pixels,
     describe,
-    from_pil,
     from_tensor,
     has_scale,
     is_path,
     is_pil,
     is_torch_tensor,
-    read_pixels,
     refuse_type,
     scale_remedy,
     unmasked,
 )
 from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.reduction import shrunk
 from fide_plugins.validation.rules import (
     CHANNELS,
     Size,
@@ -61,10 +63,9 @@ from fide_plugins.validation.rules import (
     check_axes,
     check_batch_axes,
     check_count,
-    is_bright,
-    is_clipped,
-    refuse_not_finite,
 )
+from fide_plugins.validation.unit_range import extremes, is_unit, shares, unit_range
+from fide_plugins.validation.value_range import ValueRange
 
 __all__ = [
     "MAX_PIXELS",
@@ -73,6 +74,7 @@ __all__ = [
     "as_target",
     "is_image",
     "load",
+    "save",
     "warn_clipped",
 ]
 
@@ -87,6 +89,7 @@ def as_target(
     size: Size | None = None,
     hidden: Mask | None = None,
     behind: float = 1.0,
+    values: ValueRange | None = None,
 ) -> Float32:
     """Canonical copy of one image.
 
@@ -102,6 +105,8 @@ def as_target(
         (H, W), pixels that do not count; None: all do.
     behind
         gray value in [0, 1] behind transparent pixels, 1 is white.
+    values
+        those that become 0 and 1; None: 0 and 1.
 
     Returns
     -------
@@ -112,18 +117,18 @@ def as_target(
     ImageError
         wrong shape, type or values (also a ValueError); `ImageNotFoundError` for a missing file.
     """
-    pixels = _pixels(target, size, what, "resize it to that")
-    return _canonical(pixels, what, None, hidden, behind)
+    pixels = _pixels(target, size, what, "resize it to that", raw=values is not None)
+    return _canonical(pixels, what, None, hidden, behind, values)
 
 
-def as_pixels(image: object, what: str) -> Pixels:
+def as_pixels(image: object, what: str, raw: bool = False) -> Pixels:
     """Array (H, W) or (H, W, C) of one image, with the values that it has; perhaps the image.
 
-    what: its name in errors.
+    what: its name in errors.  raw: whether any numbers will do, those of a file as it has them.
 
     Raises ImageError for types and axes that no image has, `ImageNotFoundError`.
     """
-    array, is_tensor = _to_array(image, what)
+    array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
     if array.ndim == 2:
         return array
@@ -143,7 +148,7 @@ def alpha_of(image: object, what: str = "the target") -> Float32:
         array = channels_last(array, 0, is_tensor, None, what)
     if array.ndim != 3 or array.shape[-1] != 4:
         raise ImageError(f"{what} must have an alpha channel, (H, W, 4), got {describe(array)}")
-    alpha: Float32 = np.array(_unit_range(array[..., 3], what, None), np.float32, order="C")
+    alpha: Float32 = np.array(unit_range(shares(array[..., 3]), what, None), np.float32, order="C")
     return alpha
 
 
@@ -156,18 +161,14 @@ def is_image(value: object) -> bool:
     return is_path(value) or is_pil(value) or (not callable(ndim) and ndim >= 2)
 
 
-def warn_clipped(message: str) -> None:
-    """Issue `message` as a RuntimeWarning; the default of `as_batch(on_clip=...)`."""
-    warn_user(message)
-
-
 def as_batch(
     images: object,
     shape: Sequence[int] | None = None,
     *,
     n: int | None = None,
-    on_clip: Callable[[str], None] = warn_clipped,
+    on_clip: OnClip = warn_clipped,
     hidden: Mask | None = None,
+    values: ValueRange | None = None,
 ) -> Float32:
     """Canonical batch of images.
 
@@ -184,9 +185,11 @@ def as_batch(
     n
         required number of images; None: any number, also zero.
     on_clip
-        called once, with a message, if finite values outside [0, 1] were clipped.
+        called once, with a `clipping.Clip`, if finite values outside [0, 1] were clipped.
     hidden
         (H, W) of that shape, pixels that do not count; None: all do.
+    values
+        those that become 0 and 1; None: 0 and 1.
 
     Returns
     -------
@@ -195,44 +198,57 @@ def as_batch(
     Raises
     ------
     ImageError
-        wrong number, shape, type or values (also a ValueError).
+        wrong number, shape, type or values (also a ValueError); a `ValueRangeError` if they are on
+        another scale.
     """
     size = None if shape is None else (int(shape[0]), int(shape[1]))
     if isinstance(images, (list, tuple)):
         check_count(len(images), n)
-        return _list_as_batch(images, size, on_clip, hidden)
+        return _list_as_batch(images, size, on_clip, hidden, values)
     what = "the batch of images"
     if is_path(images) or is_pil(images):
         raise ImageError(f"{what} must be an (n, H, W, C) array or a list of images, got {images}")
-    array, is_tensor = _to_array(images, what)
+    array, is_tensor = _to_array(images, what, values is not None)
     check_batch_axes(array, size, what)
     check_count(len(array), n)
     pixels: Pixels = channels_last(array, 1, is_tensor, size, what)
     is_float32 = pixels.dtype == np.float32 and pixels.shape[-1] == 3
-    if is_float32 and pixels.flags.c_contiguous and _is_unit(*_extremes(pixels)):
+    canonical = values is None and is_float32 and pixels.flags.c_contiguous
+    if canonical and is_unit(*extremes(pixels)):
         return pixels
-    return _canonical(pixels, what, on_clip, hidden)
+    return _canonical(pixels, what, on_clip, hidden, values=values)
 
 
-def load(path: str | os.PathLike[str], *, max_side: int | None = None) -> Float32:
+def load(
+    path: str | os.PathLike[str], *, max_side: int | None = None, mask: object = None
+) -> Float32:
     """Canonical image (H, W, 3) float32 in [0, 1], read from the file `path`.
 
     max_side: the image is reduced by box averaging to at most so many pixels; None: not at all.
+    mask: which pixels count in these averages: (H, W) in [0, 1] or any gray picture of the whole
+        image's size.  What none of them shows becomes 0; transparent pixels never count.
 
     An image whose longer side fits is not resized.  Raises `ImageNotFoundError` or `ImageError`,
     OptionError for a `max_side` that is no whole number >= 1.
     """
     if max_side is not None:
         max_side = whole_number("max_side", max_side, 1)
-    return as_target(read_pixels(path, max_side), what=repr(os.fspath(path)))
+    what = repr(os.fspath(path))
+    if mask is None:
+        return as_target(read_pixels(path, max_side), what=what)
+    pixels = read_pixels(path, None)
+    shape = (pixels.shape[0], pixels.shape[1])
+    weights = as_target(mask, what="mask", size=shape, behind=0.0)[..., 0]
+    pixels, shown = shrunk(pixels, weights, max_side)
+    return as_target(pixels, what=what, hidden=None if shown is None else shown == 0)
 
 
 # -- steps: to an array, channels last, unit range, three channels ---------------------------------
 
 
-def _pixels(image: object, size: Size | None, what: str, *remedy: str) -> Pixels:
+def _pixels(image: object, size: Size | None, what: str, *remedy: str, raw: bool = False) -> Pixels:
     """Pixels (H, W, C) of one image, with the values that it has; remedy: for another size."""
-    array, is_tensor = _to_array(image, what)
+    array, is_tensor = _to_array(image, what, raw)
     check_axes(array, what)
     pixels: Pixels = channels_last(array, 0, is_tensor, size, what, *remedy)
     return pixels
@@ -241,10 +257,11 @@ def _pixels(image: object, size: Size | None, what: str, *remedy: str) -> Pixels
 def _list_as_batch(
     images: Sequence[object],
     size: Size | None,
-    on_clip: Callable[[str], None],
+    on_clip: OnClip,
     hidden: Mask | None,
+    values: ValueRange | None,
 ) -> Float32:
-    clipped: list[str] = []
+    clipped: list[Clip] = []
     out: Float32 = np.empty((len(images), *(size or (0, 0)), 3), np.float32)
     for i, image in enumerate(images):
         if image is None:
@@ -253,14 +270,14 @@ def _list_as_batch(
                 f"and call withdraw(X[{i} : {i + 1}]), so that nobody waits for it"
             )
         what = f"image {i}"
-        rgb = _canonical(_pixels(image, size, what), what, clipped.append, hidden)
+        pixels = _pixels(image, size, what, raw=values is not None)
+        rgb = _canonical(pixels, what, clipped.append, hidden, values=values)
         if size is None:
             size = (rgb.shape[0], rgb.shape[1])
             out = np.empty((len(images), *size, 3), np.float32)
         out[i] = rgb
     if clipped:
-        more = f" (and {len(clipped) - 1} more images)" if len(clipped) > 1 else ""
-        on_clip(clipped[0] + more)
+        on_clip(clipped[0].joined(clipped[1:]))
     return out
 
 
@@ -282,14 +299,17 @@ def _is_row(image: object) -> bool:
     return len(shape) == 2 and shape[1] in CHANNELS
 
 
-def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
-    """Return the image as a numpy array, and whether it was a torch tensor."""
+def _to_array(image: object, what: str, raw: bool = False) -> tuple[Pixels, bool]:
+    """Return the image as a numpy array, and whether it was a torch tensor.
+
+    raw: whether any numbers will do, those of a file as it has them.
+    """
     if is_path(image):
-        image = read_pixels(os.fspath(image), None)  # type: ignore[call-overload]
+        image = read_pixels(os.fspath(image), None, raw=raw)  # type: ignore[call-overload]
     elif is_pil(image):
-        image = from_pil(image, what)
+        image = from_pil(image, what, raw=raw)
     elif is_torch_tensor(image):
-        return from_tensor(image, what), True
+        return from_tensor(image, what, raw), True
     if isinstance(image, np.ma.MaskedArray):
         image = unmasked(image, what)
     _check_one(image, what)
@@ -297,87 +317,33 @@ def _to_array(image: object, what: str) -> tuple[Pixels, bool]:
         array = np.asarray(image)
     except (TypeError, ValueError, RuntimeError) as e:
         raise ImageError(f"{what} is not an image: {e}") from e
-    if not array.ndim and not has_scale(array):
+    if not array.ndim and not has_scale(array, raw):
         remedy = "give an array, a path, a PIL image or a torch tensor"
         raise refuse_type(what, type(image).__name__, remedy)
-    if not has_scale(array):
+    if not has_scale(array, raw):
         name = "image" if isinstance(image, np.ndarray) else "np.asarray(image)"
         remedy = scale_remedy(array, f"{name}.astype(bool)", f"{name}.astype(np.uint8)")
-        raise refuse_type(what, describe(array), remedy)
+        raise refuse_type(what, describe(array), remedy, whole=array.dtype.kind in "iu")
     return array, False
 
 
 def _canonical(
     pixels: Pixels,
     what: str,
-    on_clip: Callable[[str], None] | None,
+    on_clip: OnClip | None,
     hidden: Mask | None,
     behind: float = 1.0,
+    values: ValueRange | None = None,
 ) -> Float32:
     """Canonical copy of (..., H, W, C): gray repeated, alpha composited over the gray `behind`."""
-    values = _unit_range(pixels, what, on_clip, hidden)
-    if values.shape[-1] == 3 and values.dtype == np.float32 and values is not pixels:
-        return values  # a copy already
-    out: Float32 = np.empty((*values.shape[:-1], 3), np.float32)
+    unit = unit_range(pixels, what, on_clip, hidden, values)
+    if unit.shape[-1] == 3 and unit.dtype == np.float32 and unit is not pixels:
+        return unit  # a copy already
+    out: Float32 = np.empty((*unit.shape[:-1], 3), np.float32)
     with np.errstate(under="ignore"):  # what is too small for float32 is 0
-        if values.shape[-1] == 4:
-            alpha = values[..., 3:].astype(np.float32)
-            out[...] = behind - alpha * (behind - values[..., :3].astype(np.float32))
+        if unit.shape[-1] == 4:
+            alpha = unit[..., 3:].astype(np.float32)
+            out[...] = behind - alpha * (behind - unit[..., :3].astype(np.float32))
         else:
-            out[...] = values
+            out[...] = unit
     return out
-
-
-def _unit_range(
-    pixels: Pixels,
-    what: str,
-    on_clip: Callable[[str], None] | None,
-    hidden: Mask | None = None,
-) -> Pixels:
-    """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
-
-    hidden: (H, W), pixels whose values are put into this range silently.
-    """
-    if pixels.dtype == np.uint8:
-        return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
-    if pixels.dtype == np.bool_:
-        return pixels.astype(np.float32, order="C")
-    low, high = _extremes(pixels)
-    if _is_unit(low, high):
-        return pixels
-    seen = pixels
-    if hidden is not None:  # what does not count is looked at only where something is wrong
-        seen, pixels = pixels[..., ~hidden, :], _mended(pixels, hidden)
-        low, high = _extremes(seen)
-    if not (np.isfinite(low) and np.isfinite(high)):
-        bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
-        raise refuse_not_finite(what, bad, pixels)
-
-    def of_bytes() -> bool:
-        return is_bright(seen.mean(dtype=np.float64)) or bool((seen == np.rint(seen)).all())
-
-    if not is_clipped(pixels, low, high, of_bytes, what, on_clip):
-        return pixels
-    return np.clip(pixels, 0.0, 1.0, order="C")
-
-
-def _mended(pixels: Pixels, hidden: Mask) -> Pixels:
-    """Copy of floats (..., H, W, C) whose hidden pixels lie in [0, 1], with 0 for NaN."""
-    mended = pixels.copy(order="C")
-    values = mended[..., hidden, :]
-    values[np.isnan(values)] = 0.0
-    mended[..., hidden, :] = np.clip(values, 0.0, 1.0)
-    return mended
-
-
-def _extremes(pixels: Pixels) -> tuple[float, float]:
-    """Smallest and largest value; NaN if there is one."""
-    if pixels.size == 0:
-        return 0.0, 0.0
-    with np.errstate(invalid="ignore"):
-        return float(pixels.min()), float(pixels.max())
-
-
-def _is_unit(low: float, high: float) -> bool:
-    """Whether values from low to high lie in [0, 1]; False for NaN."""
-    return low >= 0.0 and high <= 1.0

@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from fide_plugins.errors import ImageError
+from fide_plugins.errors import ImageError, ValueRangeError
+from fide_plugins.validation.clipping import LIT, Clip, OnClip
 from fide_plugins.validation.image_sources import describe
+from fide_plugins.validation.value_range import ValueRange
 
 __all__ = [
     "CHANNELS",
@@ -18,7 +19,6 @@ __all__ = [
     "check_axes",
     "check_batch_axes",
     "check_count",
-    "is_bright",
     "is_clipped",
     "refuse_not_finite",
 ]
@@ -27,7 +27,8 @@ Size: TypeAlias = tuple[int, int]  # (H, W)
 
 CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
 ROUNDING = 1e-6
-_BRIGHT = 8.0  # mean of floats in [0, 255]; of a render it would be eight times white
+_LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
+_NO_FIT = "the image of"  # begins the name of a render that is no part of a fit
 
 
 def check_axes(pixels: Any, what: str) -> None:
@@ -117,32 +118,74 @@ def refuse_not_finite(what: str, bad: int, pixels: Any) -> ImageError:
     )
 
 
-def is_bright(mean: float) -> bool:
-    """Whether floats of that mean, up to 255, are plainly in [0, 255]."""
-    return mean > _BRIGHT
-
-
 def is_clipped(
+    seen: Any,
     pixels: Any,
     low: float,
     high: float,
-    of_bytes: Callable[[], bool],
     what: str,
-    on_clip: Callable[[str], None] | None,
+    on_clip: OnClip | None,
+    values: ValueRange | None = None,
 ) -> bool:
     """Whether floats with these extremes are to be clipped to [0, 1]; `on_clip` None: never.
 
-    of_bytes: whether values between 2 and 255 are plainly in [0, 255], see `is_bright`.
+    seen: those of `pixels` that count; low, high: their extremes.
+    values: range from which they were scaled, for messages; None: they are as they were given.
 
-    Raises ImageError for those that are refused; tells `on_clip` of more than rounding.
+    Raises ImageError for those that are refused, ValueRangeError for renders that are plainly on
+    another scale; tells `on_clip` of more than rounding.
     """
     if low >= 0.0 and high <= 1.0:
         return False
-    if low < -ROUNDING or high > 1.0 + ROUNDING:
-        hint = "; if they are in [0, 255], divide by 255" if high > 2.0 else ""
-        values = f"values in [{low:.6g}, {high:.6g}], {describe(pixels)}"
-        bytes_ = low >= 0 and 2 < high <= 255 + ROUNDING and of_bytes()
-        if on_clip is None or bytes_:
-            raise ImageError(f"{what} must have values in [0, 1], got {values}{hint or '; clip'}")
-        on_clip(f"{what} has {values}; they are clipped to [0, 1]{hint}")
+    if low >= -ROUNDING and high <= 1.0 + ROUNDING:
+        return True
+    ends = (low, high)
+    if values is not None:
+        ends = values.low + low * values.span, values.low + high * values.span
+    of_bytes = values is None and _are_bytes(seen, low, high)
+    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {describe(pixels)}"
+    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
+    if on_clip is None or of_bytes:
+        refused = ImageError if on_clip is None else ValueRangeError
+        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
+    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
+    batch = seen.reshape(len(pixels) if pixels.ndim == 4 else 1, -1)
+    told = f"{what} has {got}; they are clipped to {rule}{hint}"
+    on_clip(_clip(told, batch, ends))
     return True
+
+
+def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
+    """What was clipped in images (n, values); ends: extremes in the user's values."""
+    beyond = (batch > 1.0 + ROUNDING).any(1)
+    outside = beyond | (batch < -ROUNDING).any(1)
+    bright = batch[beyond]
+    above = bright > 1.0
+    total = bright[above].clip(0.0, _LARGEST).sum()
+    counts = (int(outside.sum()), int((bright > LIT).sum()), int(above.sum()))
+    return Clip(message, counts[0], *ends, *counts[1:], float(total))
+
+
+def _are_bytes(seen: Any, low: float, high: float) -> bool:
+    """Whether floats with these extremes are plainly in [0, 255]: whole numbers, one above 2."""
+    if not (low >= 0.0 and 2.0 < high <= 255 + ROUNDING):
+        return False
+    return bool((seen == seen.round()).all())
+
+
+def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueRange | None) -> str:
+    """What to do about values with these extremes."""
+    if what.startswith(("mask", "weights")):
+        return "divide by 255" if of_bytes else "divide them by the largest"
+    if values is not None:
+        return "give a wider value_range, which target and renders share"
+    if of_bytes:
+        return "divide by 255, target and renders alike, or give value_range=(0, 255)"
+    if what.startswith(_NO_FIT):
+        return "divide all of them by the value that is white"
+    given = f"value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g})"
+    clip = ", or clip what is an overshoot" if ends[0] >= -1.0 and ends[1] <= 2.0 else ""
+    return (
+        f'give {given} or "auto", in the shell --value-range, or divide target and renders by the '
+        f"same number{clip}"
+    )

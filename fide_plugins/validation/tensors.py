@@ -5,23 +5,23 @@ Only counts and extremes of their values come to the CPU.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from typing import Any, TypeGuard
 
 import torch
 from torch import Tensor
 
+from fide_plugins.validation.clipping import OnClip, warn_clipped
 from fide_plugins.validation.image_sources import from_tensor, is_torch_tensor
-from fide_plugins.validation.images import warn_clipped
 from fide_plugins.validation.rules import (
     channels_last,
     check_batch_axes,
     check_count,
-    is_bright,
     is_clipped,
     refuse_not_finite,
 )
+from fide_plugins.validation.value_range import ValueRange
 
 __all__ = ["as_tensor_batch", "stays_on_device"]
 
@@ -41,7 +41,8 @@ def as_tensor_batch(
     shape: Sequence[int] | None = None,
     *,
     n: int | None = None,
-    on_clip: Callable[[str], None] = warn_clipped,
+    on_clip: OnClip = warn_clipped,
+    values: ValueRange | None = None,
 ) -> Tensor:
     """Return a canonical batch on the device of the images.
 
@@ -54,7 +55,9 @@ def as_tensor_batch(
     n
         required number of images; None: any number, also zero.
     on_clip
-        called once, with a message, if finite values outside [0, 1] were clipped.
+        called once, with a `clipping.Clip`, if finite values outside [0, 1] were clipped.
+    values
+        those that become 0 and 1; None: 0 and 1.
 
     Returns
     -------
@@ -69,32 +72,38 @@ def as_tensor_batch(
     what = "the batch of images"
     images = images.detach()
     if not (images.is_floating_point() or images.dtype in (torch.uint8, torch.bool)):
-        from_tensor(images, what)  # raises
+        from_tensor(images, what, values is not None)  # raises, but for numbers with a range
     check_batch_axes(images, size, what)
     check_count(len(images), n)
-    pixels = _unit_range(channels_last(images, 1, True, size, what), what, on_clip)
+    pixels = _unit_range(channels_last(images, 1, True, size, what), what, on_clip, values)
     if pixels.shape[-1] == 4:
         color, alpha = pixels[..., :3], pixels[..., 3:]
         return 1.0 - alpha * (1.0 - color)
     return pixels.expand(*pixels.shape[:-1], 3)
 
 
-def _unit_range(pixels: Any, what: str, on_clip: Callable[[str], None]) -> Tensor:
+def _unit_range(pixels: Any, what: str, on_clip: OnClip, scale: ValueRange | None) -> Tensor:
     """Values of (..., C) as float32 in [0, 1]."""
-    values: Tensor = pixels.float()
-    if pixels.dtype == torch.uint8:
+    values: Tensor = pixels.float() if scale is None else _scaled(pixels, scale)
+    if scale is None and pixels.dtype == torch.uint8:
         return values / 255
-    if pixels.dtype == torch.bool or not pixels.numel():
+    if (scale is None and pixels.dtype == torch.bool) or not pixels.numel():
         return values
     low, high = torch.stack([values.min(), values.max()]).cpu().tolist()  # two numbers, one copy
     if not (isfinite(low) and isfinite(high)):
         bad = values.numel() - int(torch.isfinite(values).sum())
         raise refuse_not_finite(what, bad, pixels)
-
-    def of_bytes() -> bool:
-        mean = float(values.mean(dtype=torch.float64))
-        return is_bright(mean) or bool((values == values.round()).all())
-
-    if not is_clipped(pixels, low, high, of_bytes, what, on_clip):
+    if not is_clipped(values, pixels, low, high, what, on_clip, scale):
         return values
     return values.clamp(0.0, 1.0)
+
+
+def _scaled(pixels: Tensor, scale: ValueRange) -> Tensor:
+    """Float32 (..., C) of which [0, 1] is the value range, and the alpha channel has its own."""
+    colors = ((pixels[..., :3].double() - scale.low) / scale.span).float()
+    if pixels.shape[-1] != 4:
+        return colors
+    alpha = pixels[..., 3:]
+    whole = not (alpha.is_floating_point() or alpha.dtype == torch.bool)
+    share = alpha / torch.iinfo(alpha.dtype).max if whole else alpha
+    return torch.cat([colors, share.float()], dim=-1)

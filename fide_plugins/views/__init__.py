@@ -35,6 +35,12 @@ A callable loss gets x' and is not divided; one that is registered is, by its na
 
 One view without weights is not changed in any way.
 
+**Values.**  With `value_range=(low, high)` images hold any numbers, of any type: they are mapped to
+[0, 1] before anything else, (v - low) / (high - low), and `best.image` is mapped back.  Losses and
+features are of the mapped values.  "auto" is the range of what the target shows, with half of its
+span beyond both ends, but without negative values if the target has none.  It is fixed by the first
+target, and stays for the next ones.
+
 ==============  ==================================================================
 `views`         all views of a scene; several pictures packed as one
 `view`          target and weights of one view

@@ -8,21 +8,32 @@ encoder of views take it apart again.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.runtime.schema import array, check
+from fide_plugins.runtime.schema import array, check, real, row
+from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.clipping import Clip, OnClip
 from fide_plugins.validation.image_sources import describe
 from fide_plugins.validation.images import as_batch, is_image
-from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_view, sizes_of
+from fide_plugins.validation.value_range import (
+    AUTO,
+    ValueRange,
+    range_of,
+    restored,
+    value_range_of,
+)
+from fide_plugins.views.given import is_list_of_images, one_a_view, opened, read_given, sizes_of
 from fide_plugins.views.view import View
 
 __all__ = ["Views", "views_of"]
+
+_LEAST_USED = 0.01  # of a range of values
 
 
 class Views:
@@ -30,47 +41,93 @@ class Views:
 
     views: at least one.
     listed: whether the target was a list, so that renders are, too.
+    values: those of a user's images that are 0 and 1 here; None: 0 and 1.
     """
 
-    def __init__(self, views: Sequence[View], *, listed: bool) -> None:
-        self.views, self.listed = tuple(views), listed
+    def __init__(
+        self, views: Sequence[View], *, listed: bool, values: ValueRange | None = None
+    ) -> None:
+        self.views, self.listed, self.values = tuple(views), listed, values
         for view in views:
             view.target.flags.writeable = False
 
     @classmethod
-    def read(cls, target: object, mask: object = None, weights: object = None) -> Views:
-        """Views from what a user passes as `target`, `mask` and `weights`.
+    def read(
+        cls,
+        target: object,
+        mask: object = None,
+        weights: object = None,
+        value_range: object = None,
+    ) -> Views:
+        """Views from what a user passes as `target`, `mask`, `weights` and `value_range`.
 
         target: a picture, any input of `as_target`, or a list of them; or views, as they are.
         mask, weights: None; (H, W) in [0, 1], any gray picture, "alpha" for the target's own alpha
             channel; for a list of targets a list with one of them for each view, "alpha", or a
             single one for all views, which then have its size.
+        value_range: None, two numbers, or "auto", see `validation.value_range`.
 
-        Raises ImageError, naming the view.
+        Raises ImageError, naming the view; OptionError for what is no range.
         """
-        if isinstance(target, Views) and mask is None and weights is None:
+        values = value_range_of(value_range)
+        if isinstance(target, Views) and mask is None and weights is None and values is None:
             return target
-        if not is_list_of_images(target):
-            return cls([read_view(target, mask, weights, "")], listed=False)
-        assert isinstance(target, list | tuple)
-        masks, others = one_a_view("mask", mask, target), one_a_view("weights", weights, target)
-        each = zip(target, masks, others, strict=True)
-        return cls([read_view(*one, f" of view {i}") for i, one in enumerate(each)], listed=True)
+        listed, raw = is_list_of_images(target), values is not None
+        if not listed:
+            given = [read_given(target, mask, weights, "", raw)]
+        else:
+            assert isinstance(target, list | tuple)
+            masks = one_a_view("mask", mask, target)
+            others = one_a_view("weights", weights, target)
+            each = zip(target, masks, others, strict=True)
+            given = [read_given(*one, f" of view {i}", raw) for i, one in enumerate(each)]
+        if values == AUTO:
+            values = range_of(one.seen for one in given)
+        assert not isinstance(values, str)
+        made = cls([one.view(values) for one in given], listed=listed, values=values)
+        if values is not None and value_range is not values:  # given by a user
+            made._warn_if_dark(values)
+        return made
+
+    def _warn_if_dark(self, values: ValueRange) -> None:
+        """Warn where the targets take up so little of the range that 8 bits would not show it."""
+        used = [view.target if view.hidden is None else view.filled for view in self.views]
+        span = max(float(one.max()) for one in used) - min(float(one.min()) for one in used)
+        if 0 < span < _LEAST_USED:
+            warn_user(
+                f"the target takes up {span:.2g} of value_range {values}: is it on the scale of "
+                "the renders?"
+            )
 
     def retargeted(self, target: object) -> Views:
-        """The same views and weights, for the next picture, or list of pictures.
+        """The same views, weights and range of values, for the next picture, or list of pictures.
 
-        Raises ImageError unless it has the sizes of the first.
+        Raises ImageError unless it has the sizes of the first, and values in the range.
         """
         listed = is_list_of_images(target)
-        pictures = opened(target)
+        pictures = opened(target, self.values is not None)
         sizes = sizes_of([picture.shape for picture in pictures])
         if (listed, sizes) != (self.listed, self.sizes):
             raise ImageError(
                 f"the next target must have the size of the first, {self.sizes}, not "
                 f"{sizes}: resize it, or make another optimizer"
             )
-        return Views.read(pictures if listed else pictures[0], weights=self.weights)
+        next_one = pictures if listed else pictures[0]
+        return Views.read(next_one, weights=self.weights, value_range=self.values)
+
+    @property
+    def canonical(self) -> Views:
+        """The same for images in [0, 1], as `as_batch` returns them."""
+        return self if self.values is None else Views(self.views, listed=self.listed)
+
+    def restored(self, image: Any) -> Any:
+        """An image in [0, 1], or a list of them, in the user's values."""
+        return restored(image, self.values)
+
+    @property
+    def value_range(self) -> tuple[float, float] | None:
+        """Values of a user's images that are 0 and 1 here; None: 0 and 1."""
+        return None if self.values is None else (self.values.low, self.values.high)
 
     @property
     def plain(self) -> bool:
@@ -84,7 +141,7 @@ class Views:
 
     @property
     def targets(self) -> Any:
-        """As the user passed it: (H, W, 3), or a list of them."""
+        """In [0, 1]: (H, W, 3), or a list of them."""
         targets = [view.target for view in self.views]
         return targets if self.listed else targets[0]
 
@@ -109,7 +166,7 @@ class Views:
         """Height x width of each view."""
         return sizes_of([view.size for view in self.views])
 
-    def as_batch(self, images: object, n: int | None, on_clip: Callable[[str], None]) -> Float32:
+    def as_batch(self, images: object, n: int | None, on_clip: OnClip) -> Float32:
         """Renders of n candidates, (n, H, W, 3), packed if there are several views.
 
         images: as `FIDE.tell` takes them, or what this method returned.  n: None for as many as
@@ -122,16 +179,22 @@ class Views:
         is_packed = isinstance(images, np.ndarray) and images.shape == (n, *self.target.shape)
         if not self.listed or is_packed:
             hidden = None if self.listed else self.views[0].hidden
-            return as_batch(images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden)
+            values = None if self.listed else self.values
+            return as_batch(
+                images, self.target.shape, n=n, on_clip=on_clip, hidden=hidden, values=values
+            )
         if not isinstance(images, list | tuple) or len(images) != len(self.views):
             raise ImageError(self._rule(images))
         batches = []
         for i, (view, batch) in enumerate(zip(self.views, images, strict=True)):
             try:
-                said = _naming(i, on_clip)
-                batches.append(as_batch(batch, view.size, n=n, on_clip=said, hidden=view.hidden))
+                said, hidden = _naming(i, on_clip), view.hidden
+                made = as_batch(
+                    batch, view.size, n=n, on_clip=said, hidden=hidden, values=self.values
+                )
+                batches.append(made)
             except ImageError as error:
-                raise ImageError(f"view {i}: {error}") from error
+                raise type(error)(f"view {i}: {error}") from error
         return self._packed(batches, (n,))
 
     def _rule(self, images: object) -> str:
@@ -160,7 +223,7 @@ class Views:
             start += height * width
         return parts
 
-    def batch_of_one(self, image: object, on_clip: Callable[[str], None]) -> Float32:
+    def batch_of_one(self, image: object, on_clip: OnClip) -> Float32:
         """Batch (1, H, W, 3) of one candidate, packed, of its image or list of images.
 
         Raises ImageError.
@@ -220,10 +283,24 @@ class Views:
         packed: Float32 = np.concatenate(flat, axis=len(leading))
         return packed
 
+    @classmethod
+    def from_settings(cls, settings: Mapping[str, Any]) -> Views:
+        """Views of saved `target`, `weights` and `value_range`; a target in [0, 1], or views."""
+        target = settings["target"]
+        if isinstance(target, Views):
+            return target
+        made = cls.read(target, weights=settings["weights"])
+        values = value_range_of(settings.get("value_range"))  # earlier versions have none
+        assert not isinstance(values, str)
+        return cls(made.views, listed=made.listed, values=values)
+
     @staticmethod
     def check_settings(settings: Mapping[str, Any]) -> None:
-        """Raise ValueError unless `target` and `weights` can be those of saved views."""
+        """Raise ValueError unless `target`, `weights` and `value_range` can be of saved views."""
         target, weights = settings["target"], settings["weights"]
+        if settings.get("value_range") is not None:
+            check(list(settings["value_range"]), row(real(), real()), {}, "value_range")
+            value_range_of(settings["value_range"])
         listed = isinstance(target, list)
         if listed and not (target and isinstance(weights, list) and len(weights) == len(target)):
             raise ValueError("weights are not one for each target")
@@ -235,13 +312,15 @@ class Views:
                 check(weight, array("H", "W", low=0.0, high=1.0), sides, "weights")
 
 
-def views_of(target: object, mask: object, weights: object) -> Views | None:
+def views_of(
+    target: object, mask: object, weights: object, value_range: object = None
+) -> Views | None:
     """Views where a target is optional; ImageError for a mask without a target."""
     if target is None:
-        if mask is not None or weights is not None:
-            raise ImageError("mask and weights belong to a target: set target=, too")
+        if not (mask is None and weights is None and value_range is None):
+            raise ImageError("mask, weights and value_range belong to a target: set target=, too")
         return None
-    return Views.read(target, mask, weights)
+    return Views.read(target, mask, weights, value_range)
 
 
 def _described(image: object) -> str:
@@ -251,5 +330,8 @@ def _described(image: object) -> str:
     return f"one image, {describe(image)}" if known else f"a {type(image).__name__}"
 
 
-def _naming(view: int, on_clip: Callable[[str], None]) -> Callable[[str], None]:
-    return lambda message: on_clip(f"view {view}: {message}")
+def _naming(view: int, on_clip: OnClip) -> OnClip:
+    def said(clip: Clip) -> None:
+        on_clip(clip.of_view(view))
+
+    return said

@@ -15,7 +15,7 @@ from typing import Any
 
 from fide_plugins.recording.directory import LIVE
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
-from fide_plugins.validation.image_sources import MAX_PIXELS
+from fide_plugins.validation.image_files import MAX_PIXELS
 from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]

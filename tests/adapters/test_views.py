@@ -155,7 +155,7 @@ def test_targets_and_masks_are_settings() -> None:
 
 @pytest.mark.parametrize("make", [FIDESampler, ParametrizedFIDE])
 def test_a_mask_belongs_to_a_target(make: Any) -> None:
-    with pytest.raises(ImageError, match="mask and weights belong to a target"):
+    with pytest.raises(ImageError, match="mask, weights and value_range belong to a target"):
         make(mask=MASK)
 
 

@@ -121,7 +121,7 @@ def test_a_fit_without_a_best_candidate_says_why(
 ) -> None:
     result = SimpleNamespace(
         best=None, params=None, evaluations=evaluations, failures=failures, first_failure=first,
-        seconds=1.0, stopped="time", rejected=None,
+        seconds=1.0, stopped="time", clipped=0, rejected=None,
     )  # fmt: skip
     _report(result, Path("out"))  # type: ignore[arg-type]
     assert capsys.readouterr().out.splitlines()[-1] == text

@@ -12,7 +12,7 @@ from PIL import Image
 
 from fide_plugins import FIDE
 from fide_plugins.cli.extra_renders import check_first
-from fide_plugins.cli.fit_pictures import pictures, weights_of
+from fide_plugins.cli.fit_pictures import pictures
 from fide_plugins.cli.fit_renderer import _keep_pictures
 from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
 from fide_plugins.fitting.rendering import Outcome, Rendered
@@ -23,7 +23,6 @@ from fide_plugins.types import Float64
 from .conftest import fide, last_line, summary
 
 pytestmark = pytest.mark.figures
-BLACK = [np.zeros((8, 8, 3), np.float32)]
 
 
 def test_views_need_one_image_each() -> None:
@@ -148,11 +147,11 @@ def test_only_the_alpha_that_is_missing_gets_its_remedy(
     Image.new("RGB", (8, 8)).save("b.png")
     for given in (["alpha", "missing.png"], ["missing.png", "alpha"]):
         with pytest.raises(ImageNotFoundError, match="no image file at 'missing.png'$"):
-            weights_of("mask", given, ["a.png", "a.png"], BLACK * 2, None)
+            pictures(["a.png", "a.png"], None, given, None)
     with pytest.raises(ImageNotFoundError, match="no image file at 'c.png'$"):
-        weights_of("mask", ["alpha"], ["c.png"], BLACK, None)
+        pictures(["c.png"], None, ["alpha"], None)
     with pytest.raises(ImageError, match="alpha channel.*; or give a picture, --mask FILE$"):
-        weights_of("mask", ["alpha"], ["a.png", "b.png"], BLACK * 2, None)
+        pictures(["a.png", "b.png"], None, ["alpha"], None)
 
 
 @pytest.fixture
@@ -218,15 +217,15 @@ def test_targets_and_masks_must_fit_the_views(capsys: pytest.CaptureFixture[str]
 def test_one_file_is_the_mask_of_all_targets_of_its_size() -> None:
     paths = ["target.png", "spoiled.png"]
     for side in (None, 8):
-        read = pictures(paths, side)
-        one, each = (weights_of("mask", ["mask.png"] * n, paths, read, side) for n in (1, 2))
+        one, each = (pictures(paths, side, ["mask.png"] * n, None).mask for n in (1, 2))
         np.testing.assert_array_equal(one, each)
 
 
-@pytest.mark.usefixtures("hidden")
-def test_the_sizes_are_those_of_targets_that_are_read_already() -> None:
-    """No target is read again for a mask that is a file of its own."""
-    targets, paths = pictures(["target.png"] * 2, None), ["gone.png"] * 2
-    assert len(weights_of("mask", ["mask.png"], paths, targets, None)) == 2
+def test_one_mask_for_targets_of_different_sizes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, side in (("a.png", 8), ("b.png", 9), ("mask.png", 8)):
+        Image.new("L", (side, side), 200).save(name)
     with pytest.raises(OptionError, match="1 of --mask for 2 targets of different sizes; give"):
-        weights_of("mask", ["mask.png"], paths, [targets[0], targets[1][:4]], None)
+        pictures(["a.png", "b.png"], None, ["mask.png"], None)

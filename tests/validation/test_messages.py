@@ -70,12 +70,13 @@ def test_the_device_that_people_call_gpu_is_cuda(name: str) -> None:
     assert str(error.value) == f"no device '{name}' here (write 'cuda'); 'auto' or 'cpu' works"
 
 
-@pytest.mark.parametrize("name", ["b.hdr", "b.EXR"])
-def test_a_file_that_is_no_picture_names_those_that_are(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("b.hdr", "no size; is it whole.*HDR can"), ("b.EXR", "EXR cannot.*TIFF")],
+)
+def test_a_file_that_is_no_picture_names_the_remedy(name: str, remedy: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"#?RADIANCE\n")
-    with pytest.raises(
-        FideError, match="; PNG, JPEG, TIFF and PPM can be read, EXR and HDR cannot"
-    ):
+    with pytest.raises(FideError, match=remedy):
         images.load(tmp_path / name)
 
 
@@ -85,13 +86,13 @@ def test_a_file_that_is_damaged_is_not_said_to_be_of_another_format(tmp_path: Pa
         images.load(tmp_path / "b.png")
 
 
-def test_a_tiff_of_floats_is_read_in_gray_and_named_in_colors(tmp_path: Path) -> None:
+def test_a_tiff_of_floats_is_read_in_gray_and_in_colors(tmp_path: Path) -> None:
     path = tmp_path / "b.tiff"
     assert cv2.imwrite(str(path), np.full((8, 8), 0.3, np.float32))
     np.testing.assert_array_equal(images.load(path), np.full((8, 8, 3), 0.3, np.float32))
-    assert cv2.imwrite(str(path), np.full((8, 8, 3), 0.3, np.float32))
-    with pytest.raises(ImageError, match=r"Colors of TIFF must be integers: .* as 16 bits$"):
-        images.load(path)
+    colors = np.random.default_rng(0).random((8, 6, 3), np.float32)
+    assert cv2.imwrite(str(path), colors[..., ::-1])
+    np.testing.assert_array_equal(images.load(path), colors)
 
 
 @pytest.mark.parametrize("name", ["mask", "weights"])

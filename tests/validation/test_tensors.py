@@ -7,6 +7,7 @@ mixed with those of the CPU, as on a real one; what is copied from there is coun
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fide_plugins import FIDE, encoders, losses
 from fide_plugins.errors import ImageError
+from fide_plugins.validation.clipping import Clip
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
@@ -113,13 +115,15 @@ GOOD: dict[str, Callable[[], Any]] = {
 @pytest.mark.parametrize("kind", GOOD)
 def test_a_tensor_is_converted_as_an_array_is(kind: str) -> None:
     images = GOOD[kind]()
-    told: list[list[str]] = [[], []]
+    told: list[list[Clip]] = [[], []]
     expected = as_batch(images, (9, 8), on_clip=told[0].append)
     batch = as_tensor_batch(images, (9, 8), on_clip=told[1].append)
     assert batch.dtype == torch.float32 and batch.shape == expected.shape
     assert not batch.requires_grad
     np.testing.assert_allclose(batch.numpy(), expected, atol=1e-7)
-    assert told[0] == told[1]
+    for one, other in zip(*told, strict=True):
+        assert replace(one, total=0.0) == replace(other, total=0.0)
+        assert one.total == pytest.approx(other.total)
 
 
 BAD: dict[str, Any] = {

@@ -109,14 +109,14 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
 
     @property
     def target(self) -> Any:
-        """Image to find, float32 (H, W, 3) in [0, 1], read-only; None if there is none.
+        """Image to find, float32 (H, W, 3) in [0, 1] or the value range; None if there is none.
 
         For several views it is a list.  Set it to any target that `fide_plugins.FIDE` takes, before
-        the first `ask` or `tell`; raises ImageError or ProtocolError otherwise.  A mask and weights
-        stay; then the sizes must, too.
+        the first `ask` or `tell`; raises ImageError or ProtocolError otherwise.  A range of values
+        stays, and so do a mask and weights; then the sizes must, too.
         """
         views = self._search.target
-        return None if views is None else views.targets
+        return None if views is None else views.restored(views.targets)
 
     @target.setter
     def target(self, image: object) -> None:
@@ -124,7 +124,8 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         if image is None:
             self._search.target = None
         elif former is None or all(view.weights is None for view in former.views):
-            self._search.target = Views.read(image)
+            values = None if former is None else former.values
+            self._search.target = Views.read(image, value_range=values)
         else:
             self._search.target = former.retargeted(image)
 
@@ -326,8 +327,9 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
     target
         image to find, or a list of views, anything that `fide_plugins.FIDE` takes; None: set
         ``optimizer.target`` before the first `ask`, or search without images, which is CMA-ES.
-    mask, weights
-        which pixels of the target count, as in `fide_plugins.FIDE`.
+    mask, weights, value_range
+        which pixels of the target count, and which values of target and images are black and white,
+        as in `fide_plugins.FIDE`; images inside of ``optimizer.fide`` are scaled to [0, 1].
     loss
         of images that are told without a loss: a name in `fide_plugins.losses`, or a callable from
         images (n, H, W, 3) to (n,) numbers; None: "mse".
@@ -353,6 +355,7 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
         target: object = None,
         mask: object = None,
         weights: object = None,
+        value_range: object = None,
         loss: str | Callable[..., object] | None = None,
         preset: str = "balanced",
         encoder: str | None = None,
@@ -364,9 +367,10 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
         check_options(options)
         make_options(preset, {"encoder": encoder, "popsize": popsize, **(options or {})})
         settings = {
-            "target": target_setting(target, mask, weights),
+            "target": target_setting(target, mask, weights, value_range),
             "mask": None,  # which the target has
             "weights": None,
+            "value_range": None,
             "loss": loss,
             "preset": preset,
             "encoder": encoder,

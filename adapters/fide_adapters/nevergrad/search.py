@@ -100,7 +100,7 @@ class Search:
         options = {"memory_mb": 0.0, **options}  # for the next target, which there never is
         self._fide = FIDE(
             cube.dim,
-            _NO_TARGET if self.target is None else self.target,
+            _NO_TARGET if self.target is None else self.target.canonical,  # `_read` scales images
             loss=None if self.target is None else s["loss"],
             popsize=max(size or default_popsize(cube.dim), self._workers),
             x0=cube.guess,
@@ -120,7 +120,7 @@ class Search:
             from fide_plugins.fide import FIDE
 
             known = self.target is not None
-            target = self.target if known else _NO_TARGET
+            target = _NO_TARGET if self.target is None else self.target.canonical
             settings = {**self._snapshot["settings"], "target": target, "weights": None}
             snapshot = {**self._snapshot, "settings": settings}
             loss = self._settings["loss"] if known else None

@@ -13,7 +13,7 @@ from fide_plugins.views.views import views_of
 __all__ = ["TargetImage", "check_options", "target_setting"]
 
 _ARGUMENTS = (
-    *("target", "mask", "weights"),
+    *("target", "mask", "weights", "value_range"),
     *("loss", "preset", "encoder", "popsize", "device", "seed"),
 )
 
@@ -21,12 +21,18 @@ _ARGUMENTS = (
 class TargetImage:
     """A target as a setting: comparable, and with a short name.
 
-    image, mask, weights: anything that `fide_plugins.FIDE` takes.
+    image, mask, weights, value_range: anything that `fide_plugins.FIDE` takes.
     views: what they are; its arrays are read-only.
     """
 
-    def __init__(self, image: object, mask: object = None, weights: object = None) -> None:
-        self.views = Views.read(image, mask, weights)
+    def __init__(
+        self,
+        image: object,
+        mask: object = None,
+        weights: object = None,
+        value_range: object = None,
+    ) -> None:
+        self.views = Views.read(image, mask, weights, value_range)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, TargetImage) and repr(self) == repr(other)
@@ -37,6 +43,7 @@ class TargetImage:
     def __repr__(self) -> str:
         views = self.views
         content = views.target.tobytes() + views.version.encode()
+        content += b"" if views.values is None else repr(views.values).encode()
         return f"<{views.sizes} {hashlib.sha256(content).hexdigest()[:16]}>"
 
 
@@ -50,9 +57,11 @@ def check_options(options: object) -> None:
     check_names(options or {}, ("x0", "sigma0"), instead)
 
 
-def target_setting(target: object, mask: object, weights: object) -> TargetImage | None:
-    """The setting `target` with its mask and weights; raises ImageError."""
-    if isinstance(target, TargetImage) and mask is None and weights is None:
+def target_setting(
+    target: object, mask: object, weights: object, value_range: object
+) -> TargetImage | None:
+    """The setting `target` with its mask, weights and range of values; raises ImageError."""
+    if isinstance(target, TargetImage) and mask is None and weights is None and value_range is None:
         return target
-    views = views_of(target, mask, weights)
+    views = views_of(target, mask, weights, value_range)
     return None if views is None else TargetImage(views)

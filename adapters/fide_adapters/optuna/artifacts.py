@@ -20,7 +20,7 @@ from PIL import Image
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32
-from fide_plugins.validation.images import warn_clipped
+from fide_plugins.validation.clipping import warn_clipped
 from fide_plugins.views import Views
 
 __all__ = ["ImageArtifacts"]
@@ -79,7 +79,8 @@ class ImageArtifacts:
                 found = [by_name[name] for name in _names(len(views.views)) if name in by_name]
             if found:
                 images = [self._image(meta.artifact_id) for meta in found]
-                return views.batch_of_one(images if views.listed else images[0], warn_clipped)
+                image = images if views.listed else images[0]
+                return views.canonical.batch_of_one(image, warn_clipped)  # `save` has scaled it
         except Exception as error:  # whatever the store's client or PIL raises
             self._warnings.warn(
                 "artifacts",

@@ -54,8 +54,9 @@ class FIDESampler(BaseSampler):
     target
         image to find, or a list of views, as for `fide_plugins.FIDE`; None: there are no images,
         and the search is CMA-ES.
-    mask, weights
-        which pixels count, as for `fide_plugins.FIDE`.
+    mask, weights, value_range
+        which pixels count, and which values of target and images are black and white, as for
+        `fide_plugins.FIDE`.
     loss
         of an image for which `tell_image` gets no loss: a name in `fide_plugins.losses`, or a
         callable from images to (n,) numbers; None: "mse".
@@ -100,6 +101,7 @@ class FIDESampler(BaseSampler):
         device: str = "auto",
         mask: object = None,
         weights: object = None,
+        value_range: object = None,
         search_space: Mapping[str, BaseDistribution] | None = None,
         n_startup_trials: int = 0,
         independent_sampler: BaseSampler | None = None,
@@ -108,7 +110,7 @@ class FIDESampler(BaseSampler):
         artifact_store: Any = None,
         **options: Any,
     ) -> None:
-        image = views_of(target, mask, weights)
+        image = views_of(target, mask, weights, value_range)
         given = {"encoder": encoder, "popsize": popsize, **options}
         optimizer = OptimizerSettings(image, loss, preset, sigma0, device, given)
         if image is None and (loss is not None or artifact_store is not None):

@@ -50,7 +50,7 @@ class TensorBoard:
     def on_start(self, run: Run) -> None:
         """Open the files, and write the target."""
         self._writer = self._make()
-        self._add_images("target", run.optimizer.target, run.evaluations)
+        self._add_images("target", run.optimizer.views.targets, run.evaluations)
 
     def on_evaluation(self, event: Event) -> None:
         """Write scalars."""
@@ -70,7 +70,9 @@ class TensorBoard:
     def on_improvement(self, event: Event) -> None:
         """Write the best image and its parameters."""
         step = event.evaluation + 1
-        self._add_images("best", event.image, step)
+        views, best = event.optimizer.views, event.optimizer.state.best
+        if best is not None and best.solution.image is not None:  # in [0, 1]
+            self._add_images("best", views.unpacked(best.solution.image), step)
         space = event.optimizer.space
         if space is not None:
             numbers = space.layout.numbers(event.x[None])[0].tolist()

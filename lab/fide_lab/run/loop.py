@@ -38,6 +38,7 @@ from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Keep, Progress, Record, Report, RunResult
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.types import Float32, Float64, Optimizer
+from fide_plugins.validation.clipping import Clipping
 from fide_plugins.validation.images import as_batch
 from fide_plugins.validation.points import as_points
 
@@ -84,7 +85,7 @@ class Run:
         self._rounds = rounds
         self._budget: int = settings["budget"]
         self._piece = TaskInfo.of(task).piece or PIECE
-        self._clipped = False
+        self._clipping = Clipping()
         self._whole = True  # whether record and optimizer agree, so that they may be saved
 
     @property
@@ -179,7 +180,7 @@ class Run:
             start = time.perf_counter()
             images, extra = self._render(X), self._render_extra(X)
             rendered = time.perf_counter()
-        batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._on_clip)
+        batch = as_batch(images, self.target.shape, n=len(X), on_clip=self._clipping)
         losses = self.loss.compute(batch)
         others = self.loss.compute(extra) if len(extra) else np.empty(0)
         record.times["render"] += rendered - start
@@ -232,7 +233,7 @@ class Run:
         if not len(points):
             return np.empty((0, *self.target.shape), np.float32)
         images = self._render(points, 2**39)
-        return as_batch(images, self.target.shape, n=len(points), on_clip=self._on_clip)
+        return as_batch(images, self.target.shape, n=len(points), on_clip=self._clipping)
 
     def _render(self, X: Float64, stream: int = 0) -> Any:
         first = self.settings["seed"] * 2**40 + stream + self.record.evaluations
@@ -255,13 +256,6 @@ class Run:
         self._whole = False
         with self.record.timing(self.optimizer):
             return step()
-
-    def _on_clip(self, message: str) -> None:
-        if not self._clipped:  # warn once per run
-            from fide_plugins.validation.images import warn_clipped
-
-            self._clipped = True
-            warn_clipped(message)
 
     def _tick(self) -> None:
         now = time.perf_counter()

@@ -82,7 +82,7 @@ def test_point_19_settings() -> None:
     assert other != ParametrizedFIDE(popsize=9, target=TARGET * 0.5)
     assert set(other.config()) == {
         "target", "loss", "preset", "encoder", "popsize", "device", "seed", "options",
-        "mask", "weights",
+        "mask", "weights", "value_range",
     }  # fmt: skip
     optimizer = other(box(), budget=10)
     assert optimizer._configured_optimizer is other and optimizer.name == repr(other)

@@ -1,0 +1,170 @@
+"""`fide fit` of pictures whose values are beyond [0, 1], hidden by a mask, or made smaller."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fide_plugins import FIDE
+from fide_plugins.cli.fit_pictures import pictures, value_range_of
+from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.validation.images import load, save
+
+from .conftest import fide
+
+pytestmark = pytest.mark.usefixtures("empty_folder")
+
+SCENE = """
+import numpy as np
+from fide_plugins import Float, Space
+space = Space(x=Float(0, 1), y=Float(0, 1))
+def render(p, h=12, w=16):
+    v, u = np.mgrid[0:h, 0:w]
+    d = (u / w - p["x"]) ** 2 + (v / h - p["y"]) ** 2
+    return np.exp(-d / 0.05).astype(np.float32)
+def field(p):
+    return 10 * render(p) - 3
+def bright(p):
+    return 250 * render(p)
+"""
+
+
+@pytest.fixture
+def scene() -> Any:
+    Path("scene.py").write_text(SCENE)
+    names: dict[str, Any] = {}
+    exec(compile(SCENE, "scene", "exec"), names)
+    return names
+
+
+def fitted(*words: object) -> int:
+    return fide("fit", *words, "--workers", 0, "--budget", 12, "--json", "--out", "out")
+
+
+def summary(capsys: pytest.CaptureFixture[str]) -> Any:
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+@pytest.mark.parametrize("wild", [np.nan, -1, 2.0**20])
+@pytest.mark.parametrize("option", ["--mask", "--weights"])
+def test_hidden_values_are_those_of_python(
+    wild: float, option: str, scene: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target, mask = scene["render"]({"x": 0.5, "y": 0.5}), np.full((12, 16), 255, np.uint8)
+    mask[:, :4] = 0
+    target[:, :4] = wild
+    Image.fromarray(target).save("t.tif")
+    Image.fromarray(mask).save("m.png")
+    assert fitted("t.tif", option, "m.png", "--renderer", "scene.py:render", "--seed", 0) == 0
+    opt = FIDE(scene["space"], target, mask=mask, seed=0)
+    losses = []
+    for _ in range(12):
+        x = opt.ask(1)
+        losses += opt.tell(x, [scene["render"](opt.space.decode(x[0]))]).tolist()  # type: ignore[union-attr]
+    assert summary(capsys)["best_loss"] == pytest.approx(min(losses), rel=1e-6)
+    assert fitted("t.tif", "--renderer", "scene.py:render") == 2
+    assert "the target must" in capsys.readouterr().err
+
+
+def test_what_is_hidden_does_not_leak_into_a_smaller_picture(scene: Any) -> None:
+    """Loss 0 at the right parameters, whatever the gaps of a detector hold."""
+    small = scene["render"]({"x": 0.4, "y": 0.6})
+    whole = np.kron(small, np.ones((4, 4), np.float32))
+    mask = np.full(whole.shape, 255, np.uint8)
+    mask[9:11], mask[:, 30:33], mask[:8, :8] = 0, 0, 0
+    for wild in (0.0, 1.0, np.nan, 2.0**20):
+        Image.fromarray(np.where(mask > 0, whole, np.float32(wild))).save("t.tif")
+        Image.fromarray(mask).save("m.png")
+        for options in (("m.png", None), (None, "m.png"), ("m.png", "m.png")):
+            given = [None if one is None else [one] for one in options]
+            read = pictures(["t.tif"], 16, *given)
+            opt = FIDE(2, read.targets[0], mask=read.mask, weights=read.weights)
+            assert opt.tell(opt.ask(1), [small])[0] < 1e-12
+            hidden = opt.weights == 0
+            assert hidden[:2, :2].all() and hidden.sum() == 4
+
+
+@pytest.mark.parametrize("kind", ["L", "RGB", "RGBA", "I;16"])
+def test_every_kind_of_file_is_reduced_with_its_mask(kind: str) -> None:
+    values = np.array([[0, 255, 128, 128]] * 2, np.uint8)
+    if kind == "I;16":
+        Image.fromarray(values.astype(np.uint16) * 257).save("t.png")
+    elif kind == "RGBA":
+        alpha = np.array([[255, 0, 255, 255]] * 2, np.uint8)
+        Image.fromarray(np.stack([values] * 3 + [alpha], axis=-1)).save("t.png")
+    else:
+        Image.fromarray(values).convert(kind).save("t.png")
+    mask = np.array([[255, 0, 255, 255]] * 2, np.uint8)
+    Image.fromarray(mask).save("m.png")
+    for given in ("m.png", mask, mask > 0, Image.fromarray(mask)):
+        made = load("t.png", max_side=2, mask=given)
+        assert made.shape == (1, 2, 3)
+        np.testing.assert_allclose(made[0], [[0.0] * 3, [128 / 255] * 3], atol=1e-6)
+    none = load("t.png", max_side=2, mask=np.array([[0.0, 0, 1, 1]] * 2))
+    np.testing.assert_allclose(none[0, 1], 128 / 255, atol=1e-6)
+    with pytest.raises(ImageError, match="mask must have the target's size"):
+        load("t.png", max_side=2, mask=mask[:, :3])
+
+
+def test_a_mask_of_the_smaller_size_is_taken_as_it_is() -> None:
+    Image.fromarray(np.full((8, 8), 100, np.uint8)).save("t.png")
+    Image.fromarray(np.array([[0, 255], [255, 255]], np.uint8)).save("m.png")
+    read = pictures(["t.png"], 2, ["m.png"], None)
+    assert read.targets[0].shape[:2] == read.mask.shape[:2] == (2, 2)
+
+
+@pytest.mark.parametrize("given", [["-3", "7"], ["auto"]])
+def test_a_range_of_values(
+    given: list[str], scene: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save("t.tif", scene["field"]({"x": 0.5, "y": 0.5}))
+    words = ["--renderer", "scene.py:field", "--value-range", *given]
+    assert fitted("t.tif", *words) == 0
+    out = capsys.readouterr()
+    assert json.loads(out.out.splitlines()[-1])["clipped"] == 0
+    assert out.err.count("value range -7.99") == (given == ["auto"])
+    run = json.loads(Path("out", "run.json").read_text())
+    assert Path("out", "best.tif").exists() and len(run["settings"]["value_range"]) == 2
+    assert fitted("t.tif", "--renderer", "scene.py:field", "--value-range", -3, 8, "--resume") == 2
+    assert "value_range is" in capsys.readouterr().err
+
+
+def test_renders_on_another_scale(scene: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    save("t.tif", scene["render"]({"x": 0.5, "y": 0.5}))
+    assert fitted("t.tif", "--renderer", "scene.py:bright") == 2
+    assert "another scale than the target" in capsys.readouterr().err
+
+
+def test_a_command_writes_floats(scene: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    save("t.tif", scene["field"]({"x": 0.5, "y": 0.5}))
+    Path("draw.py").write_text(
+        "import sys, scene\nfrom PIL import Image\n"
+        "p = dict(x=float(sys.argv[2]), y=float(sys.argv[3]))\n"
+        "Image.fromarray(scene.field(p)).save(sys.argv[1])\n"
+    )
+    Path("space.toml").write_text(
+        "".join(f'[{name}]\ntype = "float"\nlow = 0\nhigh = 1\n' for name in "xy")
+    )
+    import sys
+
+    command = f"{sys.executable} draw.py {{out:.tif}} {{x}} {{y}}"
+    words = ["--command", command, "--space", "space.toml", "--value-range", "auto"]
+    assert fide("fit", "t.tif", *words, "--workers", 0, "--budget", 2, "--json") == 0
+    assert summary(capsys)["failures"] == 0
+
+
+def test_what_the_shell_says_is_a_range() -> None:
+    assert value_range_of(None) is None and value_range_of(["auto"]) == "auto"
+    assert value_range_of(["-1,1"]) == value_range_of(["-1", "1"]) == (-1.0, 1.0)
+    for words in (["1"], ["low", "high"], ["0", "1", "t.tif"]):
+        with pytest.raises(OptionError, match="--value-range is two numbers"):
+            value_range_of(words)
+
+
+def test_it_has_no_meaning_with_a_model(capsys: pytest.CaptureFixture[str]) -> None:
+    Image.new("L", (8, 8), 9).save("t.png")
+    assert fide("fit", "t.png", "--model", "voronoi", "--value-range", 0, 2) == 2
+    assert "--value-range has no meaning with --model" in capsys.readouterr().err

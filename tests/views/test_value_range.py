@@ -1,0 +1,233 @@
+"""Values of target and renders beyond [0, 1]: `value_range`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fide_plugins import FIDE, Float, Space, fit, load_run
+from fide_plugins.errors import CheckpointError, ImageError, OptionError
+from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.validation.images import as_batch, as_target, load, save
+from fide_plugins.validation.tensors import as_tensor_batch
+from fide_plugins.validation.value_range import ValueRange
+from fide_plugins.views import Views
+
+V, U = np.mgrid[0:16, 0:16] / 15
+SPACE = Space(x=Float(0, 1), y=Float(0, 1), power=Float(0.5, 2))
+RNG = np.random.default_rng(0)
+
+
+def draw(p: dict[str, float]) -> Any:
+    return p["power"] * np.exp(-((U - p["x"]) ** 2 + (V - p["y"]) ** 2) / 0.08)
+
+
+TARGET = draw({"x": 0.6, "y": 0.4, "power": 1.0})
+
+
+def field(p: dict[str, float]) -> Any:
+    return 10 * draw(p) - 3
+
+
+def test_it_is_a_linear_map_and_nothing_else() -> None:
+    """The same run as with target and renders mapped by hand, bit for bit."""
+    mapped = FIDE(SPACE, TARGET / 4, popsize=4, seed=0)
+    given = FIDE(SPACE, 8 * TARGET - 2, value_range=(-2, 30), popsize=4, seed=0)
+    for _ in range(4):
+        X = mapped.ask()
+        np.testing.assert_array_equal(given.ask(), X)
+        images = np.stack([draw(SPACE.decode(x)) for x in X])
+        one, other = mapped.tell(X, images / 4), given.tell(X, 8 * images - 2)
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
+    assert mapped.best is not None and given.best is not None
+    assert mapped.best.image is not None and given.best.image is not None
+    np.testing.assert_allclose(given.best.image, 32 * mapped.best.image - 2, atol=1e-5)
+    np.testing.assert_allclose(given.target[..., 0], 8 * TARGET - 2, atol=1e-5)
+    assert given.value_range == (-2.0, 30.0) and mapped.value_range is None
+
+
+@pytest.mark.parametrize("given", [(0, 1), [0.0, 1.0], np.array([0, 1])])
+def test_0_to_1_is_no_change(given: Any) -> None:
+    image = RNG.random((5, 7, 3))
+    views = Views.read(image, value_range=given)
+    np.testing.assert_array_equal(views.target, as_target(image))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [(1, 0), (2, 2), (0, np.inf), (np.nan, 1), 5, "wide", "01", (1, 2, 3), ("0", "1"), (True, 2),
+     (0, 1e-320), (1e9, 1e9 + 1e-6), (-1.7e308, 1.7e308)],
+)  # fmt: skip
+def test_what_is_no_range_is_refused(given: Any) -> None:
+    with pytest.raises(OptionError, match="value_range must be two"):
+        FIDE(3, TARGET, value_range=given)
+
+
+@pytest.mark.parametrize(
+    ("picture", "expected"),
+    [
+        (np.array([[0.0, 10.0]]), (0, 15)),
+        (np.array([[0.4, 1.6]]), (0, 2.2)),
+        (np.array([[-1.0, 1.0]]), (-2, 2)),
+        (np.array([[100.0, 102.0]]), (99, 103)),
+        (np.array([[3.0, 3.0]]), (1.5, 4.5)),  # one value
+        (np.array([[-2.0, -2.0]]), (-3, -1)),
+        (np.array([[0.0, 0.0]]), (0, 0.5)),
+        (np.array([[0, 200]], np.uint8), (0, 300)),  # numbers, whatever their type
+        (np.array([[0, 60000]], np.uint16), (0, 90000)),
+    ],
+)
+def test_auto_is_the_target_and_half_of_its_span(picture: Any, expected: Any) -> None:
+    opt = FIDE(2, picture, value_range="auto")
+    assert opt.value_range == pytest.approx(expected)
+    opt.tell(opt.ask(1), [picture])
+    assert opt.best is not None and opt.best.loss < 1e-14 and opt.best.image is not None
+    np.testing.assert_allclose(opt.best.image[..., 0], picture, rtol=1e-6, atol=1e-6)
+
+
+def test_auto_does_not_look_at_what_is_hidden() -> None:
+    mask = np.ones((16, 16))
+    mask[:, 8:] = 0
+    for wild in (np.nan, np.inf, -1e9):
+        target = 10 * TARGET
+        target[:, 8:] = wild
+        opt = FIDE(SPACE, target, mask=mask, value_range="auto")
+        seen = 10 * TARGET[:, :8]
+        assert opt.value_range == pytest.approx((0, seen.max() + np.ptp(seen) / 2))
+        image = 10 * TARGET
+        image[:, 8:] = wild
+        assert opt.tell(opt.ask(1), [image])[0] < 1e-12
+    with pytest.raises(ImageError, match='value_range="auto" needs a target without NaN'):
+        FIDE(SPACE, np.where(U > 0.5, np.nan, TARGET), value_range="auto")
+
+
+def test_views_have_one_range() -> None:
+    opt = FIDE(SPACE, [10 * TARGET, 20 * TARGET[:8]], value_range="auto", popsize=4)
+    high = 20 * TARGET[:8].max()
+    assert opt.value_range is not None and opt.value_range[1] == pytest.approx(1.5 * high, rel=0.01)
+    images = [[10 * TARGET], [20 * TARGET[:8]]]
+    assert opt.tell(opt.ask(1), images)[0] < 1e-12
+    assert opt.best is not None and isinstance(opt.best.image, list)
+    np.testing.assert_allclose(opt.best.image[1][..., 0], 20 * TARGET[:8], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "kind", [np.uint8, np.uint16, np.int32, np.float16, np.float32, np.float64, np.bool_]
+)
+@pytest.mark.parametrize("channels", [None, 1, 3, 4])
+def test_numbers_of_any_type_are_mapped(kind: Any, channels: int | None) -> None:
+    shape = (2, 7, 5) if channels is None else (2, 7, 5, channels)
+    images = RNG.integers(0, 2 if kind is np.bool_ else 100, shape).astype(kind)
+    values = ValueRange(-20.0, 180.0)
+    if channels == 4:  # opaque
+        images[..., 3] = np.iinfo(kind).max if np.dtype(kind).kind in "iu" else 1
+    batch = as_batch(images, values=values)
+    colors = images[..., :3] if images.ndim == 4 else images[..., None]
+    expected = np.broadcast_to((colors.astype(np.float64) + 20) / 200, (2, 7, 5, 3))
+    np.testing.assert_allclose(batch, expected, atol=1e-6)
+    tensors = as_tensor_batch(torch.as_tensor(images), (7, 5), values=values)
+    np.testing.assert_allclose(tensors.numpy(), batch, atol=1e-6)
+    np.testing.assert_array_equal(as_batch(list(images), values=values), batch)
+
+
+def test_values_beyond_the_range() -> None:
+    with pytest.raises(ImageError, match=r"in \[0, 5\], got .*give a wider value_range"):
+        FIDE(SPACE, 10 * TARGET, value_range=(0, 5))
+    opt = FIDE(SPACE, 10 * TARGET, value_range=(0, 10), popsize=4)
+    with pytest.warns(RuntimeWarning, match=r"values in \[.*, 12\],.*clipped to \[0, 10\]"):
+        opt.tell(opt.ask(1), [12 * TARGET])
+    assert opt.clipped == 1
+    with pytest.warns(RuntimeWarning, match=r"takes up 0\.0039 of value_range \[0, 255\]"):
+        FIDE(SPACE, TARGET, value_range=(0, 255))
+
+
+def test_it_is_saved_and_compared(tmp_path: Path) -> None:
+    opt = FIDE(SPACE, 10 * TARGET, value_range="auto", popsize=4, seed=0)
+    opt.tell(opt.ask(4), [field(SPACE.decode(x)) + 3 for x in np.full((4, 3), 0.3)])
+    opt.save(tmp_path / "a.ckpt")
+    other = FIDE.load(tmp_path / "a.ckpt")
+    assert other.value_range == opt.value_range
+    np.testing.assert_array_equal(other.target, opt.target)
+    np.testing.assert_array_equal(other.views.target, opt.views.target)
+    np.testing.assert_array_equal(other.ask(), opt.ask())
+    wider = FIDE(SPACE, 10 * TARGET, value_range=(0, 20), popsize=4, seed=0)
+    with pytest.raises(CheckpointError, match="another .*value_range"):
+        wider.continue_from(tmp_path / "a.ckpt")
+
+
+def test_the_next_picture_has_the_range_of_the_first() -> None:
+    opt = FIDE(SPACE, 10 * TARGET, value_range="auto", popsize=4, seed=0)
+    values = opt.value_range
+    opt.retarget(8 * TARGET)
+    assert opt.value_range == values
+    with pytest.raises(ImageError, match=r"got values in .*give a wider value_range"):
+        opt.retarget(20 * TARGET)
+    np.testing.assert_allclose(opt.target[..., 0], 8 * TARGET, rtol=1e-5)
+
+
+@pytest.mark.figures
+def test_a_fit_of_a_signed_field(tmp_path: Path) -> None:
+    target = 10 * TARGET - 3
+    options: dict[str, Any] = {"workers": 0, "seed": 0, "out": tmp_path / "run", "until": "budget"}
+    result = fit(field, target, SPACE, budget=150, value_range=(-3, 17), **options)
+    assert result.best is not None and result.best.image is not None
+    assert result.params["power"] == pytest.approx(1, abs=1e-3)
+    np.testing.assert_allclose(result.best.image[..., 0], target, atol=0.02)
+    assert "value range: -3 to 17" in repr(result)
+    written = load_raw(tmp_path / "run" / "best.tif")
+    np.testing.assert_allclose(written, result.best.image, atol=1e-6)
+    loaded = load_run(tmp_path / "run")
+    assert loaded.value_range == result.value_range == (-3.0, 17.0) and loaded.best is not None
+    np.testing.assert_array_equal(loaded.best.image, result.best.image)
+    np.testing.assert_allclose(loaded.target, result.target, atol=0.51 * 20 / 255)
+    assert result.plot() and "value range" in repr(loaded)
+    run = read_run(tmp_path / "run")
+    assert run is not None and run["settings"]["value_range"] == [-3.0, 17.0]
+    assert run["totals"]["clipped"] == result.clipped == 0
+    with pytest.raises(RunDirectoryError, match="value_range is .* there and .* here"):
+        fit(field, target, SPACE, budget=200, value_range=(-3, 18), resume=True, **options)
+    again = fit(field, target, SPACE, budget=160, value_range=(-3, 17), resume=True, **options)
+    assert again.evaluations == 160
+
+
+def load_raw(path: Path) -> Any:
+    from fide_plugins.validation.image_files import read_pixels
+
+    return read_pixels(path, None, raw=True)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.tiff", "a.hdr"])
+def test_floats_are_written_and_read(name: str, tmp_path: Path) -> None:
+    image = (RNG.random((6, 9, 3)) * 10 - (0 if name.endswith("hdr") else 5)).astype(np.float32)
+    save(tmp_path / name, image)
+    opt = FIDE(2, tmp_path / name, value_range=(-10, 20))
+    accuracy = 0.1 if name.endswith("hdr") else 1e-5
+    np.testing.assert_allclose(opt.target, image, atol=accuracy)
+    if not name.endswith("hdr"):
+        save(tmp_path / name, image[..., 0])
+        np.testing.assert_array_equal(load_raw(tmp_path / name), image[..., 0])
+    save(tmp_path / "b.png", np.clip(image, 0, 1))
+    np.testing.assert_allclose(load(tmp_path / "b.png"), np.clip(image, 0, 1), atol=0.501 / 255)
+
+
+def test_numbers_of_16_bits_are_read_as_they_are(tmp_path: Path) -> None:
+    import cv2
+
+    for shape in ((5, 6), (5, 6, 3)):
+        counts = RNG.integers(0, 65536, shape).astype(np.uint16)
+        for name in ("a.png", "a.tif"):
+            assert cv2.imwrite(
+                str(tmp_path / name), counts[..., ::-1] if len(shape) == 3 else counts
+            )
+            opt = FIDE(2, tmp_path / name, value_range=(0, 70000))
+            expected = counts if len(shape) == 3 else np.repeat(counts[..., None], 3, axis=-1)
+            np.testing.assert_allclose(opt.target, expected, atol=0.01)
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="written as '.exr'"):
+        save(tmp_path / "a.exr", TARGET)
+    with pytest.raises(ImageError, match="axes"):
+        save(tmp_path / "a.tif", np.zeros((2, 2, 2), np.float32))
