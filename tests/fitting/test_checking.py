@@ -174,7 +174,7 @@ def test_what_is_in_an_image() -> None:
     [
         (1.0, 1.0, ""),
         (250.0, 255.0, "looks like 0 to 255; return image / 255"),
-        (10.0, 10.0, "values outside of [0, 1]"),
+        (10.0, 10.0, "value_range=(0, 10) or --value-range 0 10"),
     ],
 )
 def test_ranges_of_values(scale: float, span: float, text: str) -> None:

@@ -103,10 +103,11 @@ def _of_values(facts: Facts) -> Iterator[str]:
         )
     elif facts.outside:
         of = f"{facts.outside} of {counted(facts.images, 'image')}"
+        low, high = f"{min(facts.low, 0.0):.3g}", f"{facts.high:.3g}"
         yield (
             f"values outside of [0, 1] ({facts.low:.4g} to {facts.high:.4g} in all) in {of}, which "
-            "a fit clips; if they are no overshoot, give it value_range=(low, high), in the shell "
-            "--value-range, for the target and them"
+            f"a fit clips; if they are no overshoot, give it their range, value_range=({low}, "
+            f"{high}) or --value-range {low} {high}"
         )
     if facts.drifts:
         yield (
@@ -118,7 +119,7 @@ def _of_values(facts: Facts) -> Iterator[str]:
         yield (
             f"two renders of one point differ by {facts.noise.rms / facts.span:.2g} (RMS): a mean "
             f"squared error below about {variance:.1g} cannot be told from noise; more samples "
-            "make a fit finer, and --until-stalled ends it there"
+            "make a fit finer, and --until stalled ends it there"
         )
 
 
