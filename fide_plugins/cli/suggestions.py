@@ -21,7 +21,8 @@ def suggestion(
 ) -> str:
     """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
 
-    parser: of the command.  others: gives those of all commands, by name.
+    parser: of the command.  others: gives those of all commands, by name;
+    they take a while, and are asked only if no flag of this one is close.
     """
     choice = _CHOICE.search(message)
     if choice is not None:
@@ -32,10 +33,10 @@ def suggestion(
         flag = word.partition("=")[0]
         if not flag.startswith("--"):
             continue
-        if where := [name for name, other in others().items() if flag in _flags(other)]:
-            return f"; {flag} is of {' and '.join(f'fide {name}' for name in where[:3])}"
         if close := did_you_mean(flag, _flags(parser)):
             return close.replace("'", "")
+        if where := [name for name, other in others().items() if flag in _flags(other)]:
+            return f"; {flag} is of {' and '.join(f'fide {name}' for name in where[:3])}"
     return ""
 
 
