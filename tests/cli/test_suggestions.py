@@ -25,6 +25,10 @@ FIT = ("fit", "target.png", "--renderer", "scene.py:render")
             ("solutions", "out", "--task-seed", 3),
             "--task-seed is of fide run and fide compare and fide tradeoff",
         ),
+        (
+            ("check", "scene.py:render", "--budget", 3),
+            "--budget is of fide fit and fide run and fide compare",
+        ),
         (("rn", "voronoi"), "did you mean 'run'?"),
         (("list", "task"), "did you mean 'tasks'?"),
         (("fit", "target.png", "--model", "voronoii"), "did you mean 'voronoi'?"),

@@ -134,6 +134,7 @@ def test_noise_hides_no_parameter_that_changes_nothing() -> None:
     data = as_data("noisy", facts)
     assert data["deterministic"] is False
     assert "cannot be told from noise" in " ".join(data["advice"])
+    assert "--until stalled" in " ".join(data["advice"])
 
 
 def test_a_renderer_that_remembers_is_no_noisy_one() -> None:
