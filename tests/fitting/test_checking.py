@@ -271,7 +271,7 @@ def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
     reasons = " ".join(one.reason for one in facts.failures)
     assert "died with exit code 3" in reasons and "did not end within 0.5 s, its" in reasons
     assert "--timeout" not in reasons
-    assert workers(facts) == 1
+    assert facts.kills and workers(facts) >= 1
 
 
 # -- what to plan ----------------------------------------------------------------------------------
