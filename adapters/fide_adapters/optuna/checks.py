@@ -58,9 +58,9 @@ def warn_of_bare_image(warnings: WarnOnce) -> None:
     frame: FrameType | None = currentframe()
     while frame is not None and frame.f_code.co_name != "_tell_with_warning":
         frame = frame.f_back
-    value = None if frame is None else frame.f_locals.get("value_or_values")
+    value: Any = None if frame is None else frame.f_locals.get("value_or_values")
     pair = isinstance(value, tuple) and len(value) == 2
-    image: Any = value[1] if pair else value
+    image = value[1] if pair else value
     if not (is_image(image) and hasattr(image, "ndim")):
         return
     what = "a pair (loss, image), the image" if pair else "an image,"
