@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
 import torch
-from optuna.trial import BaseTrial, Trial, TrialState
+from optuna.samplers import RandomSampler
+from optuna.trial import BaseTrial, FixedTrial, Trial, TrialState
 from PIL import Image
 
 from fide_adapters.optuna import FIDESampler, ImageLoss, ImageRef, image_objective
 from fide_adapters.optuna.storage import IMAGE
 from fide_plugins import encoders
-from fide_plugins.errors import FeaturesError, ImageError, LossError
+from fide_plugins.errors import FeaturesError, ImageError, LossError, ProtocolError
 
 from .conftest import Bench, counts_of
 
@@ -155,6 +158,79 @@ def test_image_objectives(bench: Bench, kind: str, tmp_path: Any) -> None:
     plain = optuna.create_study(sampler=bench.sampler())
     bench.run(plain, 20)
     np.testing.assert_array_equal(bench.points(study), bench.points(plain))
+
+
+@pytest.mark.parametrize("pair", [False, True])
+def test_an_image_objective_may_give_a_path(bench: Bench, pair: bool, tmp_path: Path) -> None:
+    def render(trial: Trial) -> Any:
+        as_png(bench.render(bench.suggest(trial))).save(tmp_path / "image.png")
+        return (0.5, str(tmp_path / "image.png")) if pair else tmp_path / "image.png"
+
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(image_objective(render), n_trials=5)
+    assert counts_of(study)["image"] == 5
+    for trial in study.trials if not pair else ():
+        x = np.array(list(trial.params.values()))
+        image = np.asarray(as_png(bench.render(x)), np.float64) / 255
+        assert trial.value == pytest.approx(np.square(image - bench.target).mean(), rel=1e-4)
+
+
+def test_an_image_objective_may_give_no_image(bench: Bench) -> None:
+    sampler = bench.sampler()
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(sampler.image_objective(lambda trial: sum(bench.suggest(trial))), n_trials=5)
+    assert counts_of(study)["image"] == 0
+    assert all(t.value == pytest.approx(sum(t.params.values())) for t in study.trials)
+
+
+def test_an_image_objective_needs_a_sampler_of_ours(bench: Bench) -> None:
+    study = optuna.create_study(sampler=RandomSampler(seed=0))
+    with pytest.raises(ProtocolError, match="name it"):
+        study.optimize(image_objective(lambda t: bench.render(bench.suggest(t))), n_trials=1)
+
+
+def test_an_objective_can_be_called_with_the_best_trial(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    bench.run(study, 20)
+    objective = bench.objective(bench.sampler_of(study))
+    assert objective(study.best_trial) == study.best_value
+    assert objective(FixedTrial(study.best_params)) == study.best_value
+
+
+@pytest.mark.parametrize(
+    ("what", "kind"),
+    [
+        (lambda t: t.number, "int"),
+        (lambda t: SimpleNamespace(number=t.number, trial=t), "SimpleNamespace"),
+        (lambda t: None, "NoneType"),
+    ],
+)
+def test_what_is_no_trial_is_refused_with_what_to_give(bench: Bench, what: Any, kind: str) -> None:
+    sampler = bench.sampler()
+    trial = optuna.create_study(sampler=sampler).ask()
+    image = bench.render(bench.suggest(trial))
+    tokens = encoders.make("dense")(image[None])
+    with pytest.raises(ProtocolError, match=f"not in an object of type {kind}; give that trial"):
+        sampler.tell_image(what(trial), image)
+    with pytest.raises(ProtocolError, match=f"not in an object of type {kind}; give that trial"):
+        sampler.tell_features(what(trial), tokens, 0.5)
+
+
+def test_a_target_without_images_is_warned_of_once(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=6)
+    with pytest.warns(
+        RuntimeWarning, match=r"gets no images, so it is CMA-ES.*tell_image"
+    ) as caught:
+        study.optimize(lambda trial: sum(bench.suggest(trial)), n_trials=12)
+    assert len(caught) == 1
+
+
+def test_trials_that_fail_with_an_infinite_loss_are_no_reason_to_warn(bench: Bench) -> None:
+    study = optuna.create_study(sampler=bench.sampler())
+    study.optimize(lambda trial: math.inf * (1 + sum(bench.suggest(trial))), n_trials=14)
+    bench.run(study, 6)
+    assert bench.sampler_of(study).counts(study)["image"] == 6
 
 
 @pytest.mark.parametrize(
