@@ -61,6 +61,10 @@ class Estimate(Protocol):
     def ambiguous(self) -> Mask | None:
         """(dim,), axes of integers and choices of which another value may be the true one."""
 
+    @property
+    def rough(self) -> bool:
+        """Whether `std` is by samples of the search, and so depends on its path."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
@@ -68,6 +72,7 @@ class Estimated:
 
     std: Float64 | None
     ambiguous: Mask | None = None
+    rough: bool = False
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,8 +142,10 @@ class Solution:
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = (self.x, self.loss, self.evaluation, self.image, self.probability, self.space)
-        known = None if self.estimate is None else self.estimate.ambiguous
-        return Solution, (*fields, Estimated(self.std, known))
+        if self.estimate is None:
+            return Solution, (*fields, Estimated(None))
+        known = Estimated(self.std, self.estimate.ambiguous, self.estimate.rough)
+        return Solution, (*fields, known)
 
     def __repr__(self) -> str:
         what = f"dim={len(self.x)}" if self.space is None else f"params={self.params}"

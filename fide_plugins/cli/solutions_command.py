@@ -61,6 +61,8 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _table(found: Any, rows: Any) -> list[str]:
     """Lines of the table: one column a solution."""
+    from fide_plugins.recording.parameters import ROUGH, is_rough
+
     head = [("solution", [str(i + 1) for i in range(len(found.solutions))])]
     head += [(f"loss ({plain(found.loss)})", [number(one.loss) for one in found.solutions])]
     if found.solutions[0].probability is not None:
@@ -82,6 +84,9 @@ def _table(found: Any, rows: Any) -> list[str]:
             "± one standard deviation: how far the truth may be from this answer, by noise and by "
             "what the renderer cannot draw; of other answers it knows nothing"
         )
+        rough = [str(i + 1) for i, one in enumerate(found.solutions) if is_rough(one)]
+        if rough:
+            lines.append(f"{ROUGH}: solution {', '.join(rough)}")
     open_ones = [plain(row.label) for row in rows if not row.determined]
     if open_ones:
         lines.append(f"not determined by the picture: {', '.join(open_ones)}")
@@ -89,12 +94,15 @@ def _table(found: Any, rows: Any) -> list[str]:
 
 
 def _data(solution: Any) -> dict[str, Any]:
+    from fide_plugins.recording.parameters import is_rough
+
     std = solution.std
     return {
         "loss": solution.loss,
         "evaluation": solution.evaluation,
         "x": solution.x.tolist(),
         "params": solution.params,
+        "rough": is_rough(solution),
         "std": None if std is None else [None if math.isnan(s) else s for s in std.tolist()],
         "undetermined": list(solution.undetermined),
         "probability": solution.probability,

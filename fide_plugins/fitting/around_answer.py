@@ -1,14 +1,19 @@
 """Renders around the answer of a fit, from which its standard deviations are computed.
 
 Two renders a number, at either side of the answer, and one of the answer itself, which tells
-whether the renderer has noise: then nothing is said, as where a render fails.  A parameter whose
-image changes by curvature rather than by slope gets two more, nearer.  Where it does so there, too,
-it changes in jumps, as hard edges do, and no less than that step is claimed.
+whether the renderer has noise: then nothing is said.  At a wall, at a constraint and where a render
+fails one side is enough.  A parameter whose image changes by curvature rather than by slope, or of
+which one side is known only, is rendered again, nearer.  Where the image changes there, too, in
+jumps, as hard edges do, no less than that step is claimed.  Where nothing changes the step is
+doubled until something does, and no less than half of it is claimed.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,12 +24,15 @@ from fide_plugins.fitting.rendering import Rendered
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.types import Float32, Float64, Indices, Mask
-from fide_plugins.uncertainty.at_answer import deviations_at
+from fide_plugins.types import Float32, Float64, Indices
+from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_together
 
-__all__ = ["numbers", "std_around"]
+__all__ = ["MOST_NUMBERS", "numbers", "std_around"]
 
+MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little memory
 _STEP, _NEARER = 0.005, 0.2  # of the cube; times as far
+_HALVINGS = 10  # of a step that constraints do not allow
+_LEAST = 0.25  # of a step, below which a wall leaves no side
 _CURVED = 0.25  # energy of the second difference beside that of the first
 _STRAIGHTER = 0.5  # of the curvature, below which the nearer step is taken
 _TINY = 1e-300
@@ -39,47 +47,111 @@ def numbers(optimizer: FIDE) -> Indices:
 
 
 def std_around(
-    optimizer: FIDE, workers: Workers, timeout: float | None
+    optimizer: FIDE, workers: Workers, timeout: float | None, most: float, deadline: float
 ) -> tuple[Float64 | None, int]:
-    """Standard deviations (dim,) of the best candidate, None if unknown; number of renders."""
-    best, axes = optimizer.state.best, numbers(optimizer)
-    assert best is not None and best.solution.image is not None
-    around = _Around(optimizer, workers, timeout, best.solution.x, best.solution.image)
-    if not around.is_the_same_again():
+    """Standard deviations (dim,) of the best candidate, None if unknown; number of renders.
+
+    most: renders, at least 1 + 4 p.  deadline: of `time.perf_counter`, when rendering stops.
+    NaN, too, where no side of the answer can be rendered.
+    """
+    axes = numbers(optimizer)
+    around = _Around(optimizer, workers, timeout, most, deadline)
+    try:
+        if not around.is_the_same_again():
+            return None, around.renders
+        seen = around.look({int(axis): around.either_side(axis, _STEP) for axis in axes})
+        _look_nearer(around, seen)
+    except _OverError:
         return None, around.renders
-    sides = around.either_side(axes, _STEP)
-    if sides is None:
+    _look_farther(around, seen)
+    if not seen:
         return None, around.renders
-    curved = around.curvature(sides) > _CURVED
-    nearer = around.either_side(axes[curved], _NEARER * _STEP)
-    if nearer is None:
-        return None, around.renders
-    straighter = around.curvature(nearer) < _STRAIGHTER * around.curvature(sides.of(curved))
-    sides.put(np.flatnonzero(curved)[straighter], nearer.of(straighter))
-    jumps = np.flatnonzero(curved)[~straighter]
+    known = sorted(seen)
     std = np.full(optimizer.dim, np.nan)
-    std[axes] = around.deviations(sides)
-    std[axes[jumps]] = np.maximum(std[axes[jumps]], _NEARER * _STEP)
+    std[known] = around.deviations([seen[axis].slopes for axis in known])
+    std[known] = np.maximum(std[known], [seen[axis].least for axis in known])
     return std, around.renders
 
 
-class _Sides(NamedTuple):
-    """Images at either side of the answer, in p directions.
+class _OverError(Exception):
+    """There is no room for another render."""
 
-    low, high: (p, H, W, 3), packed.  spans: (p,), how far they are apart.
+
+@dataclass(eq=False)
+class _Seen:
+    """What steps on one axis have shown.
+
+    slopes: (h, w, 3) of each view, reduced.  curvature: energy of the second difference beside that
+    of the first; None: one side is known only.  step: the farther one.  changed: whether the image
+    has.  least: what may be claimed.
     """
 
-    low: Float32
-    high: Float32
-    spans: Float64
+    slopes: list[Float64]
+    curvature: float | None
+    step: float
+    changed: bool
+    least: float = 0.0
 
-    def of(self, which: Mask) -> _Sides:
-        """Those of some directions (p,)."""
-        return _Sides(self.low[which], self.high[which], self.spans[which])
+    def differs(self, other: _Seen) -> float:
+        """Energy of the difference of two slopes beside that of the greater one."""
+        pairs = list(zip(self.slopes, other.slopes, strict=True))
+        apart = sum(_energy(a - b) for a, b in pairs)
+        energies = [sum(_energy(pair[i]) for pair in pairs) for i in (0, 1)]
+        return apart / max(*energies, _TINY)
 
-    def put(self, at: Indices, others: _Sides) -> None:
-        """Put others in place of those of some directions (m,)."""
-        self.low[at], self.high[at], self.spans[at] = others
+
+def _look_nearer(around: _Around, seen: dict[int, _Seen]) -> None:
+    """Look nearer where the image bends, or where one side is known, and replace what was seen."""
+    asked = [
+        axis
+        for axis, one in seen.items()
+        if one.changed and (one.curvature is None or one.curvature > _CURVED)
+    ]
+    found = around.look(
+        {axis: around.either_side(axis, _NEARER * seen[axis].step) for axis in asked}
+    )
+    for axis in asked:
+        far, near = seen[axis], found.get(axis)
+        if far.curvature is None:
+            if near is None:  # nothing tells a slope from a jump
+                del seen[axis]
+                continue
+            straight = near.changed and far.differs(near) <= _CURVED
+        else:
+            straight = (
+                near is not None
+                and near.changed
+                and near.curvature is not None
+                and near.curvature < _STRAIGHTER * far.curvature
+            )
+        if straight and near is not None:
+            seen[axis] = near
+        else:
+            far.least = _NEARER * far.step
+
+
+def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
+    """Double the step where nothing changes; what the renders do not suffice for stays unknown."""
+    still = {axis: one.step for axis, one in seen.items() if not one.changed}
+    while still:
+        sides = {axis: around.either_side(axis, 2 * step, 0) for axis, step in still.items()}
+        sides = {axis: d for axis, d in sides.items() if max(d) > still[axis]}  # else: the end
+        try:
+            found = around.look(sides)
+        except _OverError:
+            for axis in sides:
+                del seen[axis]
+            return
+        still = {}
+        for axis, one in found.items():
+            if one.changed:
+                one.least, seen[axis] = 0.5 * one.step, one
+            else:
+                still[axis] = one.step
+
+
+def _energy(pixels: Float32 | Float64) -> float:
+    return float(np.square(pixels, dtype=np.float64).sum())
 
 
 class _Around:
@@ -90,75 +162,121 @@ class _Around:
         optimizer: FIDE,
         workers: Workers,
         timeout: float | None,
-        x: Float64,
-        image: Float32,
+        most: float,
+        deadline: float,
     ) -> None:
+        best = optimizer.state.best
+        assert best is not None and best.solution.image is not None
         self._optimizer, self._workers, self._timeout = optimizer, workers, timeout
-        self._x, self._image = x, image
+        self._x, self._image = best.solution.x, best.solution.image
+        self._most, self._deadline = most, deadline
+        layout = optimizer.state.search.setting.layout
+        self._periodic = np.zeros(len(self._x), bool) if layout is None else layout.periodic
+        p = len(numbers(optimizer))
+        self._together = [pixels_together(p, *view.size, 3) for view in optimizer.views.views]
         self.renders = 0
 
     def is_the_same_again(self) -> bool:
         """Whether the answer has the same image when it is rendered again."""
-        again = self._render(self._x[None])
-        return again is not None and bool(np.abs(again[0] - self._image).max() <= _SAME)
+        (again,) = self._render(self._x[None])
+        return again is not None and bool(np.abs(again - self._image).max() <= _SAME)
 
-    def either_side(self, axes: Indices, step: float) -> _Sides | None:
-        """Images of steps on these axes (p,); None if a render fails.
+    def either_side(self, axis: int, step: float, halvings: int = _HALVINGS) -> tuple[float, float]:
+        """Distances of the points below and above on an axis; 0: none there.
 
-        At a wall, and where a step is not valid, it is one-sided; on a periodic axis there is no
-        wall.  None, too, where neither side is valid.
+        At a wall, and where a step is not valid, there is none; on a periodic axis there is no
+        wall.  The step is halved where neither side is valid.
         """
-        optimizer, periodic = self._optimizer, np.zeros(len(self._x), bool)
-        layout = optimizer.state.search.setting.layout
-        if layout is not None:
-            periodic = layout.periodic
-        X = np.repeat(self._x[None], 2 * len(axes), axis=0)
-        spans = np.zeros(len(axes))
-        for row, point in enumerate(X):
-            i, sign = row // 2, 1 if row % 2 else -1
-            end = self._x[axes[i]] + sign * step
-            end = end if periodic[axes[i]] else min(max(end, 0.0), 1.0)
-            point[axes[i]] = end % 1.0 if periodic[axes[i]] else end
-            if optimizer.validity is None or optimizer.validity.allows(point):
-                spans[i] += abs(end - self._x[axes[i]])
-            else:
-                point[axes[i]] = self._x[axes[i]]
-        images = None if (spans == 0).any() else self._render(X)
-        return None if images is None else _Sides(images[0::2].copy(), images[1::2].copy(), spans)
+        for _ in range(halvings + 1):
+            low, high = self._reach(axis, -step), self._reach(axis, step)
+            if low or high:
+                break
+            step /= 2
+        return low, high
 
-    def curvature(self, sides: _Sides) -> Float64:
-        """(p,), energy of the second difference beside that of the first."""
-        second = sides.low + sides.high - 2 * self._image
-        parts = (np.square(one, dtype=np.float64).sum((1, 2, 3)) for one in
-                 (second, sides.high - sides.low))  # fmt: skip
-        bent, straight = parts
-        return np.asarray(bent / np.maximum(straight, _TINY), np.float64)
+    def look(self, sides: Mapping[int, tuple[float, float]]) -> dict[int, _Seen]:
+        """What points at such distances show; axes of which nothing can be rendered are missing."""
+        steps = [
+            (axis, sign * distance)
+            for axis, pair in sides.items()
+            for sign, distance in zip((-1, 1), pair, strict=True)
+            if distance
+        ]
+        X = np.array([self._point(axis, step) for axis, step in steps]).reshape(-1, len(self._x))
+        images, seen = self._render(X), {}
+        for axis, (low, high) in sides.items():  # in the order of X
+            below = next(images) if low else None
+            above = next(images) if high else None
+            if below is not None or above is not None:
+                seen[axis] = self._seen(below, above, low, high)
+        return seen
 
     @one_thread
-    def deviations(self, sides: _Sides) -> Float64:
-        """(p,), standard deviations."""
+    def deviations(self, slopes: Sequence[Sequence[Float64]]) -> Float64:
+        """(p,), standard deviations, of p reduced slopes of each view."""
         views, image = self._optimizer.views, self._image
-        apart = [
-            views.differences(high, low)
-            for low, high in zip(sides.low, sides.high, strict=True)
-        ]  # fmt: skip
-        spans = sides.spans[:, None, None, None]
-        slopes = [np.array(one) / spans for one in zip(*apart, strict=True)]
         residuals = views.differences(views.target, image)
         weights = views.differences(np.ones_like(image), np.zeros_like(image))
         images = [one[0].astype(np.float64) for one in views.split(image[None])]
-        return deviations_at(slopes, residuals, images, weights)
+        return deviations_at(
+            [np.array(one) for one in zip(*slopes, strict=True)],
+            self._reduced(residuals),
+            self._reduced(images),
+            self._reduced(weights),
+            self._together,
+        )
 
-    def _render(self, X: Float64) -> Float32 | None:
-        """Packed images (n, H, W, 3) of points X (n, d); None if one fails."""
-        images = []
-        for outcome in gathered(self._workers, X, self._timeout):
+    def _reach(self, axis: int, step: float) -> float:
+        """How far a step gets, if that is far enough and valid; else 0."""
+        end = float(self._x[axis]) + step
+        if not self._periodic[axis]:
+            end = min(max(end, 0.0), 1.0)
+        distance = abs(end - float(self._x[axis]))
+        if distance < _LEAST * abs(step) or (self._periodic[axis] and distance > 0.5):
+            return 0.0
+        validity = self._optimizer.validity
+        point = self._point(axis, float(np.copysign(distance, step)))
+        return distance if validity is None or validity.allows(point) else 0.0
+
+    def _point(self, axis: int, step: float) -> Float64:
+        point = self._x.copy()
+        moved = point[axis] + step
+        point[axis] = moved % 1.0 if self._periodic[axis] else min(max(moved, 0.0), 1.0)
+        return point
+
+    def _seen(self, below: Float32 | None, above: Float32 | None, low: float, high: float) -> _Seen:
+        """What images (H, W, 3) at either side show; None: none there."""
+        at, curvature = self._image, None
+        if below is not None and above is not None:
+            right, left = (above - at) / np.float32(high), (at - below) / np.float32(low)
+            bent, straight = _energy(right - left), _energy(right + left)
+            curvature = bent / max(straight, _TINY)
+        changed = any(one is not None and np.abs(one - at).max() > _SAME for one in (below, above))
+        low, high = low if below is not None else 0.0, high if above is not None else 0.0
+        apart = self._optimizer.views.differences(
+            at if above is None else above, at if below is None else below
+        )
+        slopes = [one / (low + high) for one in self._reduced(apart)]
+        return _Seen(slopes, curvature, max(low, high), changed)
+
+    def _reduced(self, pixels: Sequence[Float64]) -> list[Float64]:
+        """Of each view (H, W, 3), means of k x k pixels."""
+        return [means(one, k) for one, k in zip(pixels, self._together, strict=True)]
+
+    def _render(self, X: Float64) -> Iterator[Float32 | None]:
+        """Packed images (H, W, 3) of points X (n, d), as they come; None: the render failed.
+
+        Raises _OverError where there is no room for one more.
+        """
+        outcomes = gathered(self._workers, X, self._timeout)
+        if self.renders + len(X) > self._most:
+            raise _OverError
+        for _ in X:
+            if time.perf_counter() > self._deadline:
+                raise _OverError
             self.renders += 1
-            if not isinstance(outcome, Rendered):
-                return None
-            try:
-                images.append(canonical(self._optimizer, outcome.image))
-            except ImageError:
-                return None
-        shape = (len(X), *self._image.shape)
-        return np.array(images, np.float32).reshape(shape)
+            outcome, image = next(outcomes), None
+            if isinstance(outcome, Rendered):
+                with suppress(ImageError):  # no image that fits is a render that failed, too
+                    image = canonical(self._optimizer, outcome.image)
+            yield image

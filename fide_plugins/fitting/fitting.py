@@ -9,7 +9,9 @@ from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from fide_plugins.fitting.around_answer import numbers, std_around
+import numpy as np
+
+from fide_plugins.fitting.around_answer import MOST_NUMBERS, numbers, std_around
 from fide_plugins.fitting.callbacks import Callbacks, Run
 from fide_plugins.fitting.failures import CallbackError, FitError
 from fide_plugins.fitting.loop import Loop
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FitInterrupted", "Fitting"]
 
-_MORE = 20  # one part in so many: renders beyond the budget
+_MORE = 5  # one part in so many: renders beyond the budget
 _SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
 
 
@@ -77,7 +79,7 @@ class Fitting:
         self._checkpoint_every = checkpoint_every
         self._shown_at = 0.0
         self._std: Float64 | None = None
-        self._std_renders = 0
+        self._std_renders = self._done_before = 0
 
     def execute(self) -> Result:
         """Fit until a rule says stop.
@@ -106,7 +108,7 @@ class Fitting:
             self._checkpoints = CheckpointTimer(self._checkpoint_every)
             try:
                 stopped = self._run(interrupts, report)
-                self._std, self._std_renders = self._deviations(stopped, interrupts)
+                self._say_how_sure(stopped, interrupts)
             except BaseException as error:
                 stopped = "interrupted" if isinstance(error, Interrupted) else "failed"
                 return self._end(stopped, interrupts, error)  # which raises it
@@ -117,6 +119,7 @@ class Fitting:
     def _run(self, interrupts: Interrupts, report: Report | None) -> str:
         """The loop; returns why it has ended."""
         loop = self._loop
+        self._done_before = self.record.evaluations
         stopped = loop.over()
         if stopped is None and self._callbacks.call("on_start", self._as_run()):
             stopped = "callback"
@@ -152,25 +155,30 @@ class Fitting:
         if self.saved is not None:
             self._save(self.saved)
 
-    def _deviations(self, stopped: str, interrupts: Interrupts) -> tuple[Float64 | None, int]:
-        """Standard deviations (dim,) from renders around the answer, and how many these were.
+    def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
+        """Standard deviations (dim,) from renders around the answer, as far as these can be made.
 
-        None without them: they are made where the budget has room, or where they add at most a
-        twentieth, and where the time has room.
+        They are made where the budget has room, or where they add at most a fifth, and where the
+        time has room.  A signal meanwhile ends them, and the fit ends as it would have.
         """
         best, done = self.optimizer.state.best, self.record.evaluations
         if best is None or best.solution.image is None or stopped in ("time", "callback"):
-            return None, 0
-        if self.optimizer.state.grain.variance:
-            return None, 0
-        rules, need = self._stopping, 1 + 2 * len(numbers(self.optimizer))
+            return
+        p, rules = len(numbers(self.optimizer)), self._stopping
+        need = 1 + 4 * p
         room = math.inf if rules.budget is None else max(rules.budget - done, done // _MORE)
-        each = self._loop.render_seconds / max(1, done) / max(1, self._workers.number)
+        new = max(1, done - self._done_before)
+        each = self._loop.render_seconds / new / max(1, self._workers.number)
         left = math.inf if rules.seconds is None else rules.seconds - self.record.wall_s
-        if need == 1 or need > room or need * each > left:
-            return None, 0
-        with interrupts.stoppable():
-            return std_around(self.optimizer, self._workers, self._timeout)
+        if self.optimizer.state.grain.variance or not 0 < p <= MOST_NUMBERS:
+            return
+        if need > room or need * each > left:
+            return
+        deadline = time.perf_counter() + left
+        with suppress(Interrupted, np.linalg.LinAlgError), interrupts.stoppable():
+            std, renders = std_around(self.optimizer, self._workers, self._timeout, room, deadline)
+            if std is not None:
+                self._std, self._std_renders = std, renders
 
     # -- ending ------------------------------------------------------------------------------------
 

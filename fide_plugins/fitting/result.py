@@ -13,7 +13,7 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import counting, side_by_side
-from fide_plugins.recording.parameters import described
+from fide_plugins.recording.parameters import ROUGH, described, is_rough
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.renderers import naming
 from fide_plugins.validation.points import as_points
@@ -60,7 +60,7 @@ class Result:
         where it has one rule only.
     out: run directory; None without.
     std_renders: renders around the answer at the end, beside the evaluations, from which
-        `best.std` is computed; 0: it is from samples of the search, or was read.
+        `best.std` is computed; 0: it is rough, from samples of the search, or was read.
     value_range: values of target and images that are black and white; None: 0 and 1.
     unsaved: what `save` writes, of a fit that has just ended.
     """
@@ -169,7 +169,8 @@ class Result:
         if isinstance(self.params, dict) and self.best is not None:
             unnamed = self.best.space is None  # a task of a run that was read
             text = naming.described(self.params) if unnamed else described(self.best)
-            params = shorten(text, 400)
+            rough = f" ({ROUGH})" if is_rough(self.best) and "±" in text else ""
+            params = shorten(text, 400) + rough
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
             f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",

@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from fide_plugins.recording.figures import Panel, as_png, thumbnail
-from fide_plugins.recording.parameters import Row, rows
+from fide_plugins.recording.parameters import ROUGH, Row, is_rough, rows
 from fide_plugins.recording.result_figure import curve_figure
 
 if TYPE_CHECKING:
@@ -31,10 +31,11 @@ def page(result: Result, panels: Sequence[Panel]) -> str:
     if len(result.losses):
         curve = curve_figure(result.losses, result.loss)._repr_png_()
         pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
+    rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
     return (
         f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts)}</p>"
         f'<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">{pictures}</div>'
-        f"{_table(rows([] if result.best is None else [result.best]))}</div>"
+        f"{_table(rows([] if result.best is None else [result.best]))}{rough}</div>"
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fide_plugins.recording.parameters import is_rough
 from fide_plugins.space import Space
 from fide_plugins.types import Estimated, Float64, Solution
 
@@ -22,6 +23,7 @@ def written(solutions: Sequence[Solution]) -> list[dict[str, Any]]:
             "loss": one.loss,
             "evaluation": one.evaluation,
             "std": None if one.std is None else [_number(value) for value in one.std.tolist()],
+            "rough": is_rough(one),
             "ambiguous": _ambiguous(one),
             "probability": one.probability,
         }
@@ -51,7 +53,7 @@ def _solution(data: dict[str, Any], dim: int, space: Space | None) -> Solution:
         int(data.get("evaluation", -1)),
         probability=None if probability is None else float(probability),
         space=space,
-        estimate=Estimated(std, ambiguous),
+        estimate=Estimated(std, ambiguous, data.get("rough") is True),
     )
 
 

@@ -13,7 +13,10 @@ from fide_plugins.renderers.naming import flat
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Solution
 
-__all__ = ["Row", "described", "lines", "rows"]
+__all__ = ["ROUGH", "Row", "described", "is_rough", "lines", "rows"]
+
+ROUGH = "± rough, from the search"
+"""Remark on standard deviations that depend on the path of the search."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,12 @@ def rows(solutions: Sequence[Solution]) -> list[Row]:
     return [_row(name, kind, space, solutions, params) for name, kind in space.parameters.items()]
 
 
+def is_rough(solution: Solution) -> bool:
+    """Whether it has standard deviations that are by samples of the search only."""
+    known = solution.estimate
+    return known is not None and known.rough and solution.std is not None
+
+
 def described(solution: Solution) -> str:
     """Parameters of a solution in one line of text: ``azimuth=12.30 ± 0.05 deg, rows=3``."""
     pairs = [(f"{row.name}={row.values[0]}", row.unit) for row in rows([solution])]
@@ -59,7 +68,11 @@ def lines(solution: Solution, most: int) -> list[str]:
     width = max((len(row.name) for row in table[:most]), default=0)
     shown = [f"{row.name:{width}}  {row.values[0]} {row.unit}".rstrip() for row in table[:most]]
     more = len(table) - most
-    return [*shown, f"... {more} more"] if more > 0 else shown
+    if more > 0:
+        shown.append(f"... {more} more")
+    if is_rough(solution) and any("±" in row.values[0] for row in table):
+        shown.append(ROUGH)
+    return shown
 
 
 def _row_of_x(i: int, solutions: Sequence[Solution]) -> Row:

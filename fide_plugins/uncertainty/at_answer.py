@@ -31,7 +31,7 @@ import numpy as np
 
 from fide_plugins.types import Estimate, Float64, Mask
 
-__all__ = ["AtAnswer", "deviations_at"]
+__all__ = ["AtAnswer", "deviations_at", "means", "pixels_together"]
 
 _ROUNDING = (1 / 255) ** 2 / 12
 _PRIOR = 1 / 12  # variance of the uniform law on [0, 1]
@@ -52,6 +52,11 @@ class AtAnswer:
     by_samples: Estimate | None = None
 
     @property
+    def rough(self) -> bool:
+        """False: the path of the search does not matter."""
+        return False
+
+    @property
     def ambiguous(self) -> Mask | None:
         """(dim,), integers and choices of which another value may be the true one."""
         return None if self.by_samples is None else self.by_samples.ambiguous
@@ -62,14 +67,18 @@ def deviations_at(
     residuals: Sequence[Float64],
     images: Sequence[Float64],
     weights: Sequence[Float64],
+    together: Sequence[int] | None = None,
 ) -> Float64:
     """Standard deviations (p,), in units of the unit cube.
 
     slopes: (p, H, W, C) of each view, change of its image with a parameter over the unit cube.
     residuals: (H, W, C) of each view, target minus image.  Both are weighted.
     images: (H, W, C) of each view, not weighted; weights: (H, W, C), by which differences are.
+    together: of each view, k, where its pixels are means of k x k pixels already.
     """
-    views = [_small(*one) for one in zip(slopes, residuals, images, weights, strict=True)]
+    means_of = [1] * len(slopes) if together is None else together
+    arrays = zip(slopes, residuals, images, weights, means_of, strict=True)
+    views = [_small(*one) for one in arrays]
     p = len(slopes[0])
     J = np.concatenate([view.slopes.reshape(p, -1) for view in views], axis=1)
     r = np.concatenate([view.residual.ravel() for view in views])
@@ -97,26 +106,33 @@ class _View:
     rounding: float
 
 
-def _small(slopes: Float64, residual: Float64, image: Float64, weights: Float64) -> _View:
+def pixels_together(p: int, height: int, width: int, colors: int) -> int:
+    """K, such that J has few enough numbers in means of k x k pixels."""
+    numbers = p * height * width * colors
+    return min(max(1, int(np.ceil((numbers / _NUMBERS) ** 0.5))), height, width)
+
+
+def means(pixels: Float64, k: int) -> Float64:
+    """Means of k x k pixels (..., H, W, C); what is left at the lower and right edge is dropped."""
+    if k == 1:
+        return pixels
+    *leading, height, width, colors = pixels.shape
+    h, w = height // k, width // k
+    blocks = pixels[..., : h * k, : w * k, :].reshape(*leading, h, k, w, k, colors)
+    reduced: Float64 = blocks.mean(axis=(-4, -2))
+    return reduced
+
+
+def _small(
+    slopes: Float64, residual: Float64, image: Float64, weights: Float64, together: int
+) -> _View:
     """The same in means of k x k pixels, and in one color where all are equal."""
     arrays = [slopes, residual, image, weights]
     if all((one == one[..., :1]).all() for one in arrays):
         arrays = [one[..., :1] for one in arrays]
-    height, width, colors = arrays[1].shape
-    numbers = len(slopes) * height * width * colors
-    k = min(max(1, int(np.ceil((numbers / _NUMBERS) ** 0.5))), height, width)
-    if k > 1:
-        arrays = [_means(one, k) for one in arrays]
-    return _View(arrays[0], arrays[1], arrays[2], arrays[3], _ROUNDING / k**2)
-
-
-def _means(pixels: Float64, k: int) -> Float64:
-    """Means of k x k pixels (..., H, W, C); what is left at the lower and right edge is dropped."""
-    *leading, height, width, colors = pixels.shape
-    h, w = height // k, width // k
-    blocks = pixels[..., : h * k, : w * k, :].reshape(*leading, h, k, w, k, colors)
-    means: Float64 = blocks.mean(axis=(-4, -2))
-    return means
+    k = pixels_together(len(slopes), *arrays[1].shape)
+    arrays = [means(one, k) for one in arrays]
+    return _View(arrays[0], arrays[1], arrays[2], arrays[3], _ROUNDING / (k * together) ** 2)
 
 
 def _correlated(view: _View) -> Float64:

@@ -70,6 +70,11 @@ class LocalEstimate:
         return self._estimated.std
 
     @property
+    def rough(self) -> bool:
+        """True: another path of the search has other samples."""
+        return True
+
+    @property
     def ambiguous(self) -> Mask | None:
         """(d,), integers and choices of which another value may be the true one."""
         return self._estimated.ambiguous
