@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 __all__ = ["Facts", "Status", "status_of"]
 
+_NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"
 
 
@@ -53,6 +54,7 @@ class Facts:
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have, see `views.same_images`; 0
         otherwise.
+    clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """
 
     evaluations: int
@@ -66,6 +68,9 @@ class Facts:
     grain: float | None = None
     solved: bool = False
     same: int = 0
+    clipped: int = 0
+    low: float = 0.0
+    high: float = 1.0
 
 
 def status_of(facts: Facts) -> Status:
@@ -84,10 +89,16 @@ def status_of(facts: Facts) -> Status:
             "more.",
         )
     if facts.same:
+        why = "Does render use its parameters, and do their ranges change what is seen?"
+        if facts.clipped >= _NEARLY_ALL * facts.evaluations:
+            why = (
+                "Nearly all were clipped at black or white: they have values from "
+                f"{facts.low:.6g} to {facts.high:.6g}. Give value_range=(low, high), which are "
+                "black and white in the renders and the target."
+            )
         return Status(
             "stalled",
-            f"All {facts.same:,} candidates have the same image: loss {best:.3g}. Does render use "
-            "its parameters, and do their ranges change what is seen?",
+            f"All {facts.same:,} candidates have the same image: loss {best:.3g}. {why}",
         )
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:

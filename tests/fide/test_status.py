@@ -61,6 +61,12 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
             "stalled",
             "All 3,000 candidates have the same image: loss 0.01",
         ),
+        (replace(RUN, same=3000, clipped=100), "stalled", "Does render use its parameters"),
+        (
+            replace(RUN, same=3000, clipped=2900, low=0, high=255),
+            "stalled",
+            "values from 0 to 255. Give value_range=(low, high)",
+        ),
         (replace(RUN, same=3000, solved=True), "solved", "0.01"),
     ],
 )
