@@ -116,7 +116,7 @@ class Grain:
         for view, one, other in zip(self._views.views, *images, strict=True):
             rows = slice(None, None, max(1, view.size[0] // _ROWS))
             some = view.difference(one[0], other[0], rows)
-            numbers = max(1, np.count_nonzero(some.any(axis=-1)))
+            numbers = max(1, int(np.count_nonzero(some.any(axis=-1))))
             product = abs(float((some[:, 1:] * some[:, :-1]).sum()))
             if product > (_CORRELATED + _CHANCE / numbers**0.5) * float(np.square(some).sum()):
                 return True

@@ -90,7 +90,8 @@ class View:
         apart = np.subtract(image[rows], other[rows], dtype=np.float64)
         if self.weights is None:
             return apart
-        return apart * (self._roots[rows] / self.mean_weight**0.5)
+        apart *= self._roots[rows] / self.mean_weight**0.5
+        return apart
 
     def squared_error(self, image: Float32) -> float:
         """Weighted mean of the squared difference of an image (H, W, 3) from the target."""

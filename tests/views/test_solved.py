@@ -86,11 +86,11 @@ def test_contrast_is_that_of_each_view_and_of_what_a_mask_shows() -> None:
     mask[:, :9] = 0
     faint = disk(0.7, 0.5, 0.504)
     faint[:, :9] = 1.0
-    colored = faint + np.float32([0, -0.2, -0.4])  # so are its colors: no contrast
+    colored = faint + np.array([0, -0.2, -0.4], np.float32)  # so are its colors: no contrast
     views = Views.read([colored, disk(0.3, 0.1, 0.9)], [mask, None])
 
     def solved(x: float) -> bool:
-        images = [disk(x, 0.5, 0.504) + np.float32([0, -0.2, -0.4]), disk(0.3, 0.1, 0.9)]
+        images = [disk(x, 0.5, 0.504) + np.array([0, -0.2, -0.4], np.float32), disk(0.3, 0.1, 0.9)]
         batch = views.as_batch([one[None] for one in images], 1, lambda _: None)
         return is_solved(views, np.asarray(batch[0], np.float32))
 
@@ -105,18 +105,17 @@ def test_a_perfect_image_of_a_rounded_picture_equals_it(
     """Of a flat area all values are rounded alike, by up to half a step."""
     kind = np.uint8 if levels == 255 else np.uint16
     for low in np.linspace(0.05, 0.1, 12):
-        exact = range_of_values * disk(0.7, low, 0.9)
+        exact = np.float32(range_of_values) * disk(0.7, low, 0.9)
         rounded = np.round(exact * levels).astype(kind)
         views = Views.read(rounded, value_range=(0, levels))
         assert is_solved(views, exact)
-        wrong = range_of_values * disk(0.72, low, 0.9)
-        assert not is_solved(views, wrong)
+        assert not is_solved(views, np.float32(range_of_values) * disk(0.72, low, 0.9))
 
 
 def test_the_steps_of_a_picture_may_be_those_of_its_range_of_values() -> None:
-    exact = 200 * disk(0.7, 0.1, 0.9)
-    views = Views.read(np.round(exact).astype(np.uint8), value_range=(0, 200))
-    assert is_solved(views, exact / 200)
+    exact = disk(0.7, 0.1, 0.9)
+    views = Views.read(np.round(200 * exact).astype(np.uint8), value_range=(0, 200))
+    assert is_solved(views, exact)
     assert not is_solved(views, disk(0.7, 0.1, 0.92))
 
 
