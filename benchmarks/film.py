@@ -27,8 +27,8 @@ def best_images(name: str, task: Any, marks: list[int], seed: int) -> list[Any]:
     """Best image (H, W, 3) of an optimizer after so many renders, each of `marks`."""
     optimizer = optimizers.make(name, task.dim, task.target, seed=seed)
     mse = losses.make("mse", task.target)
-    best, image, images = np.inf, np.zeros_like(task.target), []
-    done = 0
+    best, image, done = np.inf, np.zeros_like(task.target), 0
+    images: list[Any] = []
     while len(images) < len(marks):
         X = optimizer.ask(1)
         rendered = task.render(X)

@@ -2,4 +2,4 @@
 
 from fide_plugins.runtime.laboratory import keep_old_name
 
-keep_old_name(__name__, "baselines")
+keep_old_name(__name__, "fide_lab.baselines")

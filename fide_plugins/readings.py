@@ -233,6 +233,13 @@ class Readings(Saved):
         given["constraints"] = constraints_not_stored if given.get("constraints") else None
         return given if space is None else given | {"dim": Space.from_dict(space)}
 
+    def settings_there(self, settings: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Earlier versions lack constraints and a range, and stored an x0 that nobody gave."""
+        if "constraints" in settings:
+            return settings
+        x0 = self.guess if np.array_equal(settings["x0"], self.x0) else settings["x0"]
+        return {"constraints": False, "value_range": None, **settings, "x0": x0}
+
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
         """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""

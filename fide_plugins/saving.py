@@ -66,6 +66,10 @@ class Saved(Locked, ABC):
         if "target" not in settings:
             raise ValueError("settings lack 'target'")
 
+    def settings_there(self, settings: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Settings of a checkpoint as this version would have saved them."""
+        return settings
+
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
         """Loss that a user gave for an optimizer of these settings; raises as `losses.resolve`."""
@@ -153,7 +157,7 @@ class Saved(Locked, ABC):
         """
         saved = checkpoint.read(path, self.name)
         with _possible(path):
-            there, here = saved["settings"], self.settings()
+            there, here = self.settings_there(saved["settings"]), self.settings()
             other = [name for name in here if not _same(there.get(name), here[name])]
             if other:
                 raise CheckpointError(

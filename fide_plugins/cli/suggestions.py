@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 
 from fide_plugins.errors import did_you_mean
 
 __all__ = ["suggestion"]
 
 _UNKNOWN = "unrecognized arguments: "
+_MISTYPED = 0.75  # similarity of names, from which on one is taken for the other
 _CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
 
 
@@ -21,7 +23,8 @@ def suggestion(
 ) -> str:
     """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
 
-    parser: of the command.  others: gives those of all commands, by name.
+    parser: of the command.  others: gives those of all commands, by name;
+    they take a while, and are asked only if no flag of this one is close.
     """
     choice = _CHOICE.search(message)
     if choice is not None:
@@ -32,10 +35,13 @@ def suggestion(
         flag = word.partition("=")[0]
         if not flag.startswith("--"):
             continue
-        if where := [name for name, other in others().items() if flag in _flags(other)]:
-            return f"; {flag} is of {' and '.join(f'fide {name}' for name in where[:3])}"
-        if close := did_you_mean(flag, _flags(parser)):
-            return close.replace("'", "")
+        name, own = flag[2:], [one[2:] for one in _flags(parser) if one.startswith("--")]
+        if not get_close_matches(name, own, 1, _MISTYPED) and (
+            where := [command for command, other in others().items() if flag in _flags(other)]
+        ):
+            return f"; {flag} is of {' and '.join(f'fide {command}' for command in where[:3])}"
+        if close := get_close_matches(name, own, 1):
+            return f"; did you mean --{close[0]}?"
     return ""
 
 

@@ -168,6 +168,7 @@ class Failures:
             return (
                 f"{failed} of the last {_WINDOW} renders failed, more than max_failures={allowed:g}"
             )
-        if self._in_a_row >= max(_WINDOW, _IN_A_ROW * self._done / self._images):
+        until_success = (self._done - self._in_a_row) / self._images
+        if self._in_a_row >= max(_WINDOW, _IN_A_ROW * until_success):
             return f"the last {self._in_a_row} renders all failed"
         return ""

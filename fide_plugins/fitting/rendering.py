@@ -66,12 +66,15 @@ class Failed:
     details: the traceback in the worker, or what else is known; may be empty.
     names_params: whether they say with which parameters.
     broken: whether other parameters will hardly do better, as far as the kind of error says.
+    killed: whether it ended its worker, or was ended for its time: no process of the fit's own
+        would survive it.
     """
 
     reason: str
     details: str = ""
     names_params: bool = False
     broken: bool = False
+    killed: bool = False
 
     @classmethod
     def by(cls, error: BaseException) -> Failed:

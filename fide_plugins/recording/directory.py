@@ -229,6 +229,8 @@ class RunDirectory:
     def save(self, record: Record, optimizer: Optimizer) -> None:
         """Write the state from which the run can continue."""
         write_checkpoint(self.path, record, optimizer)
+        if not self._run.get("saved"):
+            self.write_run()
 
     def write_tables(
         self, record: Record, best: Float32 | None, values: Float32 | None = None

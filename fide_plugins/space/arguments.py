@@ -55,6 +55,9 @@ def _check(
             f"{kind} takes {' and '.join(p.name for p in positional)} by position and all else by "
             f"name, not {len(args)} values; write {usage}"
         )
+    for p in positional[: len(args)]:
+        if p.name in kwargs:
+            raise SpaceError(f"{kind} has {p.name} by position and by name; write {usage}")
     given = {p.name for p in positional[: len(args)]} | kwargs.keys()
     for p in positional:
         if p.default is Parameter.empty and p.name not in given:

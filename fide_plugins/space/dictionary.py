@@ -122,7 +122,9 @@ def _parameter(data: Mapping[str, Any]) -> Kind:
     keys = dict.fromkeys(("type", *_KEYS[kind]))
     for key in data:
         if key not in keys:
-            hint = right_word(key, keys)
+            others = [other for other in _KINDS if key in _KEYS[other]]
+            hint = f"; did you mean type = {others[0]!r}?" if len(others) == 1 else ""
+            hint = hint or right_word(key, keys)
             article = "an" if kind == "int" else "a"
             raise SpaceError(
                 f"{key}: unknown key of {article} {kind}; known are {', '.join(keys)}{hint}"

@@ -66,7 +66,7 @@ class Space:
         members: Mapping[str, Member] | None = None,
         /,
         *,
-        constraints: Mapping[str, str] | None = None,
+        constraints: Any = None,  # a mapping; typed so that Space(**floats) is well typed
         **named: Member,
     ) -> None:
         expressions = _expressions(constraints)

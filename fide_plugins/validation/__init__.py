@@ -4,6 +4,7 @@
 `images`         targets and renders
 `image_sources`  pixels of an array or a torch tensor
 `image_files`    files and PIL images, read and written
+`exr`            OpenEXR files
 `reduction`      pictures made smaller
 `unit_range`     values become floats in [0, 1]
 `value_range`    which values are black and white

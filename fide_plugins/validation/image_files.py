@@ -1,7 +1,7 @@
 """Pixels of image files and PIL images, and image files of pixels.
 
 Pillow reads most files.  OpenCV reads those that Pillow cannot: TIFF of float colors, Radiance HDR,
-colors of 16 bits where their numbers matter.  Neither reads EXR.
+colors of 16 bits where their numbers matter.  The extra exr reads EXR (`exr`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
 from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32
+from fide_plugins.validation import exr
 from fide_plugins.validation.image_sources import Pixels, refuse_type, scale_remedy
 from fide_plugins.validation.reduction import reduced, reduced_size
 
@@ -29,10 +30,7 @@ _WIDENED = ("PNG", "PPM")  # formats of 16 bits, which Pillow may keep in 32
 _TIFF = (".tif", ".tiff")  # Pillow reads floats of gray ones only
 _LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 _OPENCV = (*_TIFF, ".hdr")
-_EXR = (
-    "EXR cannot be read: give the array, for example OpenEXR.File(path).channels()['RGB'].pixels "
-    "of the package openexr, or convert the file to TIFF of 32-bit floats"
-)
+_EXR = ".exr"
 
 
 def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool = False) -> Pixels:
@@ -77,12 +75,12 @@ def _narrowed(image: Any) -> bool:
 def _of_another_format(
     path: str | os.PathLike[str], max_side: int | None, raw: bool, error: Exception
 ) -> Pixels:
-    """Decode by OpenCV what Pillow cannot; raises ImageError."""
+    """Decode by OpenCV or OpenEXR what Pillow cannot; raises ImageError, DependencyError."""
     name = os.fspath(path)
-    remedy = "is it whole, and is it an image? PNG, JPEG, TIFF, PPM and HDR can be read"
-    if name.lower().endswith(".exr"):
-        remedy = _EXR
-    elif name.lower().endswith(_OPENCV):
+    remedy = "is it whole, and is it an image? PNG, JPEG, TIFF, PPM, HDR and EXR can be read"
+    if name.lower().endswith(_EXR):
+        return _at_most(exr.decoded(path, MAX_PIXELS), max_side)
+    if name.lower().endswith(_OPENCV):
         try:
             pixels = _by_opencv(path, max_side)
         except ImageError:
@@ -109,6 +107,11 @@ def _by_opencv(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
     if pixels.ndim == 3:  # BGR, BGRA
         order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] in (3, 4) else slice(None)
         pixels = np.ascontiguousarray(pixels[..., order])
+    return _at_most(pixels, max_side)
+
+
+def _at_most(pixels: Pixels, max_side: int | None) -> Pixels:
+    """The picture with at most so many pixels a side."""
     size = None if max_side is None else reduced_size(pixels.shape[1::-1], max_side)
     return pixels if size in (None, pixels.shape[1::-1]) else reduced(pixels, size)
 
@@ -205,9 +208,9 @@ def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
 def save(path: str | os.PathLike[str], image: Float32) -> None:
     """Write an image (H, W, 3) or (H, W) to the file `path`, whose ending says how.
 
-    .tif, .tiff: 32-bit floats, any values, without loss.  .hdr: colors that are not negative, to
-    1 % of the largest channel.  Other endings that Pillow writes, such as .png: 8 bits, values in
-    [0, 1].
+    .tif, .tiff, .exr (with the extra exr): 32-bit floats, any values, without loss.  .hdr: colors
+    that are not negative, to 1 % of the largest channel.  Other endings that Pillow writes, such as
+    .png: 8 bits, values in [0, 1].
 
     Raises ImageError for another ending or what is no image, OSError if it cannot be written.
     """
@@ -219,6 +222,8 @@ def encoded(image: Float32, suffix: str) -> bytes:
     pixels, suffix = np.asarray(image, np.float32), suffix.lower()
     if pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (1,), (3,), (4,)):
         raise ImageError(f"an image to save has axes (H, W) or (H, W, C), not {pixels.shape}")
+    if suffix == _EXR:
+        return exr.encoded(pixels)
     if suffix in _OPENCV:
         from fide_plugins.runtime.opencv import cv2
 

@@ -13,6 +13,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fide_plugins.recording.directory import LIVE
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
 from fide_plugins.validation.image_files import MAX_PIXELS
@@ -26,6 +29,7 @@ _SIZE = struct.Struct(">II")
 _MOST_OF_JSON = 2**24
 _MOST_POINTS = 1000
 _MOST_SHOWN = 2048  # pixels a side of the difference; larger pictures are reduced
+_ROWS = 64  # of it that are computed at a time
 _QUIET = 30.0  # seconds without a new file before a run may be said to have stopped
 _WRITTEN = ("run.json", "run.ckpt", "curve.csv", LIVE)
 _KNOWN: dict[str, tuple[type, ...]] = {  # of live.json, what may have which type
@@ -132,7 +136,7 @@ class RunFiles:
 
     def _difference(self) -> bytes | None:
         """Absolute difference of target and best image, four times as strong, for a screen."""
-        from PIL import Image, ImageChops
+        from PIL import Image
 
         data = (self.picture(name) or b"" for name in PICTURES[:2])
         buffer = io.BytesIO()
@@ -140,10 +144,7 @@ class RunFiles:
             one, other = (Image.open(io.BytesIO(each), formats=["PNG"]) for each in data)
             if one.size != other.size or math.prod(one.size) > MAX_PIXELS:  # nothing decoded yet
                 return None
-            factor = -(-max(one.size) // _MOST_SHOWN)
-            made = ImageChops.difference(
-                one.convert("RGB").reduce(factor), other.convert("RGB").reduce(factor)
-            )
+            made = Image.fromarray(_largest_differences(one, other))
             made.point([min(4 * value, 255) for value in range(256)] * 3).save(buffer, "PNG")
         except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
             return None
@@ -192,6 +193,24 @@ def _is_picture(data: bytes) -> bool:
         return False
     width, height = _SIZE.unpack_from(data, len(_PNG))
     return bool(width * height <= MAX_PIXELS)
+
+
+def _largest_differences(one: Any, other: Any) -> NDArray[np.uint8]:
+    """Absolute difference (h, w, 3) of two PIL images, of each block of pixels the largest."""
+    from PIL import ImageChops
+
+    width, height = one.size
+    factor = -(-max(one.size) // _MOST_SHOWN)
+    strips = []
+    for top in range(0, height, factor * _ROWS):  # so that no whole picture is held once more
+        box = (0, top, width, min(top + factor * _ROWS, height))
+        strip = np.asarray(
+            ImageChops.difference(one.crop(box).convert("RGB"), other.crop(box).convert("RGB"))
+        )
+        rows, columns = (np.arange(0, side, factor) for side in strip.shape[:2])
+        reduced = np.maximum.reduceat(strip, rows, axis=0)
+        strips.append(np.maximum.reduceat(reduced, columns, axis=1))
+    return np.concatenate(strips)
 
 
 def _text(value: Any) -> str:

@@ -148,7 +148,7 @@ def test_jobs_stop_together_and_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     assert child.returncode == 130
     assert "stopped by SIGINT, everything is saved in out" in err and "Traceback" not in err
     assert f"fide {' '.join(words)} --jobs 2 --resume" in err
-    assert {r.status for r in compare.read("out").runs} & {"unfinished", "missing"}
+    assert {r.state for r in compare.read("out").runs} & {"unfinished", "missing"}
     assert fide(*words, "--resume") == 0
     assert fide(*[word if word != "out" else "whole" for word in words]) == 0
     for whole in Path("whole").rglob("curve.csv"):

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
+
 import pytest
+
+from fide_plugins.cli.suggestions import suggestion
 
 from .conftest import fide, one_line
 
@@ -21,6 +25,10 @@ FIT = ("fit", "target.png", "--renderer", "scene.py:render")
             ("solutions", "out", "--task-seed", 3),
             "--task-seed is of fide run and fide compare and fide tradeoff",
         ),
+        (
+            ("check", "scene.py:render", "--budget", 3),
+            "--budget is of fide fit and fide run and fide compare",
+        ),
         (("rn", "voronoi"), "did you mean 'run'?"),
         (("list", "task"), "did you mean 'tasks'?"),
         (("fit", "target.png", "--model", "voronoii"), "did you mean 'voronoi'?"),
@@ -31,6 +39,21 @@ def test_the_flag_or_the_word_that_was_meant(
 ) -> None:
     assert fide(*words) == 2
     assert one_line(capsys).rpartition("; see fide")[0].endswith(f"; {end}")
+
+
+def test_other_commands_are_looked_into_only_if_no_flag_is_close() -> None:
+    def others() -> dict[str, argparse.ArgumentParser]:
+        asked.append(1)
+        return {"run": of_another}
+
+    own, of_another = (argparse.ArgumentParser(add_help=False) for _ in range(2))
+    own.add_argument("--budget")
+    of_another.add_argument("--replicas")
+    asked: list[int] = []
+    unknown = "unrecognized arguments: "
+    assert suggestion(f"{unknown}--budgt 3", own, others) == "; did you mean --budget?"
+    assert not asked
+    assert suggestion(f"{unknown}--replicas", own, others) == "; --replicas is of fide run"
 
 
 @pytest.mark.parametrize("words", [(*FIT, "--xyzzy"), (*FIT, "extra"), ("xyzzy",)])

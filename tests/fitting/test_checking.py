@@ -134,6 +134,7 @@ def test_noise_hides_no_parameter_that_changes_nothing() -> None:
     data = as_data("noisy", facts)
     assert data["deterministic"] is False
     assert "cannot be told from noise" in " ".join(data["advice"])
+    assert "--until stalled" in " ".join(data["advice"])
 
 
 def test_a_renderer_that_remembers_is_no_noisy_one() -> None:
@@ -145,6 +146,35 @@ def test_a_renderer_that_remembers_is_no_noisy_one() -> None:
     assert facts.drifts and facts.noise == Difference(0, 0)
     assert as_data("x", facts)["deterministic"] is False
     assert "keeps something from render to render" in " ".join(advice(facts))
+
+
+def test_a_renderer_that_drifts_from_render_to_render_is_no_noisy_one() -> None:
+    def render(p: dict[str, Any], calls: list[int] = []) -> Any:  # noqa: B006
+        calls.append(1)
+        return np.full((6, 8), p["gray"]) * (1 - 0.01 * len(calls))
+
+    facts = check(render, Space(gray=Float(0.1, 1)), workers=0)
+    assert facts.drifts and facts.noise is not None and facts.noise.most > 0
+    assert "more from later ones" in " ".join(lines("x", facts))
+    told = " ".join(advice(facts))
+    assert "keeps something from render to render" in told and "told from noise" not in told
+
+
+def test_noise_of_the_brightness_is_no_drift() -> None:
+    def render(p: dict[str, Any]) -> Any:
+        return np.full((2, 2), 0.5 + 0.1 * p["gray"] + 0.02 * rng.normal())
+
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        assert not check(render, Space(gray=Float(0, 1)), workers=0).drifts
+
+
+def test_nothing_is_planned_where_no_parameter_changes_the_image() -> None:
+    facts = check(lambda p: np.zeros((6, 8)), Space(x=Float(0, 1), y=Float(0, 1)), workers=0)
+    assert advice(facts) == [
+        f"one color everywhere in {facts.images} of {facts.images} images",
+        "no parameter changes the image; does the renderer read them?",
+    ]
 
 
 # -- values ----------------------------------------------------------------------------------------
@@ -239,8 +269,9 @@ def test_what_ends_its_process_or_hangs_needs_one_of_its_own() -> None:
 
     facts = check(render, Space(x=Float(0, 1)), workers=2, timeout=0.5)
     reasons = " ".join(one.reason for one in facts.failures)
-    assert "died with exit code 3" in reasons and "did not end within 0.5 s" in reasons
-    assert workers(facts) == 1
+    assert "died with exit code 3" in reasons and "did not end within 0.5 s, its" in reasons
+    assert "--timeout" not in reasons
+    assert facts.kills and workers(facts) >= 1
 
 
 # -- what to plan ----------------------------------------------------------------------------------

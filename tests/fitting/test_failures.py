@@ -136,20 +136,24 @@ def test_it_gives_up_when_the_first_ones_all_fail() -> None:
     assert caught.value.result.best is None and caught.value.result.failures == 8
 
 
+HALF = "26 of the last 50 renders failed, more than max_failures=0.5"
+
+
 @pytest.mark.parametrize(
-    ("options", "failed", "message"),
+    ("images", "options", "failed", "message"),
     [
-        ({}, 50, "the last 50 renders all failed"),
-        ({"max_failures": 0.5}, 26, "26 of the last 50 renders failed, more than max_failures=0.5"),
+        (30, {}, 50, "the last 50 renders all failed"),
+        (6, {}, 50, "the last 50 renders all failed"),
+        (30, {"max_failures": 0.5}, 26, HALF),
     ],
 )
 def test_it_gives_up_when_most_fail_and_keeps_what_it_has(
-    options: dict[str, Any], failed: int, message: str
+    images: int, options: dict[str, Any], failed: int, message: str
 ) -> None:
     count = iter(range(10**6))
 
     def render(params: dict[str, float]) -> Any:
-        if next(count) >= 30:
+        if next(count) >= images:
             raise MemoryError("full")
         return disk()(params)
 
@@ -157,7 +161,7 @@ def test_it_gives_up_when_most_fail_and_keeps_what_it_has(
         fit(render, target(), SPACE, workers=0, seed=0, **options)
     assert message in str(caught.value)
     result = caught.value.result
-    assert (result.evaluations, result.failures) == (30, failed) and result.best is not None
+    assert (result.evaluations, result.failures) == (images, failed) and result.best is not None
 
 
 def test_threads_that_hang_are_missed_and_when_all_do_it_gives_up() -> None:

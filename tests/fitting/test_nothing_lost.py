@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -98,6 +99,26 @@ def test_a_disk_without_room_at_the_end_leaves_the_result_to_the_error(
         kept = contents(tmp_path / "before-1")
         assert {"run.json", "curve.csv", "improvements.csv", "best.png"} <= set(kept)
         assert all(before[name] == data for name, data in kept.items())
+
+
+def test_a_state_that_was_removed_after_a_kill_is_missed(tmp_path: Path) -> None:
+    """What is there in the midst of a fit is what a kill leaves."""
+    killed = tmp_path / "killed"
+
+    def callback(event: Any) -> None:
+        if event.evaluation == 30:
+            shutil.copytree(tmp_path / "run", killed)
+
+    prepare(
+        disk(), target(), SPACE, stopping=Stopping(40), workers=0, seed=5, callbacks=callback,
+        out=tmp_path / "run", checkpoint_every=0.0,
+    ).execute()  # fmt: skip
+    for path in (*killed.glob("*.ckpt"), killed / ".run.lock"):
+        path.unlink()
+    before = contents(killed)
+    with pytest.raises(CheckpointError, match=r"but no run.ckpt.*copy it back"):
+        fit(disk(), target(), SPACE, **ARGUMENTS, out=killed, resume=True)
+    assert contents(killed) == before
 
 
 def test_each_file_is_tried_where_another_cannot_be_written(

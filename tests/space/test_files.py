@@ -90,6 +90,7 @@ BAD = [
     ('[a]\nlow = 0\nhigh = 1\nunits = "m"', r"\[a\] units: unknown key .*; did you mean 'unit'\?"),
     ("[a]\nlow = 0", r"\[a\] high: missing; a float needs low and high"),
     ('[a]\ntype = "flaot"\nlow = 0\nhigh = 1', r"\[a\] type: unknown type 'flaot'.*mean 'float'"),
+    ('[a]\ntype = "float"\nvalues = [1, 2]', r"\[a\] values: .*did you mean type = 'choice'\?"),
     ('[a]\ntype = "float"\nlow = 0\nhihg = 1', r"\[a\] hihg: unknown key of a float.*mean 'high'"),
     ('[a]\ntype = "float"\nlow = 0', r"\[a\] high: missing; a float needs low and high"),
     ('[a]\ntype = "float"\nlow = 1\nhigh = 0', r"\[a\] Float\(1, 0\): low must be less than high"),

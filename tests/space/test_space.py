@@ -374,6 +374,7 @@ def test_numbers_of_numpy_are_numbers(space: Space) -> None:
     ("kind", "args", "named", "message"),
     [
         (Float, (0, 1), {"units": "deg"}, "Float has no argument 'units'.*mean 'unit'"),
+        (Float, (0, 1), {"low": 2}, r"Float has low by position and by name; write Float\("),
         (Float, (), {"min": 0, "max": 1}, "Float has no argument 'min'.*mean 'low'"),
         (Int, (0,), {"maximum": 3}, "Int has no argument 'maximum'.*mean 'high'"),
         (Float, (1, 9), {"logscale": True}, "mean 'log'"),

@@ -72,7 +72,10 @@ def test_the_device_that_people_call_gpu_is_cuda(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("b.hdr", "no size; is it whole.*HDR can"), ("b.EXR", "EXR cannot.*TIFF")],
+    [
+        ("b.hdr", "no size; is it whole.*HDR and EXR can"),
+        ("b.EXR", "b.EXR' as an image: .*; is it whole"),
+    ],
 )
 def test_a_file_that_is_no_picture_names_the_remedy(name: str, remedy: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(b"#?RADIANCE\n")

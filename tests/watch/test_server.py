@@ -296,6 +296,20 @@ def test_the_difference_is_computed_once_for_all_who_ask(
     assert len(made) == 1 and None not in made
 
 
+def test_the_difference_of_large_pictures_is_the_largest_of_each_block(directory: Path) -> None:
+    target = np.full((130, 4100, 3), 100, np.uint8)
+    target[:, ::2] += 10
+    best = target[:, ::-1].copy()  # opposite stripes, of the same mean
+    best[129, 4099] = target[129, 4099] + np.uint8(50)
+    for name, pixels in (("target.png", target), ("best.png", best)):
+        Image.fromarray(pixels).save(directory / name)
+    made = RunFiles(directory).picture("difference.png")
+    assert made is not None
+    shown = np.asarray(Image.open(io.BytesIO(made)))
+    assert shown.shape == (44, 1367, 3) and (shown.reshape(-1, 3)[:-1] == 40).all()
+    assert (shown[-1, -1] == 200).all()
+
+
 def test_the_difference_of_large_pictures_is_of_the_size_of_a_screen(directory: Path) -> None:
     for name in ("target.png", "best.png"):
         (directory / name).write_bytes(many_pixels(4100, 10))

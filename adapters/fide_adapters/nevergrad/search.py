@@ -179,7 +179,7 @@ class Search:
     def tell(self, x: Float64, loss: float, evaluation: Evaluation, valid: bool) -> None:
         """Report point x (d,) with its loss, including penalties.
 
-        valid: whether there could be an image: the render did not fail, no constraint is violated.
+        valid: False where no image was to be had: the render failed, or a constraint is violated.
         """
         self.fide.tell(x[None], evaluation.batch, [loss], features=evaluation.features)
         self.num_images += evaluation.has_image

@@ -12,16 +12,16 @@ from optuna.distributions import BaseDistribution
 from optuna.study import Study, StudyDirection
 from optuna.trial import FixedTrial, FrozenTrial, Trial
 
-from fide_adapters.image_loss import read_result
+from fide_adapters.image_loss import is_image
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError, ProtocolError
 
 __all__ = [
     "as_constraints",
-    "bare_image",
     "check_function",
     "refuse_several_objectives",
     "running_trial",
+    "warn_of_bare_image",
     "warn_of_space",
 ]
 
@@ -47,22 +47,30 @@ def as_constraints(values: Any) -> list[float]:
     return numbers
 
 
-def bare_image() -> str:
-    """What the objective of a trial that just failed has returned, if it is an image; else empty.
+def warn_of_bare_image(warnings: WarnOnce) -> None:
+    """Warn if the objective of a trial that fails now has returned an image.
 
-    Optuna tells a sampler that a trial failed, but not that its value is no number.  The value is a
-    local variable of the function of Optuna that calls the sampler; nothing is said where it is not
-    found.
+    That is an array of two or more axes, alone or in a pair (loss, image); Optuna itself reports
+    anything else.  Optuna tells a sampler that a trial failed, but not with which value.  The value
+    is a local variable of the function of Optuna that calls the sampler; nothing is said where it
+    is not found.  An error would be lost: Optuna replaces those of a trial that has failed.
     """
     frame: FrameType | None = currentframe()
     while frame is not None and frame.f_code.co_name != "_tell_with_warning":
         frame = frame.f_back
-    value = None if frame is None else frame.f_locals.get("value_or_values")
-    image = read_result(value).image
-    if image is None:
-        return ""
-    shape = getattr(image, "shape", None)
-    return type(image).__name__ + (f" of shape {tuple(shape)}" if shape is not None else "")
+    value: Any = None if frame is None else frame.f_locals.get("value_or_values")
+    pair = isinstance(value, tuple) and len(value) == 2
+    image = value[1] if pair else value
+    if not (is_image(image) and hasattr(image, "ndim")):
+        return
+    what = "a pair (loss, image), the image" if pair else "an image,"
+    warnings.warn(
+        "bare image",
+        f"the objective returned {what} a {type(image).__name__} of shape {tuple(image.shape)}, "
+        "where Optuna takes a loss, so its trials fail; wrap it: "
+        "study.optimize(image_objective(objective)), with image_objective of "
+        "fide_adapters.optuna, or return sampler.tell_image(trial, image)",
+    )
 
 
 def refuse_several_objectives(study: Study) -> None:

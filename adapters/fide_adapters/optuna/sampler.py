@@ -17,19 +17,20 @@ from fide_adapters.image_loss import read_result
 from fide_adapters.optuna.artifacts import ImageArtifacts
 from fide_adapters.optuna.checks import (
     as_constraints,
-    bare_image,
     check_function,
     refuse_several_objectives,
     running_trial,
+    warn_of_bare_image,
     warn_of_space,
 )
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.independent import NumberedSampler
 from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import (
+    GUESS,
     IMAGE,
     WarnOnce,
-    fail,
+    enqueued_in,
     storage_of,
     write_attribute,
     write_image,
@@ -129,7 +130,6 @@ class FIDESampler(BaseSampler):
         self._n_startup_trials = whole_number("n_startup_trials", n_startup_trials, 0)
         self._independent_sampler = check_sampler(independent_sampler) or NumberedSampler(seed)
         self._reseeded = False
-        self._bare_image = ""  # what an objective has returned in place of a loss
         self._states = StudyStates(self._settings)
         self._lock = threading.RLock()
 
@@ -265,15 +265,10 @@ class FIDESampler(BaseSampler):
         )
 
     def before_trial(self, study: Study, trial: FrozenTrial) -> None:
-        """Notify the independent sampler; ImageError if the objective before returned an image."""
-        if self._bare_image:
-            what, self._bare_image = self._bare_image, ""
-            fail(storage_of(study), trial)
-            raise ImageError(
-                f"the objective returned an image, a {what}, where Optuna takes a loss; wrap the "
-                "objective: study.optimize(image_objective(objective)), with image_objective of "
-                "fide_adapters.optuna, or return sampler.tell_image(trial, image)"
-            )
+        """Notify the independent sampler, and note where the search begins."""
+        begins = trial.number == 0 and not self._n_startup_trials
+        if begins and enqueued_in(trial):
+            write_attribute(storage_of(study), trial, GUESS, True)
         self._independent_sampler.before_trial(study, trial)
 
     def after_trial(
@@ -293,8 +288,8 @@ class FIDESampler(BaseSampler):
         with self._lock:
             known = self._state_of(study)
             if state is TrialState.FAIL:
-                self._bare_image = bare_image()
                 known.features.pop(trial.number, None)
+                warn_of_bare_image(self._settings.warnings)
                 return
             tokens = None if IMAGE in trial.system_attrs else known.from_artifact(study, trial)
             if tokens is not None:

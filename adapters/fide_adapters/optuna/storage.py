@@ -7,6 +7,7 @@ System attributes, JSON, with a version:
                   what was decided about other trials (see `trials`)
 ``fide:image``    of a trial, written by `tell_image`: the features of its image (see `features`)
                   (both with a digest of target and loss: losses of another problem do not count)
+``fide:guess``    of trial 0, if it was enqueued: a search of FIDE begins with it
 ``fide:seed``     of a study: the seed of samplers that were given none
 ================  ==================================================================================
 
@@ -30,12 +31,13 @@ from typing import Any
 import numpy as np
 from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.study import Study
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.trial import FrozenTrial, Trial
 
 from fide_plugins.runtime.warn import warn_user
 
 __all__ = [
     "ASK",
+    "GUESS",
     "IMAGE",
     "MOST_NAMED",
     "SEED",
@@ -44,7 +46,6 @@ __all__ = [
     "Trials",
     "WarnOnce",
     "enqueued_in",
-    "fail",
     "id_of",
     "problems_of",
     "read_ask",
@@ -56,7 +57,7 @@ __all__ = [
     "write_seed",
 ]
 
-ASK, IMAGE, SEED = "fide:ask", "fide:image", "fide:seed"
+ASK, GUESS, IMAGE, SEED = "fide:ask", "fide:guess", "fide:image", "fide:seed"
 
 MOST_NAMED = 8
 """Trials of each kind that one record may name; further ones are named by the next record."""
@@ -196,11 +197,6 @@ def id_of(study: Study) -> tuple[int, str]:
 def write_attribute(storage: BaseStorage, trial: Trial | FrozenTrial, key: str, value: Any) -> None:
     """Write a system attribute of a trial that is running."""
     storage.set_trial_system_attr(trial._trial_id, key, value)
-
-
-def fail(storage: BaseStorage, trial: Trial | FrozenTrial) -> None:
-    """Let a trial that has begun fail."""
-    storage.set_trial_state_values(trial._trial_id, TrialState.FAIL)
 
 
 def read_seed(study: Study) -> tuple[int | None, bool]:

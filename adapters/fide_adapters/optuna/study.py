@@ -19,7 +19,7 @@ from fide_adapters.optuna import storage
 from fide_adapters.optuna.features import ImageEvaluator
 from fide_adapters.optuna.search_space import RelativeSpace, Space
 from fide_adapters.optuna.settings import Settings
-from fide_adapters.optuna.storage import ASK, IMAGE, SEED, TrialReader, Trials
+from fide_adapters.optuna.storage import ASK, GUESS, IMAGE, SEED, TrialReader, Trials
 from fide_adapters.optuna.study_optimizer import Evaluation, StoredFeaturesNeeded, StudyOptimizer
 from fide_adapters.optuna.trials import History, loss_of
 from fide_plugins.types import Float64
@@ -226,9 +226,11 @@ class StudyState:
     def _guess(self) -> Float64 | None:
         """Point (dim,) of the first trial, if a user has enqueued it with all parameters.
 
-        Another trial may be enqueued at any time, and workers would not agree when.
+        None where another sampler ran that trial: its trials may know better.  Another trial may be
+        enqueued at any time, and workers would not agree when.
         """
-        enqueued = storage.enqueued_in(self._trials[0])
+        first = self._trials[0]
+        enqueued = storage.enqueued_in(first) if GUESS in first.system_attrs else {}
         return self._space.encode(enqueued) if self._space.contains(enqueued) else None
 
     # -- results -----------------------------------------------------------------------------------

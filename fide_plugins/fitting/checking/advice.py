@@ -25,7 +25,8 @@ def advice(facts: Facts) -> list[str]:
     """Sentences, each with what to do."""
     if not facts.images:
         return ["no render gave an image: mend the renderer first"]
-    return [*_of_images(facts), *_of_values(facts), *_of_parameters(facts), *_of_fit(facts)]
+    known = [*_of_images(facts), *_of_values(facts), *_of_parameters(facts)]
+    return known if facts.ignores_all else [*known, *_of_fit(facts)]
 
 
 def budget(facts: Facts) -> int:
@@ -81,7 +82,8 @@ def _of_images(facts: Facts) -> Iterator[str]:
         yield f"the size of the image changes with the parameters ({sizes}); a fit needs one size"
     if facts.constant:
         of = f"{facts.constant} of {counted(facts.images, 'image')}"
-        yield f"one color everywhere in {of}; a search learns little there: {_NARROW}"
+        remedy = "" if facts.ignores_all else f"; a search learns little there: {_NARROW}"
+        yield f"one color everywhere in {of}{remedy}"
     if facts.first > _SLOW_START * facts.median and facts.first > facts.median + 0.1:
         yield (
             f"the first render of a process takes {duration(facts.first)}; each worker pays that "
@@ -127,8 +129,8 @@ _MEND = "mend them, or use np.nan_to_num"
 
 
 def _of_parameters(facts: Facts) -> Iterator[str]:
-    silent = [one.sweep.name for one in facts.effects if one.where == "nowhere"]
-    if silent and len(silent) == len(facts.effects):
+    silent = facts.silent
+    if facts.ignores_all:
         yield "no parameter changes the image; does the renderer read them?"
     elif silent:
         verb, them = ("changes", "it") if len(silent) == 1 else ("change", "them")

@@ -69,7 +69,8 @@ class Facts:
     median: seconds of all but the first.
     together, number: seconds of as many renders at a time, each; None where one is too fast.
     noise: largest difference of two renders of one point; None if there are no two.
-    drifts: whether renders of the center were equal at first and another one at the end.
+    drifts: whether renders of the center at the end differ from the first ones by more than these
+        from each other.
     points: at how many points parameters were tried that change nothing at the center.
     kills: whether a render ended its process, or was stopped for its time.
     """
@@ -107,6 +108,16 @@ class Facts:
     def failed(self) -> int:
         """Renders that gave no image."""
         return sum(one.count for one in self.failures)
+
+    @property
+    def silent(self) -> list[str]:
+        """Names of parameters that change nothing anywhere."""
+        return [one.sweep.name for one in self.effects if one.where == "nowhere"]
+
+    @property
+    def ignores_all(self) -> bool:
+        """Whether no parameter changes the image."""
+        return bool(self.effects) and len(self.silent) == len(self.effects)
 
     @property
     def bytes_as_floats(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from fide_plugins.types import Float32
 from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_pixels
 
-__all__ = ["Difference", "Image", "difference", "image_of", "small"]
+__all__ = ["Difference", "Image", "difference", "image_of", "mean_of", "small"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,12 @@ def difference(a: Image, b: Image) -> Difference:
         count += apart.size
         most = max(most, float(np.abs(apart).max()))
     return Difference((square / count) ** 0.5, most)
+
+
+def mean_of(images: list[Image]) -> Image:
+    """The first of images of one size, with the mean of all as its views."""
+    views = zip(*(image.views for image in images), strict=True)
+    return replace(images[0], views=[np.mean(each, axis=0) for each in views])
 
 
 def small(image: Image) -> Float32:

@@ -20,15 +20,21 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.checking.facts import Effect, Facts, Failure, Where
-from fide_plugins.fitting.checking.pixels import Difference, Image, difference, image_of, small
+from fide_plugins.fitting.checking.pixels import (
+    Difference,
+    Image,
+    difference,
+    image_of,
+    mean_of,
+    small,
+)
 from fide_plugins.fitting.checking.values import Sweep, middle_of, other_values, sweeps
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.workers.base import Workers
-from fide_plugins.fitting.workers.choice import workers_for
-from fide_plugins.fitting.workers.gather import KILLED, gathered
+from fide_plugins.fitting.workers.choice import default_number, workers_for
+from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.renderers.naming import described
-from fide_plugins.runtime.machine import cores
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import Constraints, constraints_of
 from fide_plugins.types import Float64
@@ -40,7 +46,7 @@ FAST = 0.005
 _POINTS = 8  # random points
 _DRAWN = 1000  # random points of which the first valid ones are taken, where there are constraints
 _TRIED = 3  # of them, for parameters that change nothing at the center
-_MOST_WORKERS = 8
+_LATE = 6  # renders of the center at the end, where it may have drifted
 _LOUDER = 1.25  # times the noise, from which on a difference is one
 _ROUNDING = 1e-7  # of the range
 _ALIKE = 0.02  # of the largest change, by which the ends of a periodic parameter may differ
@@ -142,7 +148,7 @@ class _Check:
     def _take(self, workers: int | None) -> None:
         """Render with so many workers from now on."""
         fast = self.facts.alone < FAST
-        number = (1 if fast else min(cores(), _MOST_WORKERS)) if workers is None else workers
+        number = (1 if fast else default_number()) if workers is None else workers
         if number != self._pool.number:
             self._pool.close()
             self._pool = workers_for(self._renderer, number, None, self._limit)
@@ -187,11 +193,9 @@ class _Check:
         facts.number = number
         if number > 1 and taken:
             facts.together = median(taken)
-        facts.drifts = (
-            facts.noise is not None
-            and not facts.noise.most
-            and bool((_largest([repeats[0], *again]) or Difference(0, 0)).most)
-        )
+        if _differ(repeats, again):
+            again += self._repeated(center, max(0, _LATE - number))  # that it was no chance
+            facts.drifts = _differ(repeats, again)
 
     # -- renders -----------------------------------------------------------------------------------
 
@@ -233,7 +237,7 @@ class _Check:
         return image
 
     def _note_failure(self, failed: Failed, x: Float64) -> None:
-        self.facts.kills |= failed.reason.startswith(KILLED)
+        self.facts.kills |= failed.killed
         params = described(self._renderer.params(x))
         failure = Failure(failed.reason, failed.details, params)
         for known in self.facts.failures:
@@ -250,6 +254,19 @@ def _largest(images: list[Image | None]) -> Difference | None:
     """Largest difference of two of them; None if there are no two."""
     found = [difference(a, b) for a, b in combinations(filter(None, images), 2)]
     return max(found, key=lambda one: one.rms, default=None)
+
+
+def _differ(early: list[Image | None], late: list[Image | None]) -> bool:
+    """Whether late renders of a point differ from early ones by more than from each other."""
+    noise, first, last = _largest(early), list(filter(None, early)), list(filter(None, late))
+    if noise is None or not last:
+        return False
+    if not noise.most:
+        return any(difference(first[0], image).most > 0 for image in last)
+    among = max(noise.rms, (_largest(late) or noise).rms)
+    if np.isinf(among):  # of several sizes
+        return False
+    return difference(mean_of(first), mean_of(last)).rms > _LOUDER * among
 
 
 def _ends_alike(images: list[Image | None], change: Difference | None, noise: float) -> bool:

@@ -101,12 +101,13 @@ def change_text(one: Effect, facts: Facts) -> str:
 def _noise(facts: Facts) -> str:
     if facts.noise is None:
         return "not known, since no point was rendered twice"
-    if facts.drifts:
+    if not facts.noise.most and facts.drifts:
         return "none between two renders, but the image was another one later"
     if not facts.noise.most:
         return "none: renders of one point are equal"
     rms, most = facts.noise.rms / facts.span, facts.noise.most / facts.span
-    return f"renders of one point differ by {rms:.2g} (RMS), at most {most:.2g}"
+    later = ", and more from later ones" if facts.drifts else ""
+    return f"renders of one point differ by {rms:.2g} (RMS), at most {most:.2g}{later}"
 
 
 def _failures(facts: Facts) -> list[str]:

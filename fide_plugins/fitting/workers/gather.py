@@ -9,10 +9,7 @@ from fide_plugins.fitting.rendering import Failed, Outcome
 from fide_plugins.fitting.workers.base import LOOK, Workers, late
 from fide_plugins.types import Float64
 
-__all__ = ["KILLED", "gathered"]
-
-KILLED = ("its worker process died", "it did not end within")
-"""How reasons begin of renders that a process of the fit would not survive."""
+__all__ = ["gathered"]
 
 
 def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome]:
@@ -29,4 +26,5 @@ def gathered(pool: Workers, X: Float64, limit: float | None) -> Iterator[Outcome
                 yield pool.outcome(task)
             else:
                 pool.abandon(task)
-                yield Failed(f"it did not end within {limit:g} s (--timeout)", broken=True)
+                reason = f"it did not end within {limit:g} s, its time limit"
+                yield Failed(reason, broken=True, killed=True)

@@ -74,7 +74,8 @@ class Processes:
             self._workers.remove(worker)
             end = worker.end()
             worker.kill()
-            return Failed(f"its worker process died{end}", str(error), broken=True)
+            reason = f"its worker process died{end}"
+            return Failed(reason, str(error), broken=True, killed=True)
         except Exception as error:
             return Failed.by(error)
 

@@ -28,6 +28,31 @@ def test_point_9_enqueued_whole_and_in_part(bench: Bench) -> None:
     assert with_it < without  # what was enqueued is learned from: the search goes on around it
 
 
+def test_a_study_that_another_sampler_began_is_not_searched_from_its_first_trial(
+    bench: Bench,
+) -> None:
+    """An enqueued first trial counts like one that was added: the others may be better."""
+    far = dict.fromkeys(bench.names, 0.05)
+    asked = []
+    for enqueued in (False, True):
+        study = optuna.create_study(sampler=RandomSampler(seed=0))
+        if enqueued:
+            study.enqueue_trial(far)
+            study.optimize(lambda trial: 0.5 + 0 * sum(bench.suggest(trial)), n_trials=1)
+        else:
+            study.add_trial(optuna.create_trial(params=far, distributions=bench.space, value=0.5))
+        values = iter(np.linspace(0.4, 0.1, 8).tolist())
+        for point in np.random.default_rng(0).random((8, 5)):
+            params = dict(zip(bench.names, point.tolist(), strict=True))
+            study.add_trial(
+                optuna.create_trial(params=params, distributions=bench.space, value=next(values))
+            )
+        study.sampler = bench.sampler()
+        bench.run(study, 8)
+        asked.append(bench.points(study)[9:])
+    np.testing.assert_array_equal(asked[0], asked[1])
+
+
 def test_point_9_trials_are_added_before_during_and_after(bench: Bench) -> None:
     def add(study: optuna.Study) -> None:
         study.add_trial(
