@@ -76,7 +76,7 @@ def test_a_faint_picture_is_solved_no_sooner_than_a_strong_one(contrast: float) 
     """Floats, as of a microscope: to 8 bits they are of one color."""
 
     def faint(p: Mapping[str, float]) -> Float64:
-        return 0.5 + contrast * (draw(p) - 0.1)
+        return np.asarray(0.5 + contrast * (draw(p) - 0.1), np.float64)
 
     result = fit(faint, faint(TRUTH), SPACE, budget=600, **HERE)
     assert result.stopped == "solved"
@@ -88,7 +88,7 @@ def test_a_perfect_fit_to_a_picture_of_8_bits_is_solved(gray: float) -> None:
     """Its flat background is rounded, everywhere alike."""
 
     def lighter(p: Mapping[str, float]) -> Float64:
-        return draw(p) + gray
+        return np.asarray(draw(p) + gray, np.float64)
 
     target = np.round(255 * lighter(TRUTH)).astype(np.uint8)
     result = fit(lighter, target, SPACE, x0=TRUTH, sigma0=0.01, budget=50, **HERE)
@@ -148,7 +148,8 @@ def test_a_fit_to_a_noisy_picture_goes_on_while_a_spot_is_missing(
     def scene(p: Mapping[str, float]) -> Float64:
         disk = 0.1 + 0.5 / (1 + np.exp(30 * (np.hypot(u - p["x"], v - p["y"]) - p["r"])))
         squares = (u - p["u"]) ** 2 + (v - p["v"]) ** 2
-        return np.clip(disk + p["a"] * np.exp(-squares / (2 * width**2)), 0, 1)
+        image = disk + p["a"] * np.exp(-squares / (2 * width**2))
+        return np.asarray(np.clip(image, 0, 1), np.float64)
 
     early = 0
     for seed in range(4):
