@@ -85,8 +85,9 @@ def status_of(facts: Facts) -> Status:
             "noise",
             f"At the noise floor: loss {best:.3g}. The image differs from the target by "
             "independent noise of single pixels only (standard deviation of a pixel "
-            f"{facts.grain:.2g}). More samples per pixel, or a target with less noise, would tell "
-            "more.",
+            f"{facts.grain:.2g}), as far as this noise lets one see: things of a few pixels that "
+            "are about as faint, and larger, fainter ones may be missing. More samples per pixel, "
+            "or a target with less noise, would tell more.",
         )
     if facts.same:
         why = "Does render use its parameters, and do their ranges change what is seen?"
@@ -117,8 +118,8 @@ def _stalled(best: float, facts: Facts) -> Status:
     if total == 1:
         return Status(
             "stalled",
-            f"{stalled} It is the answer of one search, no second one began elsewhere, so there "
-            f"may be a better one: {_NEXT}.",
+            f"{stalled} It is the answer of one search, no second one began elsewhere. Unless its "
+            f"image shows that it is right, {_NEXT}.",
         )
     if same == total:
         few = f"{total} searches from different starting points ended at this answer"
