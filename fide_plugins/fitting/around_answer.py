@@ -33,8 +33,11 @@ MOST_NUMBERS = 500  # of the answer, above which slopes do not fit in little mem
 _STEP, _NEARER = 0.005, 0.2  # of the cube; times as far
 _HALVINGS = 10  # of a step that constraints do not allow
 _LEAST = 0.25  # of a step, below which a wall leaves no side
+_TURN = 0.4  # of a period, the farthest step: at half of it both sides are one
 _CURVED = 0.25  # energy of the second difference beside that of the first
 _STRAIGHTER = 0.5  # of the curvature, below which the nearer step is taken
+_FASTEST = 4.0  # growth of a step, above which it is not told at which one something changes
+_ANY = 12**-0.5  # standard deviation of the uniform law
 _TINY = 1e-300
 _SAME = 2e-6  # by which a GPU renders the same image anew
 
@@ -131,10 +134,15 @@ def _look_nearer(around: _Around, seen: dict[int, _Seen]) -> None:
 
 
 def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
-    """Double the step where nothing changes; what the renders do not suffice for stays unknown."""
+    """Double the step where nothing changes; what the renders do not suffice for stays unknown.
+
+    With few renders it grows faster, which finds what nothing shows, and leaves others unknown.
+    """
     still = {axis: one.step for axis, one in seen.items() if not one.changed}
     while still:
-        sides = {axis: around.either_side(axis, 2 * step, 0) for axis, step in still.items()}
+        rounds = max(1.0, (around.left - 1) // (2 * len(still)))
+        factor = max(2.0, (1 / min(still.values())) ** (1 / rounds))
+        sides = {axis: around.either_side(axis, factor * s, 0) for axis, s in still.items()}
         sides = {axis: d for axis, d in sides.items() if max(d) > still[axis]}  # else: the end
         try:
             found = around.look(sides)
@@ -142,12 +150,12 @@ def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
             for axis in sides:
                 del seen[axis]
             return
-        still = {}
+        still = {axis: one.step for axis, one in found.items() if not one.changed}
         for axis, one in found.items():
             if one.changed:
-                one.least, seen[axis] = 0.5 * one.step, one
-            else:
-                still[axis] = one.step
+                one.least, seen[axis] = min(0.5 * one.step, _ANY), one
+                if factor > _FASTEST:
+                    del seen[axis]
 
 
 def _energy(pixels: Float32 | Float64) -> float:
@@ -175,6 +183,11 @@ class _Around:
         p = len(numbers(optimizer))
         self._together = [pixels_together(p, *view.size, 3) for view in optimizer.views.views]
         self.renders = 0
+
+    @property
+    def left(self) -> float:
+        """How many renders there is room for."""
+        return self._most - self.renders
 
     def is_the_same_again(self) -> bool:
         """Whether the answer has the same image when it is rendered again."""
@@ -228,12 +241,12 @@ class _Around:
 
     def _reach(self, axis: int, step: float) -> float:
         """How far a step gets, if that is far enough and valid; else 0."""
-        end = float(self._x[axis]) + step
-        if not self._periodic[axis]:
-            end = min(max(end, 0.0), 1.0)
-        distance = abs(end - float(self._x[axis]))
-        if distance < _LEAST * abs(step) or (self._periodic[axis] and distance > 0.5):
-            return 0.0
+        if self._periodic[axis]:
+            distance = min(abs(step), _TURN)
+        else:
+            distance = abs(min(max(float(self._x[axis]) + step, 0.0), 1.0) - float(self._x[axis]))
+            if distance < _LEAST * abs(step):
+                return 0.0
         validity = self._optimizer.validity
         point = self._point(axis, float(np.copysign(distance, step)))
         return distance if validity is None or validity.allows(point) else 0.0
