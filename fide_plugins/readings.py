@@ -132,6 +132,9 @@ class Readings(Saved):
             solved=self._is_solved(),
             grain=self._grain_left(),
             same=self.same_images.number,
+            clipped=state.clipping.images,
+            low=state.clipping.low,
+            high=state.clipping.high,
         )
         return status_of(facts)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 __all__ = ["Facts", "Status", "status_of"]
 
+_NEARLY_ALL = 0.9  # of the images
 _NEXT = "fit again with another seed and compare the losses, or give more renders"
 
 
@@ -53,6 +54,7 @@ class Facts:
     solved: whether the image equals the target but for what no eye sees (`views.solved`).
     same: how many candidates have had the same image, if all have, see `views.same_images`; 0
         otherwise.
+    clipped: images whose values went beyond black or white; low, high: the extremes of these.
     """
 
     evaluations: int
@@ -66,6 +68,9 @@ class Facts:
     grain: float | None = None
     solved: bool = False
     same: int = 0
+    clipped: int = 0
+    low: float = 0.0
+    high: float = 1.0
 
 
 def status_of(facts: Facts) -> Status:
@@ -80,14 +85,21 @@ def status_of(facts: Facts) -> Status:
             "noise",
             f"At the noise floor: loss {best:.3g}. The image differs from the target by "
             "independent noise of single pixels only (standard deviation of a pixel "
-            f"{facts.grain:.2g}). More samples per pixel, or a target with less noise, would tell "
-            "more.",
+            f"{facts.grain:.2g}), as far as this noise lets one see: things of a few pixels that "
+            "are about as faint, and larger, fainter ones may be missing. More samples per pixel, "
+            "or a target with less noise, would tell more.",
         )
     if facts.same:
+        why = "Does render use its parameters, and do their ranges change what is seen?"
+        if facts.clipped >= _NEARLY_ALL * facts.evaluations:
+            why = (
+                "Nearly all were clipped at black or white: they have values from "
+                f"{facts.low:.6g} to {facts.high:.6g}. Give value_range=(low, high), which are "
+                "black and white in the renders and the target."
+            )
         return Status(
             "stalled",
-            f"All {facts.same:,} candidates have the same image: loss {best:.3g}. Does render use "
-            "its parameters, and do their ranges change what is seen?",
+            f"All {facts.same:,} candidates have the same image: loss {best:.3g}. {why}",
         )
     since = facts.evaluations - facts.improved_at
     if since < facts.horizon:
@@ -106,8 +118,8 @@ def _stalled(best: float, facts: Facts) -> Status:
     if total == 1:
         return Status(
             "stalled",
-            f"{stalled} It is the answer of one search, no second one began elsewhere, so there "
-            f"may be a better one: {_NEXT}.",
+            f"{stalled} It is the answer of one search, no second one began elsewhere. Unless its "
+            f"image shows that it is right, {_NEXT}.",
         )
     if same == total:
         few = f"{total} searches from different starting points ended at this answer"

@@ -109,12 +109,14 @@ def fit(
         succeed, see `fitting.failures`.
     until
         "solved": stop also when the image equals the target but for what no eye sees
-        (`views.solved`), or differs from it by noise of its pixels alone and the parameters are
-        known as well as that noise allows.  "stalled": stop also when nothing more is to be
-        expected: renders and target differ by noise of the renderer alone, several searches ended
-        at the same answer, or the loss has not improved by a tenth for 150 generations (1,200
-        renders of four parameters, 2,250 of 40) and half of all evaluations.  "budget": none of
-        these.
+        (`views.solved`), or differs from it by noise of its pixels alone (`views.grain`) and as
+        many of the last 1,000 candidates as a generation has explain the target as well as noise
+        of the target allows.  Where the renderer itself has noise, losses scatter by more than
+        that, so the fit goes on: more renders average it.  "stalled": stop also when nothing more
+        is to be expected: renders and target differ by noise of the renderer alone, several
+        searches ended at the same answer, or the loss has not improved by a tenth for 150
+        generations (1,200 renders of four parameters, 2,250 of 40) and half of all evaluations.
+        "budget": none of these.
     until_stalled
         True: the former name of ``until="stalled"``.
     timeout

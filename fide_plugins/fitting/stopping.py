@@ -8,7 +8,8 @@ Budget, time and the other rules are no settings: a fit that was stopped by one 
 `time`              seconds of fitting, those before resuming included
 `stop_at`           the best loss is at most this
 `until="solved"`    the image equals the target but for what no eye sees (`views.solved`), or what
-                    is left is noise and the search has found its answer as well as the noise allows
+                    is left is noise of the target and the search has found its answer as well as
+                    this allows (`_is_settled`); noise of the renderer alone ends no such fit
 `until="stalled"`   the same, or nothing more is to be expected (see `_is_stalled`)
 `until="budget"`    none of these: budget, time and `stop_at` alone
 ==================  ===============================================================================
@@ -26,6 +27,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.validation.option_rules import switch
 from fide_plugins.validation.points import whole_number
+from fide_plugins.views.solved import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["UNTIL", "Stopping"]
 
 UNTIL = ("solved", "stalled", "budget")
+_LAST = 1000  # candidates
 _PATIENCE = 150  # generations: a dozen moves or so
 
 
@@ -84,8 +87,8 @@ class Stopping:
         losses: of all evaluations; best: the lowest one.
         improved: whether the last evaluation was the best so far.
 
-        `until` is looked at after each improvement and after as many evaluations as a generation
-        has; the name is then "solved", "noise" or "stalled".
+        `until` is looked at after each improvement, for "solved", and after as many evaluations as
+        a generation has, for "noise" and "stalled", too.
         """
         if self.budget is not None and len(losses) >= self.budget:
             return "budget"
@@ -95,8 +98,16 @@ class Stopping:
             return "stop_at"
         if self.until == "budget" or not (improved or len(losses) % optimizer.popsize == 0):
             return None
+        if _is_solved(optimizer):
+            return "solved"
+        if len(losses) % optimizer.popsize:
+            return None
+        # to look for noise takes time, so it is not done while the loss still falls
+        settled = _is_settled(losses, best, optimizer)
+        if not settled and (self.until == "solved" or _has_fallen(optimizer)):
+            return None
         code = optimizer.status.code
-        if code == "solved" or (code == "noise" and _is_settled(losses, best, optimizer)):
+        if settled and code == "noise":
             return code
         return "stalled" if self.until == "stalled" and _is_stalled(code, optimizer) else None
 
@@ -111,16 +122,35 @@ class Stopping:
         return {name: value for name, value in rules.items() if value is not None}
 
 
+def _is_solved(optimizer: FIDE) -> bool:
+    best = optimizer.state.best
+    image = None if best is None else best.solution.image
+    return image is not None and is_solved(optimizer.views, image)
+
+
+def _has_fallen(optimizer: FIDE) -> bool:
+    """Whether the best loss is of the last generation."""
+    state = optimizer.state
+    if state.best is None:
+        return False
+    return state.evaluations - state.best.solution.evaluation <= optimizer.popsize
+
+
 def _is_settled(losses: Sequence[float], best: float, optimizer: FIDE) -> bool:
     """Whether the search knows the answer as well as noise of the target allows.
 
     By noise alone the loss of the right parameters exceeds the lowest one by d / n of it, for d
-    parameters and n values of pixels, on average (the chi-squared law).  So many candidates as a
-    generation has must be as good: then the best of them is far nearer to the lowest loss.  Where
-    renders have noise of their own, their losses scatter by more, and that is rarely so.
+    parameters and n values of pixels, on average (the chi-squared law).  So many of the last 1,000
+    candidates as a generation has must be as good: then the best of them is far nearer to the
+    lowest loss.
+
+    Losses of a renderer with noise scatter by (2 / n)^(1/2) of themselves, far more, so its fit is
+    not settled.  It goes on on purpose: the lowest loss is partly luck there, and more renders
+    bring the mean of the search, `recommend`, nearer to the truth.
     """
     within = best + abs(best) * optimizer.dim / optimizer.views.numbers
-    return int(np.count_nonzero(np.asarray(losses) <= within)) >= optimizer.popsize
+    last = np.asarray(losses[-max(_LAST, optimizer.popsize) :])
+    return int(np.count_nonzero(last <= within)) >= optimizer.popsize
 
 
 def _is_stalled(code: str, optimizer: FIDE) -> bool:

@@ -30,8 +30,9 @@ __all__ = ["Validity", "validity_of"]
 _ROUNDS = 200  # in which samples are drawn, each anew where it is invalid
 _REDRAWN = 20  # in which restart candidates are drawn
 _HALVINGS = 24  # of the way from a valid point to an invalid one
-_TRIED, _BATCH = 5000, 250  # random points, in search of valid ones
-_ENOUGH = 50  # of these, which say where the middle is
+_TRIED = 5000  # random points at most, in search of valid ones
+_BATCH, _ENOUGH = 250, 50  # of these at once, and valid ones that say where the middle is
+_BATCH_OWN, _ENOUGH_OWN = 100, 1  # where a function of the user's decides, which may take long
 _REPAIRED = 5000  # points by which CMA-ES looks for a valid one
 _POPSIZE = 20
 
@@ -43,7 +44,8 @@ def validity_of(space: Space | None, function: object, seed: int) -> Validity | 
         return None
     place = Mixed(None if space is None else space.layout).clipped
     known = function is not constraints_not_stored
-    return Validity(constraints, constraints.explain, place, seed, is_known=known)
+    own = function is not None
+    return Validity(constraints, constraints.explain, place, seed, is_known=known, is_own=own)
 
 
 class Validity:
@@ -53,6 +55,7 @@ class Validity:
     explain: which constraints a point violates.
     place: points (n, d) as they are rendered: in the cube, integers and choices in their cells.
     seed: of the search for valid points, which draws from no other generator.
+    is_own: whether a function of the user's decides: then fewer points are tried, see `start`.
     """
 
     def __init__(
@@ -63,9 +66,11 @@ class Validity:
         seed: int,
         *,
         is_known: bool = True,
+        is_own: bool = False,
     ) -> None:
         self._violation, self._explain = violation, explain
         self._place, self._seed = place, seed
+        self._batch, self._enough = (_BATCH_OWN, _ENOUGH_OWN) if is_own else (_BATCH, _ENOUGH)
         self.is_known = is_known
         """Whether the constraints can be computed; not before a user's function is given again."""
         self.checked = self.rejected = 0
@@ -164,6 +169,9 @@ class Validity:
     def start(self, x: Float64, number: int) -> Float64:
         """Where search `number` begins: at x (d,), or else at a valid point that is found.
 
+        A function of the user's is called once if x is valid, or else for 100 random points, and
+        for 100 more as long as none is valid, up to 5,000; then for up to 5,000 of CMA-ES.
+
         Raises OptionError (a ValueError) if no valid point is found.
         """
         if self.allows(x):
@@ -171,8 +179,8 @@ class Validity:
         rng = np.random.default_rng((self._seed, 2, number))
         tried = np.empty((0, len(x)))
         violations = np.empty(0)
-        while len(tried) < _TRIED and (violations <= 0).sum() < _ENOUGH:
-            batch = self._place(rng.random((_BATCH, len(x))))
+        while len(tried) < _TRIED and (violations <= 0).sum() < self._enough:
+            batch = self._place(rng.random((self._batch, len(x))))
             tried = np.concatenate([tried, batch])
             violations = np.concatenate([violations, self._violation(batch)])
         valid = tried[violations <= 0]

@@ -82,8 +82,9 @@ class Space:
         self.__dict__.update(
             _members=checked, _leaves=found, layout=layout, _expressions=expressions
         )
+        kinds = self._nested([leaf.kind for leaf in found])
         for expression in expressions:
-            expression.check(self.decode(np.full(self.dim, 0.5)))
+            expression.check(kinds)
 
     _members: dict[str, Member]
     _expressions: tuple[Expression, ...]
@@ -162,7 +163,10 @@ class Space:
 
     def _decoded(self, X: Float64) -> list[Params]:
         numbers = self.layout.numbers(X).tolist()
-        return [self._nested(row) for row in numbers]
+        kinds = [leaf.kind for leaf in self._leaves]
+        return [
+            self._nested([k.value(n) for k, n in zip(kinds, row, strict=True)]) for row in numbers
+        ]
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of `params`, as of `decode`: decode(encode(p)) is p but for rounding.
@@ -191,13 +195,13 @@ class Space:
         point: Float64 = snapped[0] if one else snapped
         return point
 
-    def _nested(self, numbers: list[float]) -> Params:
+    def _nested(self, values: Sequence[Any]) -> Params:
         params: Params = {}
-        for leaf, number in zip(self._leaves, numbers, strict=True):
+        for leaf, value in zip(self._leaves, values, strict=True):
             inner: Any = params
             for key, following in zip(leaf.path[:-1], leaf.path[1:], strict=True):
                 inner = _step_into(inner, key, [] if isinstance(following, int) else {})
-            inner[leaf.path[-1]] = leaf.kind.value(number)
+            inner[leaf.path[-1]] = value
         return params
 
     def _numbers(self, params: object) -> list[float]:

@@ -7,15 +7,16 @@ target is grain, of the renderer and perhaps of the target.  Neighboring pixels 
 correlated, and the mean squared difference is about that variance, or twice that for a target with
 as much grain.  What is wrong in an image mostly covers several pixels, so they are correlated: the
 correlation is about the share of the squared difference that is no grain.  A small thing has a
-small share, so no mean of 8 x 8 pixels may stand out either.
+small share, so no mean of 3 x 3 to 8 x 8 pixels may stand out either.
 
 Where the target has more grain than the renders, which may have none, nobody knows how much there
 is.  Then it must be as strong all over the picture: most pixels have some, and no 9 x 9 pixels have
 more of it than chance explains, since the edges of a thing in a wrong place would.  Neighbors may
-be correlated as far as chance explains.
+be correlated, and single pixels and means of 2 x 2 to 8 x 8 stand out, as far as chance explains.
 
-Not seen is what changes no such mean by 3/4 of the standard deviation of a pixel: things of a few
-pixels, faint things.
+Not seen is what changes no such mean by some five standard deviations of it (six, where grain may
+vary over the picture): things of a few pixels that are not much stronger than grain, and larger
+ones that are fainter.
 
 Noise of another kind (an image as a whole is brighter, a camera trembles) is not recognized, and
 neither is grain that a renderer has smoothed, or clipped at black or white.
@@ -23,12 +24,12 @@ neither is grain that a renderer has smoothed, or clipped at black or white.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri, stdtrit
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real
 from fide_plugins.types import Float32, Float64
@@ -38,8 +39,12 @@ __all__ = ["Grain", "is_even_grain", "is_grain"]
 
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))  # rows, columns to a neighbor
 _CORRELATED = 0.1  # correlation of neighbors from which on a difference is no grain alone
-_WINDOW = 8  # pixels of a side, of which the mean must not stand out
-_STANDS_OUT = 6.0  # standard deviations of that mean; grain alone has up to some five
+_WINDOW = 8  # pixels of a side, whose differences of neighbors say how strong grain is there
+_FREE = 37  # degrees of freedom of that
+_SIDES = (3, 5, 8)  # pixels of a side, of which the mean must not stand out: strong pixels may
+_EVEN_SIDES = (1, 2, *_SIDES)  # where grain is as strong everywhere
+_SPOT = 5e-3  # probability of one such mean in a picture
+_ROWS = 64  # that are looked at first: most images are told by them
 _QUIET = 0.1  # of the standard deviation of all pixels, the least one that a window is given
 _LEAST = 400  # pixels, of which a correlation has a standard error of 0.05
 _MOST = 2.5  # times the variance of a pixel: twice, if the target has grain, and a reserve
@@ -63,6 +68,7 @@ class Grain:
     def __init__(self, views: Views) -> None:
         self._views = views
         self._repeat: Float32 | None = None  # a first render of the candidate
+        self._last: tuple[tuple[object, ...], float | None] = ((), None)  # what `left` said
         self.variance: float | None = None
         """Mean over pixels of the variance of their values; None where it was not measured."""
 
@@ -86,13 +92,35 @@ class Grain:
         """
         if self.variance is None:
             return None
+        asked = (image, target, self.variance)
+        known, left = self._last
+        if len(known) != len(asked) or any(a is not b for a, b in zip(known, asked, strict=True)):
+            left = self._left(image, target, self.variance)
+            self._last = asked, left
+        return left
+
+    def _left(self, image: Float32, target: Float32, variance: float) -> float | None:
+        if self._looks_wrong(image, target):
+            return None
         apart = self._views.differences(image, target)
         square = _mean_square(apart)
-        if 0 < square <= _MOST * self.variance:
-            return float(np.sqrt(self.variance)) if all(map(is_grain, apart)) else None
+        if 0 < square <= _MOST * variance:
+            return float(np.sqrt(variance)) if all(map(is_grain, apart)) else None
         pairs = zip(apart, self._views.views, strict=True)
         even = square and all(is_even_grain(one, view.counted) for one, view in pairs)
         return float(np.sqrt(square)) if even else None
+
+    def _looks_wrong(self, image: Float32, target: Float32) -> bool:
+        """Whether neighbors in some rows are correlated by more than `is_grain` allows."""
+        images = self._views.split(image[None]), self._views.split(target[None])
+        for view, one, other in zip(self._views.views, *images, strict=True):
+            rows = slice(None, None, max(1, view.size[0] // _ROWS))
+            some = view.difference(one[0], other[0], rows)
+            numbers = max(1, int(np.count_nonzero(some.any(axis=-1))))
+            product = abs(float((some[:, 1:] * some[:, :-1]).sum()))
+            if product > (_CORRELATED + _CHANCE / numbers**0.5) * float(np.square(some).sum()):
+                return True
+        return False
 
     def state_dict(self) -> dict[str, Any]:
         """Everything; the image is the one in use, not a copy."""
@@ -108,24 +136,21 @@ def _mean_square(differences: list[Float64]) -> float:
     return float(np.mean([np.square(each).mean() for each in differences]))
 
 
-def is_grain(difference: Float64, correlated: float = _CORRELATED) -> bool:
+def is_grain(difference: Float64) -> bool:
     """Whether a difference of two images (H, W, 3) is independent from pixel to pixel.
-
-    correlated: correlation of neighbors from which on it is not.
 
     None at all is.  Where fewer than 400 pixels differ nothing can be said: False.
     """
-    differ = np.count_nonzero(difference.any(axis=-1))
-    if 0 < differ < _LEAST:
+    if not _is_uncorrelated(difference, _CORRELATED):
         return False
-    height, width, _ = difference.shape
-    total = float(np.square(difference).sum())
-    for down, right in _LAGS:
-        one = difference[: height - down, max(0, -right) : width - max(0, right)]
-        other = difference[down:, max(0, right) : width + min(0, right)]
-        if abs(float((one * other).sum())) > correlated * total:
-            return False
-    return not _stands_out(difference)
+    if min(difference.shape[:2]) < _WINDOW:
+        return True
+    seen = _without_copies(difference)
+    steps = np.square(np.diff(seen, axis=1, append=seen[:, -2:-1])) / 2
+    variances = uniform_filter(steps, (_WINDOW, _WINDOW, 1))  # it may vary over the picture
+    least = max(_QUIET**2 * float(np.square(seen).mean()), _TINY)
+    limit = stdtrit(_FREE, 1 - _SPOT / (2 * seen.size * len(_SIDES)))
+    return not _stands_out(seen, _SIDES, np.maximum(variances, least), limit)
 
 
 def is_even_grain(difference: Float64, counted: int) -> bool:
@@ -137,27 +162,51 @@ def is_even_grain(difference: Float64, counted: int) -> bool:
     mean = float(squares.sum()) / counted
     if np.count_nonzero(squares > _FAINT * mean) < _DENSE * counted:
         return False
+    if not _is_uncorrelated(difference, min(_CORRELATED, _CHANCE / counted**0.5)):
+        return False
     side = min(_SIDE, *squares.shape)
     inside = tuple(slice(side // 2, length - (side - 1) // 2) for length in squares.shape)
     largest = float(uniform_filter(squares, side)[inside].max())
     # independent from pixel to pixel, and perhaps the same in all colors: chi-squared
     if chdtrc(side**2, side**2 * largest / mean) < _RARE / counted:
         return False
-    return is_grain(difference, min(_CORRELATED, _CHANCE / counted**0.5))
+    seen = _without_copies(difference)
+    variances = np.maximum(np.square(seen).sum(axis=(0, 1)) / counted, _TINY)
+    number = counted * seen.shape[-1] * len(_EVEN_SIDES)
+    return not _stands_out(seen, _EVEN_SIDES, variances, -ndtri(_SPOT / (2 * number)))
 
 
-def _stands_out(difference: Float64) -> bool:
-    """Whether the mean of any 8 x 8 pixels of a difference (H, W, 3) is more than chance.
-
-    The noise of a window is that between neighbors in it: it may vary over the picture.
-    """
-    if min(difference.shape[:2]) < _WINDOW:
+def _is_uncorrelated(difference: Float64, limit: float) -> bool:
+    """Whether at least 400 pixels differ, or none, and neighbors are correlated by that at most."""
+    differ = np.count_nonzero(difference.any(axis=-1))
+    if 0 < differ < _LEAST:
         return False
-    size = (_WINDOW, _WINDOW, 1)
-    steps = np.diff(difference, axis=1, append=difference[:, -2:-1])
-    inside = (slice(_WINDOW // 2, 1 - _WINDOW // 2), slice(_WINDOW // 2, 1 - _WINDOW // 2))
-    means = uniform_filter(difference, size)[inside]
-    variances = uniform_filter(np.square(steps) / 2, size)[inside]
-    least = max(_QUIET**2 * float(np.square(difference).mean()), _TINY)
-    limit = _STANDS_OUT**2 * np.maximum(variances, least) / _WINDOW**2
-    return bool((np.square(means) > limit).any())
+    height, width, _ = difference.shape
+    total = float(np.square(difference).sum())
+    for down, right in _LAGS:
+        one = difference[: height - down, max(0, -right) : width - max(0, right)]
+        other = difference[down:, max(0, right) : width + min(0, right)]
+        if abs(float((one * other).sum())) > limit * total:
+            return False
+    return True
+
+
+def _without_copies(difference: Float64) -> Float64:
+    """One channel (H, W, 1) of gray, else all three."""
+    gray = bool((difference == difference[..., :1]).all())
+    return difference[..., :1] if gray else difference
+
+
+def _stands_out(
+    difference: Float64, sides: Sequence[int], variances: Float64, limit: float
+) -> bool:
+    """Whether the mean of any square of pixels is farther from 0 than chance explains.
+
+    difference: (H, W, C).  sides: of the squares, in pixels.
+    variances: of a pixel, what (H, W, C) can be compared with.  limit: in standard deviations.
+    """
+    for side in sides:
+        means = uniform_filter(difference, (side, side, 1), mode="constant")
+        if (np.square(means) * side**2 > limit**2 * variances).any():
+            return True
+    return False

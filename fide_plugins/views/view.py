@@ -10,8 +10,11 @@ import numpy as np
 from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.views.weights import hidden_by
 
-__all__ = ["View"]
+__all__ = ["DIGITS", "View"]
 
+DIGITS = 5e-7  # by which values in [0, 1] may differ in single precision
+_ALL = slice(None)
+_ROWS = 32
 _SHADES = 8  # steps of a channel of the color that hidden pixels get
 
 
@@ -79,10 +82,16 @@ class View:
             blended: Float32 = np.where(roots == 1, batch, t + roots * (batch - t))
         return blended
 
-    def difference(self, image: Float32, other: Float32) -> Float64:
-        """Difference of two images, (H, W, 3), whose mean square is the weighted one."""
-        apart = np.subtract(image, other, dtype=np.float64)
-        return apart if self.weights is None else apart * (self._roots / self.mean_weight**0.5)
+    def difference(self, image: Float32, other: Float32, rows: slice = _ALL) -> Float64:
+        """Difference of two images, (H, W, 3), whose mean square is the weighted one.
+
+        rows: of these alone.
+        """
+        apart = np.subtract(image[rows], other[rows], dtype=np.float64)
+        if self.weights is None:
+            return apart
+        apart *= self._roots[rows] / self.mean_weight**0.5
+        return apart
 
     def squared_error(self, image: Float32) -> float:
         """Weighted mean of the squared difference of an image (H, W, 3) from the target."""
@@ -97,7 +106,36 @@ class View:
         height, width = self.size
         return height * width if self.weights is None else int(np.count_nonzero(self.weights))
 
-    def largest_errors(self, image: Float32) -> Float32:
-        """(H, W), largest difference of a color from the target; 0 where a pixel does not count."""
-        missed: Float32 = np.abs(image - self.target).max(axis=-1)
-        return missed if self.weights is None else np.where(self.weights > 0, missed, 0)
+    @cached_property
+    def contrast(self) -> float:
+        """Range of the target's values where they count, in the color in which it is largest."""
+        seen = self.target[... if self.hidden is None else ~self.hidden].reshape(-1, 3)
+        return float(np.ptp(seen, axis=0).max())
+
+    def is_rounded(self, levels: float) -> bool:
+        """Whether all values of the target that count are whole multiples of 1 / levels."""
+        rows = slice(None, None, max(1, len(self.target) // _ROWS))
+        for some in (rows, _ALL):  # a few rows tell mostly
+            steps = self.target[some].astype(np.float64) * levels
+            whole = abs(steps - np.round(steps)) <= levels * DIGITS
+            if not (whole if self.hidden is None else whole[~self.hidden[some]]).all():
+                return False
+        return True
+
+    def errors(self, image: Float32, rounding: float, rows: slice = _ALL) -> Float32:
+        """(H, W, 3), how much farther than `rounding` an image is from the target; 0: no farther.
+
+        rows: of these alone.
+        """
+        errors: Float32 = np.abs(image[rows] - self.target[rows])
+        if rounding:
+            errors = np.maximum(errors - np.float32(rounding + DIGITS), 0, dtype=np.float32)
+        return errors
+
+    def share_of_mean(self, values: Float32, rows: slice = _ALL) -> float:
+        """What the values (h, W, 3) of these rows contribute to the weighted mean of all."""
+        height, width = self.size
+        if self.weights is None:
+            return float(values.sum(dtype=np.float64)) / (3 * height * width)
+        sums = float((values.mean(axis=-1, dtype=np.float64) * self.weights[rows]).sum())
+        return sums / (height * width * self.mean_weight)

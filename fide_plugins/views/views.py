@@ -34,6 +34,8 @@ from fide_plugins.views.view import View
 __all__ = ["Views", "views_of"]
 
 _LEAST_USED = 0.01  # of a range of values
+_LEVELS = (255.0, 65535.0)  # of 8 and 16 bits
+_FEWEST = 100  # whole values of a range that are steps, and not just few values
 
 
 class Views:
@@ -259,10 +261,14 @@ class Views:
             for view, (one, two) in zip(self.views, pairs, strict=True)
         ]
 
-    def largest_errors(self, image: Float32) -> list[Float32]:
-        """(H, W) of each view, see `View.largest_errors`, of a packed image."""
-        pairs = zip(self.views, self.split(image[None]), strict=True)
-        return [view.largest_errors(part[0]) for view, part in pairs]
+    @cached_property
+    def roundings(self) -> list[float]:
+        """Largest error of rounding in the target of each view: half a step; 0: not rounded."""
+        levels = list(_LEVELS)
+        span = 0.0 if self.values is None else self.values.span
+        if span >= _FEWEST:
+            levels.append(span)
+        return [next((0.5 / n for n in levels if one.is_rounded(n)), 0.0) for one in self.views]
 
     @cached_property
     def counted(self) -> int:

@@ -169,3 +169,33 @@ def test_without_images_a_new_search_begins_at_a_valid_point() -> None:
         X = opt.ask()
         assert (np.hypot(*(X - 0.2).T) < 0.15).all()
         opt.tell(X, losses=np.zeros(len(X)))
+
+
+def test_an_expensive_function_is_called_a_hundred_times_if_one_valid_point_is_found() -> None:
+    """Before anything is asked; one in 24 points is valid, and the middle is not."""
+    calls = []
+
+    def ordered(x: Float64) -> bool:
+        calls.append(x)
+        return bool((np.diff(x) > 0).all())
+
+    for seed in range(3):
+        calls.clear()
+        opt = FIDE(4, TARGET, seed=seed, constraints=ordered)
+        assert len(calls) <= 302 and ordered(opt.state.search.mean)
+    calls.clear()
+    FIDE(4, TARGET, seed=0, x0=[0.1, 0.2, 0.3, 0.4], constraints=ordered)
+    assert len(calls) <= 3
+
+
+def test_a_fit_goes_on_where_a_choice_of_texts_and_numbers_draws_either() -> None:
+    rows = Choice(1, 2, "auto")
+    space = Space(rows=rows, x=Float(0, 1), constraints={"w": "rows * x < 1.5"})
+    X = FIDE(space, TARGET, seed=0).ask(40)
+    assert {params["rows"] for params in space.decode_many(X)} == {1, 2}
+
+
+def test_huge_violations_have_a_sum() -> None:
+    texts = {"v": "a * 1e308 < -1e308", "w": "b * 1e308 < -1e308"}
+    with pytest.raises(OptionError, match="no valid point was found"):
+        FIDE(Space(a=Float(0, 1), b=Float(0, 1), constraints=texts), TARGET, seed=0)

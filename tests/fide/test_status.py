@@ -21,9 +21,10 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
         (replace(RUN, best=None), "waiting", "finite loss"),
         (replace(RUN, solved=True), "solved", "0.01"),
         (replace(RUN, grain=0.02), "noise", "samples per pixel"),
+        (replace(RUN, grain=0.02), "noise", "larger, fainter ones may be missing"),
         (replace(RUN, improved_at=2800), "improving", "Still improving"),
         (replace(RUN, ended=[]), "stalled", "since evaluation 1,200"),
-        (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere"),
+        (replace(RUN, ended=[1, 0]), "stalled", "of one search, no second one began elsewhere. Un"),
         (
             RUN,
             "unsure",
@@ -60,6 +61,12 @@ RUN = Facts(evaluations=3000, best=0.01, improved_at=1200, horizon=500, ended=[2
             replace(RUN, same=3000),
             "stalled",
             "All 3,000 candidates have the same image: loss 0.01",
+        ),
+        (replace(RUN, same=3000, clipped=100), "stalled", "Does render use its parameters"),
+        (
+            replace(RUN, same=3000, clipped=2900, low=0, high=255),
+            "stalled",
+            "values from 0 to 255. Give value_range=(low, high)",
         ),
         (replace(RUN, same=3000, solved=True), "solved", "0.01"),
     ],
@@ -134,8 +141,12 @@ def test_a_loss_that_varies_at_a_wrong_answer_is_no_floor() -> None:
 
 
 def picture(column: int = 10) -> Float32:
-    """A gray picture (512, 512, 3), 8 bits, with a nail of 3 x 3 pixels in this column."""
+    """A gray picture (512, 512, 3), 8 bits, with a nail of 3 x 3 pixels in this column.
+
+    Its first row is black and white.
+    """
     image = np.full((512, 512, 3), 120, np.float32)
+    image[0, :256], image[0, 256:] = 0, 255
     image[10:13, column : column + 3] -= 25
     return image / np.float32(255)
 
@@ -158,6 +169,7 @@ def test_rounding_to_8_bits_does_not_count() -> None:
     rng = np.random.default_rng(0)
     halves = rng.uniform(-0.45, 0.45, (512, 512, 3))
     few = rng.random((512, 512, 3)) < 0.05
+    halves[0] = few[0] = 0  # no image is darker than black, or lighter than white
     assert code_of((picture() + halves / 255).astype(np.float32)) == "solved"
     assert code_of((picture() + few / 255).astype(np.float32)) == "solved"
     assert code_of((picture() + 2 * few / 255).astype(np.float32)) == "improving"

@@ -305,6 +305,7 @@ def test_a_second_process_is_refused_until_the_first_one_has_ended(tmp_path: Pat
     out = tmp_path / "run"
     command = [sys.executable, str(tmp_path / "script.py"), str(out)]
     arguments: dict[str, Any] = {"workers": 0, "seed": 0, "out": out, "resume": True}
+    arguments["until"] = "budget"
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None and process.stdout.readline() == b"started\n"

@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Float, Space, fit
+from fide_plugins import FIDE, Float, Space, fit
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.result import Result
+from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.types import Float64
 
 V, U = np.mgrid[0:48, 0:48] / 47
-SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.05, 0.4))
+DISK = {"x": Float(0, 1), "y": Float(0, 1), "r": Float(0.05, 0.4)}
+SPACE = Space(**DISK)
 TRUTH = {"x": 0.7, "y": 0.35, "r": 0.2}
 HERE: dict[str, Any] = {"workers": 0, "seed": 0}
 
@@ -67,6 +69,96 @@ def test_a_fit_to_a_noisy_picture_ends_when_its_noise_is_left(until: str) -> Non
         assert result.evaluations < 500 and f"{std:.2g}" in result.status.sentence
         errors = [abs(result.params[name] - TRUTH[name]) for name in TRUTH]
         assert (np.array(errors) < 4 * allowed).all()
+
+
+@pytest.mark.parametrize("contrast", [0.002, 0.05])
+def test_a_faint_picture_is_solved_no_sooner_than_a_strong_one(contrast: float) -> None:
+    """Floats, as of a microscope: to 8 bits they are of one color."""
+
+    def faint(p: Mapping[str, float]) -> Float64:
+        return np.asarray(0.5 + contrast * (draw(p) - 0.1), np.float64)
+
+    result = fit(faint, faint(TRUTH), SPACE, budget=600, **HERE)
+    assert result.stopped == "solved"
+    assert result.params == pytest.approx(TRUTH, abs=0.002)
+
+
+@pytest.mark.parametrize("gray", np.linspace(0, 0.09, 4))
+def test_a_perfect_fit_to_a_picture_of_8_bits_is_solved(gray: float) -> None:
+    """Its flat background is rounded, everywhere alike."""
+
+    def lighter(p: Mapping[str, float]) -> Float64:
+        return np.asarray(draw(p) + gray, np.float64)
+
+    target = np.round(255 * lighter(TRUTH)).astype(np.uint8)
+    result = fit(lighter, target, SPACE, x0=TRUTH, sigma0=0.01, budget=50, **HERE)
+    assert (result.stopped, result.evaluations) == ("solved", 1)
+
+
+def test_a_fit_is_settled_when_a_generation_is_as_good_as_noise_of_the_target_allows() -> None:
+    """As many of its losses exceed the lowest one by at most 3 of 2,304, and not sooner."""
+    noise = np.random.default_rng(0).normal(0, 0.03, (48, 48))
+    opt = FIDE(SPACE, np.clip(draw(TRUTH) + noise, 0, 1), loss="mse", seed=0)
+    clean = np.repeat(draw(TRUTH)[..., None], 3, axis=-1).astype(np.float32)
+    for _ in range(2):
+        opt.state.grain.note(clean)  # the renderer has no noise
+    losses: list[float] = []
+    codes: list[str] = []
+    stopped = None
+    while stopped is None and len(losses) < 1500:
+        X = opt.ask()
+        losses += opt.tell(X, [draw(p) for p in SPACE.decode_many(X)]).tolist()
+        codes.append(opt.status.code)
+        stopped = Stopping(None).reached(losses, 0.0, min(losses), True, opt)
+
+    def as_good(n: int) -> int:
+        return sum(loss <= min(losses[:n]) * (1 + 3 / 48**2) for loss in losses[:n])
+
+    assert stopped == "noise" and codes.count("noise") > 1, "noise alone is no reason"
+    n = len(losses)
+    assert as_good(n) >= opt.popsize > as_good(n - opt.popsize)
+
+
+def test_noise_of_the_renderer_ends_a_fit_only_if_told() -> None:
+    """It is averaged: more renders tell more."""
+
+    def stopped(until: str) -> tuple[str, str]:
+        rng = np.random.default_rng(5)
+
+        def noisy(p: Mapping[str, float]) -> Float64:
+            return np.clip(draw(p) + rng.normal(0, 0.03, (48, 48)), 0, 1)
+
+        result = fit(noisy, draw(TRUTH), SPACE, budget=500, until=until, **HERE)
+        return result.stopped, result.status.code
+
+    assert stopped("solved") == ("budget", "noise")
+    assert stopped("stalled") == ("stalled", "noise")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("width", "peak"), [(0.01, 0.3), (0.03, 0.12)])
+def test_a_fit_to_a_noisy_picture_goes_on_while_a_spot_is_missing(
+    width: float, peak: float
+) -> None:
+    """That the eye sees: it stands out of noise of 0.05 by its peak or by its size."""
+    v, u = np.mgrid[0:64, 0:64] / 63
+    truth = {**TRUTH, "a": peak, "u": 0.2, "v": 0.75}
+    space = Space(**DISK, a=Float(0, 0.5), u=Float(0, 1), v=Float(0, 1))
+
+    def scene(p: Mapping[str, float]) -> Float64:
+        disk = 0.1 + 0.5 / (1 + np.exp(30 * (np.hypot(u - p["x"], v - p["y"]) - p["r"])))
+        squares = (u - p["u"]) ** 2 + (v - p["v"]) ** 2
+        image = disk + p["a"] * np.exp(-squares / (2 * width**2))
+        return np.asarray(np.clip(image, 0, 1), np.float64)
+
+    early = 0
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(0, 0.05, (64, 64))
+        target = np.clip(scene(truth) + noise, 0, 1)
+        result = fit(scene, target, space, budget=700, workers=0, seed=seed)
+        missed = max(abs(result.params[name] - truth[name]) for name in "uv") > 0.03
+        early += missed and result.stopped == "noise"
+    assert early <= 1
 
 
 def test_a_picture_that_cannot_be_drawn_is_not_solved_and_no_noise() -> None:

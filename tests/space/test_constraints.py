@@ -12,7 +12,6 @@ import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import SpaceError
-from fide_plugins.space.expressions import Expression
 
 MEMBERS: dict[str, Any] = {
     "inner": Float(0, 1),
@@ -55,9 +54,62 @@ PARAMS = {
     ],
 )
 def test_by_how_much_a_condition_is_violated(text: str, violation: float) -> None:
-    expression = Expression("wall", text)
-    expression.check(PARAMS)
-    assert expression.violation(PARAMS) == pytest.approx(violation, abs=1e-13)
+    space = Space(MEMBERS, constraints={"wall": text})
+    assert space.violations(PARAMS)["wall"] == pytest.approx(violation, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "sqrt(inner - 2) != 1",
+        "not (sqrt(inner - 2) < 1)",
+        "min(1, sqrt(inner - 2)) > 0.2",
+        "max(sqrt(inner - 2), 1) > 0.2",
+        "sqrt(inner - 2) ** 0 == 1",
+        "hypot(sqrt(inner - 2), exp(999) ** 2) > 1",
+        "lid != (sqrt(inner - 2) < 1)",
+        "inner < 1 and sqrt(inner - 2) != 1",
+        "inner > 1 or sqrt(inner - 2) != 1",
+    ],
+)
+def test_what_has_no_value_is_violated_wherever_it_stands(text: str) -> None:
+    assert Space(MEMBERS, constraints={"wall": text}).violations(PARAMS)["wall"] > 0.5
+
+
+def test_a_part_without_a_value_does_not_matter_where_another_part_decides() -> None:
+    for text in ("sqrt(inner - 2) > 0 or inner < 1", "not (inner > 1 and sqrt(inner - 2) > 0)"):
+        assert Space(MEMBERS, constraints={"wall": text}).violations(PARAMS) == {"wall": 0.0}
+
+
+def test_two_truths_are_equal_whatever_their_violations_are() -> None:
+    space = Space(MEMBERS, constraints={"wall": "(inner > outer) == (outer > 1)"})
+    assert space.violations(PARAMS) == {"wall": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "valid"),
+    [
+        ("rows * x < 1.5", {1: True, 2: True, 4: False, "auto": False}),
+        ("not (rows > 1)", {1: True, 2: False, 4: False, "auto": False}),
+        ("rows == 'auto' or rows > 2", {1: False, 2: False, 4: True, "auto": True}),
+        ("rows > 2 or rows == 'auto'", {1: False, 2: False, 4: True, "auto": True}),
+        ("rows != 2", {1: True, 2: False, 4: True, "auto": True}),
+    ],
+)
+def test_a_choice_of_texts_and_numbers(text: str, valid: dict[Any, bool]) -> None:
+    """In any order of its values, so that none of them decides what is legal."""
+    for values in ([1, 2, 4, "auto"], ["auto", 4, 1, 2]):
+        space = Space(rows=Choice(*values), x=Float(0, 1), constraints={"w": text})
+        found = {rows: space.violations({"rows": rows, "x": 0.5})["w"] == 0 for rows in values}
+        assert found == valid
+
+
+def test_violations_are_finite_and_names_that_are_missing_a_space_error() -> None:
+    texts = {"v": "x * 1e308 < -1e308", "w": "x * 1e308 < -1e308", "u": "-1e999 > x"}
+    space = Space(x=Float(0, 1), constraints=texts)
+    assert space.violations({"x": 0.5}) == dict.fromkeys(texts, 1e100)
+    with pytest.raises(SpaceError, match="constraint v = .*unknown parameter 'x'"):
+        space.violations({})
 
 
 @pytest.mark.parametrize(
@@ -85,6 +137,13 @@ def test_by_how_much_a_condition_is_violated(text: str, violation: float) -> Non
         ("(inner < 1) + 1 < 1", "is no number"),
         ("sqrt(1, 2) < 1", "sqrt does not take 2 numbers"),
         ("erf(1) < 1", "unknown function 'erf'; known are sqrt"),
+        ("floor == 'woods'", "'floor' is never 'woods'; it can be wood, tile; did you mean 'wood'"),
+        ("'woods' != floor", "'floor' is never 'woods'"),
+        ("floor == 1", "'floor' and '1' are never equal"),
+        ("inner != 'a'", "never equal"),
+        ("lid == 1", "never equal"),
+        ("floor == inner", "never equal"),
+        ("inner == None", "not allowed"),
         ("inner % 2 < 1", "not allowed; a condition has numbers"),
         ("inner in (1, 2)", "not allowed"),
         ("inner is outer", "something else than <"),
@@ -121,9 +180,8 @@ def test_no_text_does_anything_but_being_refused_or_checked(tmp_path: Path) -> N
     for _ in range(1500):
         words = [pieces[i] for i in rng.integers(len(pieces), size=rng.integers(1, 12))]
         try:
-            expression = Expression("wall", rng.choice(["", " "]).join(words))
-            expression.check(PARAMS)
-            assert expression.violation(PARAMS) >= 0
+            text = rng.choice(["", " "]).join(words)
+            assert Space(MEMBERS, constraints={"wall": text}).violations(PARAMS)["wall"] >= 0
         except SpaceError:
             refused += 1
     assert refused > 1000 and not harm.exists()
@@ -148,7 +206,7 @@ def test_a_space_keeps_its_constraints_in_every_form(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Space(constraints=Float(0, 1)),  # type: ignore[arg-type]
+        lambda: Space(constraints=Float(0, 1)),
         lambda: Space({"constraints": Float(0, 1)}),
         lambda: Space.from_toml('[constraints]\ntype = "float"\nlow = 0\nhigh = 1\n'),
         lambda: Space.from_toml(
@@ -160,6 +218,14 @@ def test_a_space_keeps_its_constraints_in_every_form(tmp_path: Path) -> None:
 def test_no_parameter_may_be_called_constraints(make: Callable[[], Space]) -> None:
     with pytest.raises(SpaceError, match="no parameter may be called 'constraints'"):
         make()
+
+
+@pytest.mark.parametrize("text", [["inner < 1"], 1, None, {1}])
+def test_a_constraint_must_be_a_text(text: Any) -> None:
+    with pytest.raises(SpaceError, match="constraint wall = .* it must be a text"):
+        Space(MEMBERS, constraints={"wall": text})
+    with pytest.raises(SpaceError, match="constraint wall = .* it must be a text"):
+        Space.from_dict(Space(MEMBERS).to_dict() | {"constraints": {"wall": text}})
 
 
 def test_a_file_names_the_constraint_that_is_wrong(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,67 @@ def test_a_small_thing_in_strong_noise_is_no_grain(std: float) -> None:
         plain += is_grain(np.repeat(noise[..., None], 3, axis=-1))
         wrong += is_grain(np.repeat((thing + noise)[..., None], 3, axis=-1))
     assert plain >= 48 and wrong <= 2
+
+
+def spot(width: float, peak: float, x: float, y: float) -> Float64:
+    """A Gaussian spot (64, 64, 3) with its center at pixel x, y; width in pixels."""
+    rows, columns = np.mgrid[0:64, 0:64]
+    gray = peak * np.exp(-((rows - y) ** 2 + (columns - x) ** 2) / (2 * width**2))
+    return np.repeat(gray[..., None], 3, axis=-1)
+
+
+@pytest.mark.parametrize(("width", "peak"), [(0.63, 0.4), (1, 0.25), (1.9, 0.12), (3, 0.08)])
+def test_a_spot_that_the_eye_sees_in_noise_is_no_grain(width: float, peak: float) -> None:
+    """The difference has it where the image lacks it; noise has a standard deviation of 0.05."""
+    rng = np.random.default_rng(0)
+    seen = 0
+    for _ in range(60):
+        noise = np.repeat(0.05 * rng.standard_normal((64, 64, 1)), 3, axis=-1)
+        thing = spot(width, peak, *rng.uniform(5, 59, 2))
+        seen += not is_even_grain(thing + noise, 64 * 64)
+    assert seen >= 51
+
+
+@pytest.mark.parametrize("side", [64, 200])
+@pytest.mark.parametrize("colors", [1, 3])
+def test_noise_alone_is_grain(side: int, colors: int) -> None:
+    rng = np.random.default_rng(0)
+    number = 200 if side == 64 else 40
+    noise = [
+        np.repeat(rng.standard_normal((side, side, colors)), 3 // colors, axis=-1)
+        for _ in range(number)
+    ]
+    assert sum(not is_even_grain(one, side**2) for one in noise) <= 0.01 * number + 1
+    assert sum(not is_grain(one) for one in noise) <= 0.01 * number + 1
+
+
+def test_most_wrong_images_are_told_without_looking_at_all_pixels() -> None:
+    """A status is asked for after each generation."""
+    side = 1024
+    rows, columns = np.mgrid[0:side, 0:side] / (side - 1)
+
+    def large(x: float) -> Float32:
+        gray = 0.1 + 0.8 / (1 + np.exp(30 * (np.hypot(columns - x, rows - 0.4) - 0.2)))
+        return np.repeat(gray[..., None], 3, axis=-1).astype(np.float32)
+
+    noise = 0.02 * np.random.default_rng(0).standard_normal((side, side, 1))
+    views = Views.read(np.clip(large(0.7) + noise, 0, 1).astype(np.float32))
+    grain = Grain(views)
+    for _ in range(2):
+        grain.note(large(0.2))
+
+    def seconds(image: Float32) -> float:
+        start = time.process_time()
+        left = grain.left(image, views.target)
+        took = time.process_time() - start
+        assert (left is None) == (image is not right)
+        return took
+
+    right = large(0.7)
+    first = seconds(right)
+    again = min(seconds(right) for _ in range(3))
+    other = min(seconds(large(x)) for x in (0.6, 0.65, 0.68))
+    assert other < 0.2 * first and again < 0.01 * first
 
 
 def test_noise_may_differ_over_the_picture() -> None:

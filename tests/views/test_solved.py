@@ -10,6 +10,7 @@ from fide_plugins.views import Views
 from fide_plugins.views.solved import is_solved
 
 TARGET = np.full((72, 96, 3), 0.5, np.float32)  # 6,912 pixels
+V, U = np.mgrid[0:64, 0:64] / 63
 
 
 def off(by: float, *where: tuple[int, int], picture: Float32 = TARGET) -> Float32:
@@ -61,3 +62,75 @@ def test_what_a_mask_hides_does_not_count_and_each_view_does() -> None:
 
     assert solved(off(100, (10, 10)), TARGET) and solved(TARGET, off(5, (3, 3)))
     assert not solved(TARGET, off(17, (3, 3)))
+
+
+def disk(x: float, low: float, high: float) -> Float32:
+    """A soft disk (64, 64, 3) of these colors."""
+    share = 1 / (1 + np.exp(30 * (np.hypot(U - x, V - 0.35) - 0.2)))
+    return np.repeat((low + (high - low) * share)[..., None], 3, axis=-1).astype(np.float32)
+
+
+@pytest.mark.parametrize("contrast", [0.002, 0.01, 0.05, 0.9])
+@pytest.mark.parametrize("low", [0.0, 0.05])
+def test_a_faint_picture_counts_as_much_as_a_strong_one(contrast: float, low: float) -> None:
+    """What differs by so much of the contrast, whatever the contrast is."""
+    views = Views.read(disk(0.7, low, low + contrast))
+    assert is_solved(views, disk(0.7002, low, low + contrast))
+    assert not is_solved(views, disk(0.71, low, low + contrast))
+    assert not is_solved(views, disk(0.7, low, low + 0.98 * contrast))
+    assert not is_solved(views, np.full_like(views.target, low)), "nothing is there"
+
+
+def test_contrast_is_that_of_each_view_and_of_what_a_mask_shows() -> None:
+    mask = np.ones((64, 64), np.float32)
+    mask[:, :9] = 0
+    faint = disk(0.7, 0.5, 0.504)
+    faint[:, :9] = 1.0
+    colored = faint + np.array([0, -0.2, -0.4], np.float32)  # so are its colors: no contrast
+    views = Views.read([colored, disk(0.3, 0.1, 0.9)], [mask, None])
+
+    def solved(x: float) -> bool:
+        images = [disk(x, 0.5, 0.504) + np.array([0, -0.2, -0.4], np.float32), disk(0.3, 0.1, 0.9)]
+        batch = views.as_batch([one[None] for one in images], 1, lambda _: None)
+        return is_solved(views, np.asarray(batch[0], np.float32))
+
+    assert solved(0.7) and not solved(0.71)
+
+
+@pytest.mark.parametrize("levels", [255, 65535])
+@pytest.mark.parametrize("range_of_values", [1.0, 100 / 255])
+def test_a_perfect_image_of_a_rounded_picture_equals_it(
+    levels: int, range_of_values: float
+) -> None:
+    """Of a flat area all values are rounded alike, by up to half a step."""
+    kind = np.uint8 if levels == 255 else np.uint16
+    for low in np.linspace(0.05, 0.1, 12):
+        exact = np.float32(range_of_values) * disk(0.7, low, 0.9)
+        rounded = np.round(exact * levels).astype(kind)
+        views = Views.read(rounded, value_range=(0, levels))
+        assert is_solved(views, exact)
+        assert not is_solved(views, np.float32(range_of_values) * disk(0.72, low, 0.9))
+
+
+def test_the_steps_of_a_picture_may_be_those_of_its_range_of_values() -> None:
+    exact = disk(0.7, 0.1, 0.9)
+    views = Views.read(np.round(200 * exact).astype(np.uint8), value_range=(0, 200))
+    assert is_solved(views, exact)
+    assert not is_solved(views, disk(0.7, 0.1, 0.92))
+
+
+def test_a_picture_of_one_color_is_compared_in_steps_of_8_bits() -> None:
+    views = Views.read(np.full((64, 64, 3), 0.1, np.float32))  # 25.5 steps: not rounded
+    assert is_solved(views, np.full((64, 64, 3), 0.1 + 0.28 / 255, np.float32))
+    assert not is_solved(views, np.full((64, 64, 3), 0.1 + 0.3 / 255, np.float32))
+
+
+def test_many_single_pixels_are_a_thing() -> None:
+    """A share of a large picture alone would be 1,000 stars."""
+    black = np.full((1000, 1000, 3), 0.05, np.float32)
+    black[0, :500] = 1.0
+    views = Views.read(black)
+    places = [(20 + 50 * i, 20 + 50 * j) for i in range(18) for j in range(18)]
+    assert not is_solved(views, off(15, *places, picture=black))
+    assert is_solved(views, off(15, *places[:10], picture=black))
+    assert not is_solved(views, off(15, *places[:11], picture=black))
