@@ -77,9 +77,9 @@ def test_small_units_have_exponents(x: float, std: float, text: str) -> None:
 
 
 def test_long_labels_keep_both_ends() -> None:
-    name = "left_shoulder_rotation_about_the_axis"
     space = Space(
-        **{name: Float(0, 1), "kind": Choice("a_material_of_brick", "a_material_of_wood")}
+        left_shoulder_rotation_about_the_axis=Float(0, 1),
+        kind=Choice("a_material_of_brick", "a_material_of_wood"),
     )
     first, second = drawn(np.array([[0.1, 0.1], [0.9, 0.9]]), space, 2)
     assert first.label == "left_should...t_the_axis"
