@@ -124,9 +124,15 @@ class _Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+        self._words: list[str] = []
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse does, and remember the words for `error`."""
+        self._words = list(args or [])
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
-        raise _Usage(self.prog, message + suggestion(message, self, _parsers))
+        raise _Usage(self.prog, message + suggestion(message, self, _parsers, self._words))
 
     def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
         raise _Done(status)

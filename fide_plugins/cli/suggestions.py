@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
+from itertools import takewhile
 
 from fide_plugins.errors import did_you_mean
 
 __all__ = ["suggestion"]
 
+_MISSING = "the following arguments are required: "
 _UNKNOWN = "unrecognized arguments: "
 _MISTYPED = 0.75  # similarity of names, from which on one is taken for the other
 _CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
@@ -20,12 +22,15 @@ def suggestion(
     message: str,
     parser: argparse.ArgumentParser,
     others: Callable[[], Mapping[str, argparse.ArgumentParser]],
+    words: Sequence[str] = (),
 ) -> str:
     """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
 
     parser: of the command.  others: gives those of all commands, by name;
-    they take a while, and are asked only if no flag of this one is close.
+    they take a while, and are asked only if no flag of this one is close.  words: that were given.
     """
+    if message.startswith(_MISSING):
+        return _taken(parser, words)
     choice = _CHOICE.search(message)
     if choice is not None:
         return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
@@ -42,6 +47,16 @@ def suggestion(
             return f"; {flag} is of {' and '.join(f'fide {command}' for command in where[:3])}"
         if close := get_close_matches(name, own, 1):
             return f"; did you mean --{close[0]}?"
+    return ""
+
+
+def _taken(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
+    """Which option has taken the argument that is missing, as one with several values does."""
+    greedy = {flag for one in parser._actions if one.nargs == "+" for flag in one.option_strings}
+    for flag, values in ((word, words[i + 1 :]) for i, word in enumerate(words) if word in greedy):
+        taken = list(takewhile(lambda value: not value.startswith("-"), values))
+        if len(taken) > 1:
+            return f"; {flag} has taken {taken[-1]!r}: write {flag}={','.join(taken[:-1])}"
     return ""
 
 

@@ -195,7 +195,7 @@ class Fitting:
                 note_unsaved(error, unsaved)
             error = error or unsaved
         result = self._result(stopped)
-        if suspicion := suspicion_of(self.optimizer):
+        if suspicion := suspicion_of(self.optimizer, self._loop.extremes):
             warn_user(suspicion)
         try:
             with interrupts.let_go():

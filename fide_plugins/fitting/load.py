@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fide_plugins.errors import FideError, OptionError
+from fide_plugins.errors import FideError, ImageError, OptionError
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.run_files import optimizer_in
 from fide_plugins.recording import kept_solutions
+from fide_plugins.recording.directory import TARGET_VALUES
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.run_checkpoint import is_saved, read_record
@@ -21,7 +22,7 @@ from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
-from fide_plugins.validation import images
+from fide_plugins.validation import image_files, images
 from fide_plugins.validation.value_range import ValueRange, restored, value_range_of
 
 __all__ = ["load_run"]
@@ -71,7 +72,7 @@ def _read(path: Path, run: dict[str, Any]) -> Result:
         params=None if best is None else best.params or totals.get("params") or best.x.copy(),
         solutions=known.solutions if best is None else [best, *known.solutions[1:]],
         status=known.status,
-        target=restored(_cut(_picture(path / "target.png"), views), values),
+        target=_target(path, views, values),
         weights=known.weights,
         loss=str(settings.get("loss")),
         failures=record.failures,
@@ -163,6 +164,18 @@ def unpacked(image: Float32, views: Any) -> Any:
     ends = np.cumsum([height * width for height, width in views])
     parts = np.split(image, ends[:-1])
     return [part.reshape(*size, 3) for part, size in zip(parts, views, strict=True)]
+
+
+def _target(path: Path, views: Any, values: ValueRange | None) -> Any:
+    """Target in the user's values, or targets; of a run of an earlier version rounded to 8 bits."""
+    file = path / TARGET_VALUES
+    if values is None or not file.exists():
+        return restored(_cut(_picture(path / "target.png"), views), values)
+    files.check_regular(file)
+    pixels = image_files.read_pixels(file, None, raw=True)
+    if pixels.dtype != np.float32 or pixels.shape[2:] != (3,) or not np.isfinite(pixels).all():
+        raise ImageError(f"{file} is no picture of finite 32-bit floats in RGB; copy it back")
+    return _cut(pixels, views)
 
 
 def _picture(path: Path) -> Float32:

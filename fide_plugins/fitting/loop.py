@@ -26,6 +26,7 @@ from fide_plugins.fitting.failures import EvaluationError, Failures, GivenUpErro
 from fide_plugins.fitting.pictures import as_told, canonical, shown
 from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
 from fide_plugins.fitting.stopping import Stopping
+from fide_plugins.fitting.suspicions import Extremes
 from fide_plugins.fitting.workers.base import LOOK, Task, Workers, late
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
@@ -62,6 +63,10 @@ class Loop:
         """Whether record and optimizer agree, so that they may be saved."""
         self.render_seconds = 0.0
         """Sum over the renders of this call's search that gave an image."""
+        self.extremes = Extremes(optimizer.views)
+        for known in (record.first_image, record.image):
+            if known is not None and self.extremes.wanted:
+                self.extremes.note(known)
         self._renderer, self._stopping, self._timeout = renderer, stopping, timeout
         self._callbacks, self._interrupts = callbacks, interrupts
         self._running: dict[Task, Float64] = {}
@@ -277,6 +282,8 @@ class Loop:
         r, best = self.record, self.optimizer.state.best
         if r.first_image is None:
             r.first_image = canonical(self.optimizer, image)
+        if self.extremes.wanted:
+            self.extremes.note(canonical(self.optimizer, image))
         improved = best is not None and math.isfinite(loss) and loss < r.best_loss
         if improved:
             assert best is not None

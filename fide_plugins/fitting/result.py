@@ -6,7 +6,6 @@ import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.parameters import ROUGH, described, is_rough
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.renderers import naming
+from fide_plugins.runtime.wording import cut
 from fide_plugins.validation.points import as_points
 from fide_plugins.validation.value_range import ValueRange
 
@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Result"]
 
-_FILES = (".png", ".jpg", ".pdf", ".svg", ".html", ".json", ".csv", ".npz")
+_FILES = (
+    ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".webp", ".gif", ".bmp", ".pdf",
+    ".svg", ".html", ".json", ".csv", ".toml", ".yaml", ".txt", ".md", ".npy", ".npz", ".pkl",
+    ".pickle", ".pt", ".pth", ".ckpt", ".h5", ".zip", ".gz", ".py",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,7 +149,7 @@ class Result:
         Raises FideError if `path` is named like a file, holds another run, or if the optimizer went
         on since; OSError.
         """
-        if Path(path).suffix in _FILES:
+        if Path(path).suffix.lower() in _FILES:
             raise OptionError(
                 f"save writes a run directory, and {os.fspath(path)!r} is named like a file; name "
                 "a folder; plot().savefig(path) writes a picture"
@@ -170,7 +174,7 @@ class Result:
             unnamed = self.best.space is None  # a task of a run that was read
             text = naming.described(self.params) if unnamed else described(self.best)
             rough = f" ({ROUGH})" if is_rough(self.best) and "±" in text else ""
-            params = shorten(text, 400) + rough
+            params = cut(text, 400) + rough
         lines = [
             f"Result(best loss {loss} after {self.evaluations:,} evaluations, "
             f"{self.seconds:.1f} s{failed}; stopped: {self.stopped}",

@@ -27,7 +27,7 @@ from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.runtime.callables import own_name
-from fide_plugins.types import Solution
+from fide_plugins.types import Float32, Solution
 
 __all__ = ["SavedRun", "Unsaved", "features_of", "seed_there", "settings_of"]
 
@@ -66,7 +66,8 @@ class SavedRun:
         with ExitStack() as refused:
             refused.callback(self.close)
             record = self.restore(optimizer)
-            self._directory.write_target(picture(optimizer, optimizer.evaluator.target))
+            target = optimizer.evaluator.target
+            self._directory.write_target(picture(optimizer, target), _values(optimizer, target))
             self._directory.begin(None)
             refused.pop_all()
         return record
@@ -122,10 +123,7 @@ class SavedRun:
     def write_tables(self, record: Record, optimizer: FIDE) -> None:
         """Write the tables and the best image."""
         best = None if record.image is None else picture(optimizer, record.image)
-        values = None
-        if record.image is not None and optimizer.value_range is not None:
-            values = side_by_side(shown(optimizer, record.image))
-        self._directory.write_tables(record, best, values)
+        self._directory.write_tables(record, best, _values(optimizer, record.image))
 
     def leave(
         self,
@@ -258,6 +256,13 @@ def seed_there(out: str | os.PathLike[str]) -> int | None:
     run = read_run(Path(out))
     seed = None if run is None else run["settings"].get("seed")
     return seed if isinstance(seed, int) else None
+
+
+def _values(optimizer: FIDE, image: Float32 | None) -> Float32 | None:
+    """One picture of an image with the user's values; None without one, or where it has [0, 1]."""
+    if image is None or optimizer.value_range is None:
+        return None
+    return side_by_side(shown(optimizer, image))
 
 
 def _verdict(record: Record, optimizer: FIDE) -> Verdict:

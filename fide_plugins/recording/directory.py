@@ -5,7 +5,7 @@
     curve.csv      one line for each evaluation
     improvements.csv   one line for each evaluation that was the best so far, with other metrics
     best.png       the best image so far
-    best.tif       the same as floats, where a range of values was given
+    best.tif, target.tif   the same as floats, where a range of values was given
     target.png     the picture to find
     target.ckpt    the same to the last bit, of a run by itself
     frame-N.png    the best image after N renders, small, if a film is kept
@@ -60,14 +60,24 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-__all__ = ["LIVE", "TABLES", "RunDirectory", "is_of_a_run", "is_under_way", "results_in"]
+__all__ = [
+    "LIVE",
+    "TABLES",
+    "TARGET_VALUES",
+    "RunDirectory",
+    "is_of_a_run",
+    "is_under_way",
+    "results_in",
+]
 
 TABLES = ("curve.csv", "improvements.csv")
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
+TARGET_VALUES = "target.tif"
 LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _WRITTEN = (
-    *_RESULTS, LIVE, kept_target.NAME, "run.json", "target.png", "frame-*.png", "optimizer-*.ckpt",
+    *_RESULTS, LIVE, kept_target.NAME, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
+    "optimizer-*.ckpt",
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 
@@ -243,7 +253,7 @@ class RunDirectory:
             lambda: files.write_text(self.path / "curve.csv", tables.curve(record)),
             lambda: files.write_text(self.path / "improvements.csv", tables.improvements(record)),
             lambda: self.write_best(best),
-            lambda: self._write_values(values),
+            lambda: self._write_values("best.tif", values),
         )
 
     def write_frame(self, mark: int, image: Float32) -> None:
@@ -252,8 +262,10 @@ class RunDirectory:
 
         files.write_bytes(self.path / f"frame-{mark}.png", as_png(thumbnail(image)))
 
-    def write_target(self, image: Float32) -> None:
-        """Write `target.png`, once."""
+    def write_target(self, image: Float32, values: Float32 | None = None) -> None:
+        """Write `target.png`, and `target.tif` of its values where these are others, once."""
+        if values is not None and not (self.path / TARGET_VALUES).exists():
+            self._write_values(TARGET_VALUES, values)
         if (self.path / "target.png").exists():
             return
         from fide_plugins.recording.figures import as_png
@@ -267,12 +279,12 @@ class RunDirectory:
 
             files.write_bytes(self.path / "best.png", as_png(image))
 
-    def _write_values(self, values: Float32 | None) -> None:
-        """Write `best.tif`."""
+    def _write_values(self, name: str, values: Float32 | None) -> None:
+        """Write a TIFF of floats."""
         if values is not None:
             from fide_plugins.validation.image_files import encoded
 
-            files.write_bytes(self.path / "best.tif", encoded(values, ".tif"))
+            files.write_bytes(self.path / name, encoded(values, ".tif"))
 
     def write_reference(self, result: RunResult) -> None:
         """Write `reference.png` if it differs from the best image of the run."""

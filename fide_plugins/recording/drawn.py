@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from textwrap import shorten
 from typing import Any, Literal
 
 import numpy as np
 
 from fide_plugins.recording.figures import plain
 from fide_plugins.renderers.naming import flat
+from fide_plugins.runtime.wording import cut
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Float64
 
@@ -33,7 +33,7 @@ class Drawn:
     def label(self) -> str:
         """Name and unit, escaped for matplotlib, cut where it is long."""
         unit = "" if self.kind is None or self.kind.unit is None else f" [{self.kind.unit}]"
-        return plain(shorten(self.name, 24, placeholder="...") + unit)
+        return plain(cut(self.name, 24) + unit)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -46,7 +46,7 @@ class Drawn:
         if isinstance(self.kind, Choice):
             values = self.kind.values
             every = range(len(values)) if len(values) <= _FEW else set(self.values.astype(int))
-            names = [plain(shorten(str(values[i]), 12, placeholder="...")) for i in sorted(every)]
+            names = [plain(cut(str(values[i]), 12)) for i in sorted(every)]
             getattr(axes, f"set_{axis}ticks")(sorted(every), names)
         elif self.kind is not None and self.kind.scale.log:
             getattr(axes, f"set_{axis}scale")("log")

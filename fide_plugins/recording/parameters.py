@@ -18,6 +18,8 @@ __all__ = ["ROUGH", "Row", "described", "is_rough", "lines", "rows"]
 ROUGH = "± rough, from the search"
 """Remark on standard deviations that depend on the path of the search."""
 
+_SMALL, _DIGITS = 1e-4, 9  # least number without an exponent, most digits behind the point
+
 
 @dataclass(frozen=True)
 class Row:
@@ -111,12 +113,22 @@ def _in_units(kind: Kind, value: Any, std: float) -> float | None:
 def _text(value: Any, std: float | None) -> str:
     """Text of a value: digits down to the second one of its standard deviation.
 
+    Numbers below 1e-4 have an exponent, and so has a deviation below the ninth digit of its value.
+
     >>> _text(25.0321, 0.0871), _text(0.02, None), _text(6, 0.3), _text("checker", None)
     ('25.032 ± 0.087', '0.02', '6 ± 0.30', 'checker')
+    >>> _text(3.2e-10, 1e-12), _text(0.5, 1e-12)
+    ('3.200e-10 ± 1.0e-12', '0.500000000 ± 1.0e-12')
     """
     if std is None or not np.isfinite(std):
         return f"{value:.4g}" if isinstance(value, float) else str(value)
     digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
-    digits = min(digits, 9)
-    shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
-    return f"{shown} ± {std:.{digits}f}"
+    fine = std if digits > _DIGITS else 0.0
+    if isinstance(value, float) and max(abs(value), std) < _SMALL and (value or std):
+        fine = std
+        above = math.floor(math.log10(abs(value) / std)) if value and std else 2
+        shown = f"{value:.{min(max(above, 0) + 1, _DIGITS)}e}" if value else "0"
+    else:
+        digits = min(digits, _DIGITS)
+        shown = f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+    return f"{shown} ± {std:.1e}" if fine else f"{shown} ± {std:.{digits}f}"

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from textwrap import shorten
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -25,6 +24,7 @@ from fide_plugins.recording.figures import (
     plain,
 )
 from fide_plugins.recording.parameters import rows
+from fide_plugins.runtime.wording import cut
 from fide_plugins.types import Float64, Indices, Solution
 
 __all__ = ["Figure", "curve_figure", "result_figure", "tidy"]
@@ -93,7 +93,7 @@ def curve_figure(losses: Float64, loss: str) -> Figure:
 def _draw_path(axes: Any, one: Drawn, value: str, at: Indices, n: int) -> None:
     """Draw a parameter since each of the evaluations `at`, to the last, n; value: its last one."""
     axes.set_title(one.label, fontsize=9, color=INK, loc="left", pad=4)
-    last = plain(shorten(value, 22, placeholder="..."))
+    last = plain(cut(value, 22))
     axes.set_title(last, fontsize=8, color=MUTED, loc="right", pad=4)
     one.mark(axes, "y")
     evaluations = [*(at[-len(one.values) :] + 1).tolist(), n]

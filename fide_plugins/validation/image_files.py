@@ -31,6 +31,7 @@ _TIFF = (".tif", ".tiff")  # Pillow reads floats of gray ones only
 _LAYERED = ("MPO", "PSD")  # their first frame is the picture, the others belong to it
 _OPENCV = (*_TIFF, ".hdr")
 _EXR = ".exr"
+_ORIENTATION = 0x0112  # EXIF
 
 
 def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool = False) -> Pixels:
@@ -49,8 +50,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
             whole = image.size
             if max_side is not None:
                 image.draft(None, (max_side, max_side))  # JPEG: decode at a fraction of its size
-            if raw and _narrowed(image):
-                pixels, frames = _by_opencv(path, max_side), 1
+            if _narrowed(image):
+                pixels = _of_16_bit_colors(image, path, max_side, raw)
             else:
                 pixels = from_pil(image, repr(os.fspath(path)), max_side, whole, raw=raw)
     except FileNotFoundError as e:
@@ -69,7 +70,31 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
 
 def _narrowed(image: Any) -> bool:
     """Whether Pillow reads colors of 16 bits of this file as 8 bits."""
-    return image.mode in ("RGB", "RGBA") and any(";16" in str(tile[3]) for tile in image.tile)
+    return image.mode in ("RGB", "RGBA") and any(
+        ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1:] == (65535,))
+        for tile in image.tile
+    )
+
+
+def _of_16_bit_colors(
+    image: Any, path: str | os.PathLike[str], max_side: int | None, raw: bool
+) -> Pixels:
+    """Colors with all of their bits, upright; `image` is the file as Pillow has opened it."""
+    pixels = _by_opencv(path, max_side)
+    if not raw and pixels.dtype != np.uint8:  # floats where they have been reduced
+        pixels = pixels / np.float32(65535)
+    return _upright(pixels, image.getexif().get(_ORIENTATION, 1))
+
+
+def _upright(pixels: Pixels, orientation: int) -> Pixels:
+    """Pixels (H, W, C) turned by the number that EXIF has for it."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return np.ascontiguousarray(pixels)
 
 
 def _of_another_format(
@@ -206,13 +231,15 @@ def _of_16_bits(image: Any, size: tuple[int, int]) -> Pixels:
 
 
 def save(path: str | os.PathLike[str], image: Float32) -> None:
-    """Write an image (H, W, 3) or (H, W) to the file `path`, whose ending says how.
+    """Write an image (H, W), (H, W, 3) or (H, W, 4) to the file `path`, whose ending says how.
 
     .tif, .tiff, .exr (with the extra exr): 32-bit floats, any values, without loss.  .hdr: colors
     that are not negative, to 1 % of the largest channel.  Other endings that Pillow writes, such as
     .png: 8 bits, values in [0, 1].
 
-    Raises ImageError for another ending or what is no image, OSError if it cannot be written.
+    Raises ImageError, before anything is written, for another ending, what is no image, NaN and
+    infinity but in floats, and an alpha channel where the format has none; OSError if it cannot be
+    written.
     """
     Path(path).write_bytes(encoded(image, Path(path).suffix))
 
@@ -224,6 +251,10 @@ def encoded(image: Float32, suffix: str) -> bytes:
         raise ImageError(f"an image to save has axes (H, W) or (H, W, C), not {pixels.shape}")
     if suffix == _EXR:
         return exr.encoded(pixels)
+    if suffix not in _TIFF and not np.isfinite(pixels).all():
+        raise ImageError(f"{suffix} holds no NaN and no infinity; save the image as .tif or .exr")
+    if suffix == ".hdr" and (pixels.shape[2:] == (4,) or (pixels < 0).any()):
+        raise ImageError(".hdr holds no alpha and no negative values; save it as .tif or .exr")
     if suffix in _OPENCV:
         from fide_plugins.runtime.opencv import cv2
 
@@ -239,5 +270,10 @@ def encoded(image: Float32, suffix: str) -> bytes:
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[..., 0]
     buffer = io.BytesIO()
-    Image.fromarray(np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8)).save(buffer, form)
+    whole = Image.fromarray(np.rint(np.clip(pixels, 0, 1) * 255).astype(np.uint8))
+    try:
+        whole.save(buffer, form)
+    except Exception as e:  # each format has its own
+        got = f"an image of shape {pixels.shape}"
+        raise ImageError(f"{suffix} cannot hold {got}: {e}; save it as .png or .tif") from e
     return buffer.getvalue()

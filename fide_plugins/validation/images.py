@@ -22,8 +22,8 @@ value range        with one, [low, high] takes the place of [0, 1], and all type
                    Alpha is a share still: of whole numbers, of their type's largest one
 hidden pixels      where a mask has zeros: NaN becomes 0, other values are clipped, and nothing is
                    refused for them
-files, PIL images  turned upright (EXIF), palettes expanded, 16-bit grays divided by 65535, those
-                   of 32 bits refused; of several frames the first, with a warning; at most
+files, PIL images  turned upright (EXIF), palettes expanded, 16 bits divided by 65535, grays of 32
+                   bits refused; of several frames the first, with a warning; at most
                    `MAX_PIXELS` pixels.  TIFF of floats and HDR keep their values.  With a value
                    range all numbers are as they are stored
 =================  ============================================================================

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.types import Mask
 from fide_plugins.validation.clipping import OnClip
-from fide_plugins.validation.image_sources import Pixels
-from fide_plugins.validation.rules import is_clipped, refuse_not_finite
+from fide_plugins.validation.image_sources import Pixels, describe
+from fide_plugins.validation.rules import ROUNDING, is_clipped, refuse_not_finite
 from fide_plugins.validation.value_range import ValueRange
 
 __all__ = ["extremes", "is_unit", "shares", "unit_range"]
@@ -26,6 +27,7 @@ def unit_range(
     """
     given = pixels
     if values is not None:
+        _check_alpha(pixels, what, on_clip, hidden)
         pixels = _scaled(pixels, values)
     if pixels.dtype == np.uint8:
         return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
@@ -53,6 +55,21 @@ def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
     if pixels.shape[-1] != 4:
         return values.scaled(pixels)
     return np.concatenate([values.scaled(pixels[..., :3]), shares(pixels[..., 3:])], axis=-1)
+
+
+def _check_alpha(pixels: Pixels, what: str, on_clip: OnClip | None, hidden: Mask | None) -> None:
+    """Raise ImageError for an alpha channel of floats that are no shares; renders may overshoot."""
+    if pixels.shape[-1] != 4 or pixels.dtype.kind != "f":
+        return
+    alpha = pixels[..., 3] if hidden is None else pixels[..., ~hidden, 3]
+    low, high = extremes(alpha)
+    most, refused = (ROUNDING, ImageError) if on_clip is None else (1.0, ValueRangeError)
+    if low < -most or high > 1.0 + most:
+        raise refused(
+            f"{what} has an alpha channel with values in [{low:.6g}, {high:.6g}], "
+            f"{describe(pixels)}; alpha of floats must be in [0, 1], whatever value_range is: "
+            "divide it by its largest value, or leave it out, image[..., :3]"
+        )
 
 
 def shares(alpha: Pixels) -> Pixels:

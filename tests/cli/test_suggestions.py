@@ -100,3 +100,8 @@ def test_the_command_that_is_named_does_it(capsys: pytest.CaptureFixture[str]) -
     words = ["run", "scene.py:render", "--target", "target.png", "--optimizer", "random"]
     assert fide(*words, "--budget", 3, "--out", "out") == 0
     assert "after 3 renders" in capsys.readouterr().out
+
+
+def test_an_option_that_has_taken_the_target_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert fide("fit", "--value-range", 0, 10, "t.tif", "--renderer", "s.py:f") == 2
+    assert "--value-range has taken 't.tif': write --value-range=0,10" in one_line(capsys)

@@ -119,8 +119,10 @@ def test_an_optimizer_that_went_on_is_not_saved_as_the_result(tmp_path: Path) ->
     with pytest.raises(FideError, match="has gone on since"):
         result.save(tmp_path / "run")
     assert not (tmp_path / "run").exists()
-    with pytest.raises(OptionError, match="savefig"):
-        result.save(tmp_path / "fit.png")
+    for name in ("fit.png", "fit.TIFF", "fit.pkl"):
+        with pytest.raises(OptionError, match="savefig"):
+            result.save(tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupted_run_is_read(tmp_path: Path) -> None:

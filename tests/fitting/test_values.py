@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins import Float, Space, fit
-from fide_plugins.errors import OptionError, ValueRangeError
+from fide_plugins import Float, Space, fit, load_run
+from fide_plugins.errors import ImageError, OptionError, ValueRangeError
 
 V, U = np.mgrid[0:24, 0:24] / 23
 SPACE = Space(x=Float(0, 1), y=Float(0, 1), r=Float(0.02, 0.2))
@@ -92,3 +92,35 @@ def test_bytes_of_0_and_1_are_named() -> None:
 def test_global_renders_are_in_0_to_1() -> None:
     with pytest.raises(OptionError, match="preset='global' learns from images in"):
         fit(draw, draw(AT), SPACE, 10_000, value_range=(0, 2), preset="global")
+
+
+@pytest.mark.parametrize("values", [(0, 255), "auto"])
+def test_floats_for_bytes_are_named_with_a_value_range(values: Any) -> None:
+    target = (255 * draw(AT)).astype(np.uint8)
+    options: dict[str, Any] = {"budget": 20, "workers": 0, "seed": 1, "value_range": values}
+    with pytest.warns(RuntimeWarning, match=r"all renders.*return 255 \* image"):
+        fit(draw, target, SPACE, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit(lambda p: 255 * draw(p), target, SPACE, **options)
+
+
+def test_the_target_of_a_run_is_read_exactly(tmp_path: Path) -> None:
+    def both(p: dict[str, float]) -> list[Any]:
+        return [60_000 * draw(p), 60_000 * draw(p)[:8, :6]]
+
+    options: dict[str, Any] = {"workers": 0, "out": tmp_path / "a", "value_range": (0, 65535)}
+    result = fit(both, both(AT), SPACE, 4, **options)
+    for one, other in zip(load_run(tmp_path / "a").target, result.target, strict=True):
+        np.testing.assert_array_equal(one, other)
+    (tmp_path / "a/target.tif").write_text("no picture")
+    with pytest.raises(ImageError, match=r"target\.tif"):
+        load_run(tmp_path / "a")
+
+
+def test_an_alpha_channel_of_0_to_255_is_named() -> None:
+    rgba = np.full((24, 24, 4), 255.0)
+    with pytest.raises(ImageError, match=r"alpha channel with values in \[255, 255\]"):
+        fit(draw, rgba, SPACE, 4, workers=0, value_range=(0, 255))
+    with pytest.raises(ValueRangeError, match="alpha channel"):
+        fit(lambda p: rgba, rgba[..., :3], SPACE, 4, workers=0, value_range=(0, 255))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from fide_plugins import Choice, Float, Group, Int, Solution, Space
+from fide_plugins.recording.drawn import drawn
 from fide_plugins.recording.parameters import described, lines, rows
 from fide_plugins.types import Estimated
 
@@ -58,3 +60,29 @@ def test_without_a_space_coordinates_are_numbered() -> None:
 def test_an_integer_has_no_deviation_and_is_not_open_for_that() -> None:
     (row,) = rows([solution([0.5], [np.nan], Space(rows=Int(1, 3)))])
     assert (row.values, row.determined) == (["2"], True)
+
+
+@pytest.mark.parametrize(
+    ("x", "std", "text"),
+    [
+        (0.32, 0.001, "3.200e-10 ± 1.0e-12"),
+        (0.32, 0.5, "3.2e-10 ± 5.0e-10"),
+        (0.0, 0.001, "0 ± 1.0e-12"),
+        (0.32, 0.0, "3.200e-10 ± 0.0000"),
+    ],
+)
+def test_small_units_have_exponents(x: float, std: float, text: str) -> None:
+    (row,) = rows([solution([x], [std], Space(x=Float(0, 1e-9, unit="m")))])
+    assert row.values == [text]
+
+
+def test_long_labels_keep_both_ends() -> None:
+    space = Space(
+        left_shoulder_rotation_about_the_axis=Float(0, 1),
+        kind=Choice("a_material_of_brick", "a_material_of_wood"),
+    )
+    first, second = drawn(np.array([[0.1, 0.1], [0.9, 0.9]]), space, 2)
+    assert first.label == "left_should...t_the_axis"
+    axes = Figure().add_subplot()
+    second.mark(axes, "x")
+    assert [one.get_text() for one in axes.get_xticklabels()] == ["a_mat...rick", "a_mat...wood"]

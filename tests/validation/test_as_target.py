@@ -5,15 +5,16 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
-from PIL import Image
+from PIL import Image, ImageOps
 
 from fide_plugins.errors import FideError, ImageError, ImageNotFoundError, OptionError
-from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_batch, as_target, load
+from fide_plugins.validation.images import MAX_PIXELS, alpha_of, as_batch, as_target, load, save
 
 RGB = np.random.default_rng(0).random((5, 7, 3), dtype=np.float32)
 BYTES = np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)
@@ -321,3 +322,52 @@ def test_a_directory_and_a_null_byte_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path, "a\0b"):
         with pytest.raises(ImageError, match="cannot read"):
             as_target(path)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+@pytest.mark.parametrize("ending", ["png", "tif", "ppm"])
+def test_colors_of_16_bits_keep_all_of_them(ending: str, channels: int, tmp_path: Path) -> None:
+    if (ending, channels) == ("ppm", 4):
+        return
+    colors = np.random.default_rng(0).integers(0, 65536, (4, 6, channels), np.uint16)
+    order = [2, 1, 0, 3][:channels]
+    cv2.imwrite(str(tmp_path / f"a.{ending}"), colors[..., order])
+    made, expected = as_target(tmp_path / f"a.{ending}"), as_target(colors / 65535)
+    np.testing.assert_allclose(made, expected, atol=1e-6)
+    assert load(tmp_path / f"a.{ending}", max_side=3).shape == (2, 3, 3)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_colors_of_16_bits_are_upright(orientation: int, tmp_path: Path) -> None:
+    colors = np.random.default_rng(0).integers(0, 65536, (4, 6, 3), np.uint16)
+    cv2.imwrite(str(tmp_path / "a.png"), colors[..., ::-1])
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    body = exif.tobytes()[6:]  # without "Exif" and two zeros
+    chunk = struct.pack(">I", len(body)) + b"eXIf" + body
+    chunk += struct.pack(">I", zlib.crc32(chunk[4:]))
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:33] + chunk + data[33:])  # behind the header
+    image = Image.fromarray((colors >> 8).astype(np.uint8))
+    image.getexif()[0x0112] = orientation
+    turned = ImageOps.exif_transpose(image)
+    np.testing.assert_allclose(
+        as_target(tmp_path / "a.png"), np.asarray(turned) / 255, atol=1.1 / 255
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "words"),
+    [
+        ("a.hdr", np.ones((4, 4, 4)), "no alpha"),
+        ("a.hdr", -np.ones((4, 4, 3)), "no negative"),
+        ("a.jpg", np.ones((4, 4, 4)), "jpg cannot hold"),
+        ("a.png", np.full((4, 4, 3), np.nan), "no NaN"),
+    ],
+)
+def test_what_a_format_cannot_hold_is_not_written(
+    name: str, image: Any, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ImageError, match=words):
+        save(tmp_path / name, image)
+    assert not (tmp_path / name).exists()
