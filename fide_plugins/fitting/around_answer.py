@@ -24,7 +24,7 @@ from fide_plugins.fitting.rendering import Rendered
 from fide_plugins.fitting.workers.base import Workers
 from fide_plugins.fitting.workers.gather import gathered
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.types import Float32, Float64, Indices
+from fide_plugins.types import OPEN, Float32, Float64, Indices
 from fide_plugins.uncertainty.at_answer import deviations_at, means, pixels_together
 
 __all__ = ["MOST_NUMBERS", "numbers", "std_around"]
@@ -36,7 +36,6 @@ _LEAST = 0.25  # of a step, below which a wall leaves no side
 _TURN = 0.4  # of a period, the farthest step: at half of it both sides are one
 _CURVED = 0.25  # energy of the second difference beside that of the first
 _STRAIGHTER = 0.5  # of the curvature, below which the nearer step is taken
-_FASTEST = 4.0  # growth of a step, above which it is not told at which one something changes
 _ANY = 12**-0.5  # standard deviation of the uniform law
 _TINY = 1e-300
 _SAME = 2e-6  # by which a GPU renders the same image anew
@@ -140,7 +139,7 @@ def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
     """
     still = {axis: one.step for axis, one in seen.items() if not one.changed}
     while still:
-        rounds = max(1.0, (around.left - 1) // (2 * len(still)))
+        rounds = max(1.0, around.left // (2 * len(still)))
         factor = max(2.0, (1 / min(still.values())) ** (1 / rounds))
         sides = {axis: around.either_side(axis, factor * s, 0) for axis, s in still.items()}
         sides = {axis: d for axis, d in sides.items() if max(d) > still[axis]}  # else: the end
@@ -154,7 +153,7 @@ def _look_farther(around: _Around, seen: dict[int, _Seen]) -> None:
         for axis, one in found.items():
             if one.changed:
                 one.least, seen[axis] = min(0.5 * one.step, _ANY), one
-                if factor > _FASTEST:
+                if factor > 2 and one.least >= OPEN:  # a nearer step may have told it
                     del seen[axis]
 
 
