@@ -330,7 +330,7 @@ class Model:
             state["picture"],
         )
         str(model.report)  # raises for one that says nothing
-        gray = torch.full((1, 3, h, w), 0.5)
+        gray = torch.full((1, 3, h, w), 0.5, dtype=torch.float32)  # whatever the default is
         of_gray = network.vectors(gray), network.sample(gray, 1, torch.Generator())
         if not all(bool(values.isfinite().all()) for values in of_gray):
             raise ValueError("its weights are finite, but not what they make of a gray picture")
