@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FitInterrupted", "Fitting"]
 
-_MORE = 5  # one part in so many: renders beyond the budget
+_MORE = 10  # one part in so many: renders beyond the budget
 _SHOW_INTERVAL = 0.1  # seconds between two reports of a search that goes on
 
 
@@ -158,7 +158,7 @@ class Fitting:
     def _say_how_sure(self, stopped: str, interrupts: Interrupts) -> None:
         """Standard deviations (dim,) from renders around the answer, as far as these can be made.
 
-        They are made where the budget has room, or where they add at most a fifth, and where the
+        They are made where the budget has room, or where they add at most a tenth, and where the
         time has room.  A signal meanwhile ends them, and the fit ends as it would have.
         """
         best, done = self.optimizer.state.best, self.record.evaluations

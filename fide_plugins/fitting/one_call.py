@@ -73,7 +73,8 @@ def fit(
     space
         parameters by name, or their number.
     budget
-        images to evaluate at most; None: no limit.
+        images to evaluate at most; None: no limit.  Standard deviations may take up to a tenth
+        more renders at the end, see `Result.std_renders`.
     time
         how long at most: seconds, or a text such as "10m" or "1h30m".
     stop_at
