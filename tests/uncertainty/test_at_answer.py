@@ -63,8 +63,8 @@ def test_colors_views_and_sizes_count_as_they_are() -> None:
     rng = np.random.default_rng(0)
     noise = 0.02 * rng.standard_normal(ONE.shape)
     one = deviations_at([SLOPES], [noise], [IMAGE], [ONE])
-    three = [[np.repeat(each, 3, axis=-1)] for each in (SLOPES, noise, IMAGE, ONE)]
-    np.testing.assert_allclose(deviations_at(*three), one)
+    slopes, left, image, ones = (np.repeat(each, 3, -1) for each in (SLOPES, noise, IMAGE, ONE))
+    np.testing.assert_allclose(deviations_at([slopes], [left], [image], [ones]), one)
     two = deviations_at([SLOPES] * 2, [noise] * 2, [IMAGE] * 2, [ONE] * 2)
     assert (two < 1.01 * one).all()
     slopes, image, ones = (np.repeat(np.repeat(each, 24, -3), 24, -2) for each in
