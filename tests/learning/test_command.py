@@ -180,7 +180,7 @@ def test_a_fit_with_the_encoder_of_a_model_is_recorded_and_resumed(
 ) -> None:
     learn = learned_gradient()
     fit = ("fit", "t.png", "--renderer", "gradient.py:render", "--workers", 0, "--out", "f")
-    words = (*fit, "--seed", 1, "--json", "--encoder")
+    words = (*fit, "--until", "budget", "--seed", 1, "--json", "--encoder")
     assert fide(*words, "learned:m.fide", "--budget", 20) == 0
     options = json.loads(Path("f/run.json").read_text())["settings"]["options"]
     assert options == {"encoder": "learned:m.fide"}
