@@ -77,7 +77,7 @@ LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _WRITTEN = (
     *_RESULTS, LIVE, kept_target.NAME, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
-    "optimizer-*.ckpt",
+    "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
 

@@ -8,6 +8,7 @@ drawn at random.
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -58,7 +59,8 @@ class Memory:
 
     def add(self, sample: TrainingSample) -> None:
         """Remember a sample; others may be forgotten for it."""
-        room = int(self._bytes / max(_LEAST, sample.tokens.nbytes + sample.x.nbytes))
+        each = max(_LEAST, sample.tokens.nbytes + sample.x.nbytes)
+        room = int(min(self._bytes / each, sys.maxsize))  # there may be no limit
         if room < 2:
             return
         self._latest.append(sample)

@@ -91,7 +91,7 @@ def images_of(what: str, X: Float64, target: Float32, rng: np.random.Generator) 
         case "from 0 to 1e-30":
             images[:] = 1e-30 * blurred
         case "beyond 1":
-            images[:] = 1e30 * (blurred - 0.5)
+            images[:] = 2.5 * blurred - 0.5
     return images
 
 

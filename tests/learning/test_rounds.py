@@ -64,7 +64,14 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fitted(render: Any = disk, picture: Float64 = PICTURE, **options: Any) -> Any:
-    options = {"budget": BUDGET, "workers": 0, "seed": 3, "preset": "global", **options}
+    given: dict[str, Any] = {
+        "budget": BUDGET,
+        "until": "budget",
+        "workers": 0,
+        "seed": 3,
+        "preset": "global",
+    }
+    options = given | options
     return fit(render, picture, SPACE, **options)
 
 
@@ -83,7 +90,8 @@ def test_all_renders_count_and_the_search_begins_at_the_answer(
 ) -> None:
     result, render, folder = whole
     assert result.evaluations == BUDGET
-    assert render.renders == BUDGET + 2 + 4  # one a round, to know the shape, and four again
+    more = 2 + 4  # one a round, to know the shape, and four again
+    assert render.renders == BUDGET + more + result.std_renders
     learning = result.curve[: sum(SHARES), 1]
     assert np.isinf(learning).all() and np.isfinite(result.curve[sum(SHARES) :, 1]).all()
     assert result.best.loss < 1e-5
