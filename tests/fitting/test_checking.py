@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -15,6 +17,9 @@ from fide_plugins.fitting.checking.advice import advice, budget, workers
 from fide_plugins.fitting.checking.pixels import Difference, difference, image_of, small
 from fide_plugins.fitting.checking.report import as_data, lines
 from fide_plugins.fitting.checking.values import other_values, sweeps
+
+# Workers get the functions of this file: away from the repository they cannot import it.
+cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
 
 def grid() -> tuple[Any, Any]:
