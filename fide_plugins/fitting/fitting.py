@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -220,15 +221,16 @@ class Fitting:
         except Exception:
             with suppress(Exception):
                 failed = "failed" if state == "finished" else state
-                saved.leave(failed, stopped, record, optimizer, self._solutions())
+                saved.leave(failed, stopped, record, optimizer, self._solutions)
             raise
-        saved.leave(state, stopped, record, optimizer, self._solutions())
+        saved.leave(state, stopped, record, optimizer, self._solutions)
 
     def _stop_workers(self, interrupts: Interrupts) -> None:
         """Stop them; a second signal does not wait for that."""
         with suppress(Interrupted), interrupts.let_go():
             self._workers.close()
 
+    @cached_property  # of the end: files and result share it, and its standard deviations
     def _solutions(self) -> list[Solution]:
         """Those of the optimizer, the best one with standard deviations by renders around it."""
         solutions = self.optimizer.solutions()
@@ -239,7 +241,7 @@ class Fitting:
 
     def _result(self, stopped: str) -> Result:
         r, loop = self.record, self._loop
-        solutions = self._solutions()
+        solutions = self._solutions
         best = solutions[0] if solutions else None
         validity = self.optimizer.validity
         loop.note_pending()
