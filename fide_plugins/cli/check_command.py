@@ -57,8 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.fitting.checking import check
-    from fide_plugins.fitting.checking.figure import figure
-    from fide_plugins.fitting.checking.report import as_data, lines
+    from fide_plugins.fitting.checking.report import as_data, figure, lines
     from fide_plugins.runtime.files import write_bytes
 
     who = "fide check"
@@ -87,7 +86,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking.advice import duration
+        from fide_plugins.fitting.checking.report import duration
 
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 
@@ -95,9 +94,9 @@ def _tell(renders: int, seconds: float) -> None:
 def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:
     """Name, function, space and time limit of a render."""
     from fide_plugins.cli.own_renderer import function_of, program_of, space_of
-    from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers.command import TIMEOUT
     from fide_plugins.runtime.reference import is_reference
+    from fide_plugins.validation.option_rules import seconds_of
 
     space = space_of(args.space)
     if args.templates is not None:

@@ -48,7 +48,7 @@ _MOST = 40  # parameters that are printed
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.fitting.fitting import FitInterrupted
-    from fide_plugins.recording.run_checkpoint import is_saved
+    from fide_plugins.recording.storage import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -101,8 +101,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.extra_renders import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
-    from fide_plugins.fitting.workers.choice import default_number
-    from fide_plugins.recording.json_record import read_run
+    from fide_plugins.fitting.workers import default_number
+    from fide_plugins.recording.storage import read_run
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
@@ -146,8 +146,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
-    from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.validation.option_rules import seconds_of
 
     space = space_of(args.space)
     if args.renderer is not None:
@@ -194,13 +194,13 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
+    from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.solutions import pictures as stored
 
-    known = stored.read(out)
+    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.of(known, x) is None]
+    new = [x for x in points if stored.image_of(known, x) is None]
     if not new:
         return
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
@@ -210,7 +210,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
                 known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:
-        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+        stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
 
 def _progress() -> Any:
@@ -224,8 +224,8 @@ def _progress() -> Any:
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.recording.json_record import read_run
     from fide_plugins.recording.record import SUMMARY
+    from fide_plugins.recording.storage import read_run
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks.head_choice import has_emulator, kind_of
 from fide_plugins.learning.networks.network import HEADS
@@ -25,7 +24,7 @@ from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.fingerprints import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import not_negative
+from fide_plugins.validation.option_rules import not_negative, seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
 __all__ = ["learn"]

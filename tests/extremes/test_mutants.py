@@ -27,7 +27,7 @@ from fide_plugins.learning.judging.report import Report
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks.emulator import Emulator
 from fide_plugins.learning.networks.network import Network
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 

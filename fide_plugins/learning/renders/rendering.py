@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from multiprocessing import current_process
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.fitting.workers.base import Task, Workers
-from fide_plugins.fitting.workers.choice import DAEMON, workers_for
-from fide_plugins.fitting.workers.processes import Processes
+from fide_plugins.fitting.processes import Processes
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
+from fide_plugins.fitting.workers import DAEMON, Workers, workers_for
 from fide_plugins.learning.renders.renderer import BatchRenderer, Small
 from fide_plugins.learning.renders.store import SHARD, RenderStore
 from fide_plugins.learning.renders.tally import Tally

@@ -26,8 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from fide_lab.compare.configuration import as_file_name
-from fide_lab.compare.plan import target_file
+from fide_lab.compare.plan import as_file_name, target_file
 from fide_lab.compare.results import (
     AXES,
     AllFailedError,

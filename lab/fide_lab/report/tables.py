@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from fide_lab.report.panel import SIGNIFICANT, Panel, Row
-from fide_plugins.recording.parallel import WORKERS
-from fide_plugins.recording.record import PARTS
+from fide_plugins.recording.record import PARTS, WORKERS
 
 __all__ = [
     "Entry",
