@@ -170,6 +170,7 @@ class FIDE(Asking):
             value_range=value_range,
             device=device,
             for_network=o.has_network,
+            **o.comparison,
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()

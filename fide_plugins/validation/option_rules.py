@@ -18,6 +18,7 @@ __all__ = [
     "check_names",
     "check_schedule",
     "fraction",
+    "fraction_or",
     "groups",
     "not_negative",
     "one_of",
@@ -116,6 +117,19 @@ def positive_fraction(name: str, value: Any) -> float:
     if number > 1:
         raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
     return number
+
+
+def fraction_or(word: str) -> Rule:
+    """A number in (0, 1], or the word."""
+
+    def rule(name: str, value: Any) -> float | str:
+        if isinstance(value, str):
+            if value == word:
+                return value
+            raise OptionError(f"{name} must be a number in (0, 1] or {word!r}, not {value!r}")
+        return positive_fraction(name, value)
+
+    return rule
 
 
 def not_negative(name: str, value: Any) -> float:
