@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import ValueRangeError
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import Schema, check, flag, real, whole
-from fide_plugins.runtime.warn import warn_user
 
 __all__ = ["LIT", "Clip", "Clipping", "OnClip", "warn_clipped"]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32
 
 __all__ = ["decoded", "encoded"]

@@ -16,7 +16,7 @@ import numpy as np
 
 from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
 from fide_plugins.validation import exr
 from fide_plugins.validation.image_sources import Pixels, refuse_type, scale_remedy

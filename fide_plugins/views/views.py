@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.clipping import Clip, OnClip
 from fide_plugins.validation.image_sources import describe
