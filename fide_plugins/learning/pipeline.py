@@ -25,7 +25,7 @@ from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import not_negative
+from fide_plugins.validation.options import not_negative
 from fide_plugins.validation.points import torch_seed, whole_number
 
 __all__ = ["learn"]

@@ -12,8 +12,8 @@ from fide_plugins.errors import LossError
 from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import one_thread, user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.image_sources import is_torch_tensor
 from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.pixels import is_torch_tensor
 
 if TYPE_CHECKING:
     import torch

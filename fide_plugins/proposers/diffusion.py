@@ -47,7 +47,7 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float64
-from fide_plugins.validation.option_rules import check_schedule
+from fide_plugins.validation.options import check_schedule
 
 __all__ = ["DiffusionProposer"]
 

@@ -20,8 +20,8 @@ from fide_plugins.runtime.registry import of_bytes
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_target
+from fide_plugins.validation.pixels import Pixels
 
 __all__ = ["TIMEOUT", "CommandRenderer"]
 

@@ -11,7 +11,7 @@ from fide_plugins.renderers.folder import OwnFolder
 from fide_plugins.renderers.naming import described
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback, version_of
 from fide_plugins.space import Space
-from fide_plugins.validation.image_sources import is_path
+from fide_plugins.validation.pixels import is_path
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["FunctionRenderer"]

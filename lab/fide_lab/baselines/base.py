@@ -36,7 +36,7 @@ from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import as_points, new_seed, whole_number
 
 __all__ = ["Baseline"]

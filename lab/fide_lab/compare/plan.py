@@ -20,7 +20,7 @@ from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.messages import said_once, warn_user
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["TARGETS", "Checked", "Plan", "RunKey", "target_file"]

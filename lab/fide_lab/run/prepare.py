@@ -30,7 +30,7 @@ from fide_plugins.recording.sources import of_files, of_losses, of_models, of_we
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
