@@ -30,7 +30,7 @@ import fide_tasks
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks.network import Network, as_input
 from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"
 SHARES = (0.5, 0.8, 0.9, 0.95)
@@ -135,7 +135,7 @@ def main() -> None:
     left = list(missing(({**about, "scaled": scaled} for scaled in kinds), arguments.out, key))
     if not left:
         return
-    options = dict(key_value.parse(pair) for pair in arguments.task_set)
+    options = dict(parse_key_value(pair) for pair in arguments.task_set)
     x, images = pictures(model, arguments.scene, options, arguments.pictures)
     for row in left:
         found = measure(row, model, x, images)

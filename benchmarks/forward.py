@@ -31,7 +31,7 @@ from rows import Row, read, run_missing
 import fide_tasks
 from fide_lab import optimizers
 from fide_plugins.recording.record import best_so_far
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 MARKS = (100, 200, 300, 500, 1000, 2000)
 GOALS = (1e-4, 1e-6)
@@ -103,7 +103,7 @@ def run(cell: Row, arguments: argparse.Namespace) -> Row:
     """One run; the row has the best loss (MSE) at each mark, and renders until each goal."""
     task = make_task(cell["task"], cell["target"])
     name, _, asked = cell["configuration"].removesuffix(arguments.label).partition("/")
-    options = dict(key_value.parse(pair) for pair in arguments.set)
+    options = dict(parse_key_value(pair) for pair in arguments.set)
     if name in PROPOSERS:
         options = {**PROPOSERS[name], **options}
         optimizer = optimizers.make("fide", task.dim, task.target, seed=cell["seed"], **options)

@@ -33,7 +33,7 @@ from scipy.optimize import linear_sum_assignment
 
 import fide_tasks
 from fide_plugins import FIDE
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 RESULTS = Path(__file__).parent / "results" / "learned_beads.jsonl"
 MARKS = (500, 1000, 3000)
@@ -145,7 +145,7 @@ def main() -> None:
     name, *pairs = arguments.configuration
     if name == "learned" and not arguments.model:
         parser.error("the configuration 'learned' needs --model; without one name it otherwise")
-    options = dict(key_value.parse(pair) for pair in pairs)
+    options = dict(parse_key_value(pair) for pair in pairs)
     run_missing(
         cells(arguments, name),
         lambda cell: measure(cell, arguments.model, options),

@@ -37,7 +37,7 @@ from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins import FIDE
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 RESULTS = Path(__file__).parent / "results" / "learned_camera.jsonl"
 NEAR = (0.005, 0.01, 0.02, 0.05)
@@ -152,7 +152,7 @@ def main() -> None:
         return
     torch.set_num_threads(1)
     name, *pairs = arguments.configuration
-    options = dict(key_value.parse(pair) for pair in pairs)
+    options = dict(parse_key_value(pair) for pair in pairs)
     left = missing(cells(arguments, name), arguments.out, key)
     add((measure(row, arguments.model, options) for row in left), arguments.out)
 

@@ -23,7 +23,7 @@ from rows import Row, read, run_missing
 
 from fide_lab import run as harness
 from fide_plugins.recording.record import best_so_far
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 MARKS = (500, 1000, 2000, 4000, 5000, 10_000, 15_000, 20_000, 25_000)
 RIVAL = "CMA-ES"
@@ -105,7 +105,7 @@ def run_configurations(
 
 def grid(arguments: argparse.Namespace) -> Iterator[Row]:
     """All cells, seeds outermost, so that a table can be made before the last is done."""
-    options = dict(key_value.parse(pair) for pair in arguments.task_set)
+    options = dict(parse_key_value(pair) for pair in arguments.task_set)
     more = {"task_options": options} if options else {}
     for seed in range(arguments.seeds):
         for task in arguments.tasks:

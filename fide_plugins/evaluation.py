@@ -21,9 +21,8 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.clipping import OnClip
-from fide_plugins.validation.features import as_features
-from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
+from fide_plugins.validation.pixels import OnClip
+from fide_plugins.validation.tensors import as_features, as_tensor_batch, stays_on_device
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of

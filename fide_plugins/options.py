@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.validation import option_rules as rules
+from fide_plugins.validation import options as rules
 
 __all__ = [
     "GLOBAL",

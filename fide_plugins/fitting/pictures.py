@@ -9,7 +9,7 @@ import numpy as np
 from fide_plugins.comparison.coverage import without_coverage
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
-from fide_plugins.validation.clipping import Clipping
+from fide_plugins.validation.pixels import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.clipping import Clip, OnClip
-from fide_plugins.validation.image_sources import describe
 from fide_plugins.validation.images import as_batch, is_image
-from fide_plugins.validation.value_range import (
+from fide_plugins.validation.pixels import (
     AUTO,
+    Clip,
+    OnClip,
     ValueRange,
+    describe,
     range_of,
     restored,
     value_range_of,
