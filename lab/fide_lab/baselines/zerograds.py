@@ -45,7 +45,7 @@ from fide_plugins.runtime.schema import (
     table,
 )
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Proxy", "ZeroGrads"]

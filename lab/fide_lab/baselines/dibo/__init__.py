@@ -43,7 +43,7 @@ from fide_lab.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import one_of
+from fide_plugins.validation.options import one_of
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["DiBO", "Diffusion", "Round", "RoundOptions"]

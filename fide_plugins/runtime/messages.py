@@ -1,4 +1,4 @@
-"""Warnings that name the line of the user, however deep in the library they are noticed.
+"""Words of messages, and warnings that name the line of the user.
 
 A fixed `stacklevel` names another line as soon as a function is called in two ways, or through a
 decorator: one that is a context manager has a frame of its own, in contextlib.py or in PyTorch.
@@ -12,8 +12,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-
-__all__ = ["said_once", "warn_user"]
 
 _SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
 
@@ -49,3 +47,25 @@ def said_once(said: set[str]) -> Iterator[None]:
 
 def _is_between(module: object) -> bool:
     return isinstance(module, str) and any(f"{module}.".startswith(f"{m}.") for m in _BETWEEN)
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things, in the plural unless it is one.
+
+    >>> counted(1, "problem"), counted(2000, "problem")
+    ('1 problem', '2000 problems')
+    """
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def cut(text: str, most: int) -> str:
+    """One line of text of at most so many characters, with both ends of a longer one.
+
+    >>> cut("left_shoulder_rotation", 12), cut("short", 12)
+    ('left_...tion', 'short')
+    """
+    text = " ".join(text.split())
+    if len(text) <= most:
+        return text
+    end = (most - 3) // 2
+    return f"{text[: most - 3 - end]}...{text[len(text) - end :]}"

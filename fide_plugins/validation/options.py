@@ -6,29 +6,13 @@ value and the rule.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection, Iterable
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.points import whole_number
-
-__all__ = [
-    "Rule",
-    "check_names",
-    "check_schedule",
-    "fraction",
-    "groups",
-    "not_negative",
-    "one_of",
-    "positive",
-    "positive_fraction",
-    "schedule",
-    "switch",
-    "text",
-    "whole",
-    "whole_numbers",
-]
 
 Rule: TypeAlias = Callable[[str, Any], Any]
 
@@ -118,6 +102,19 @@ def positive_fraction(name: str, value: Any) -> float:
     return number
 
 
+def fraction_or(word: str) -> Rule:
+    """A number in (0, 1], or the word."""
+
+    def rule(name: str, value: Any) -> float | str:
+        if isinstance(value, str):
+            if value == word:
+                return value
+            raise OptionError(f"{name} must be a number in (0, 1] or {word!r}, not {value!r}")
+        return positive_fraction(name, value)
+
+    return rule
+
+
 def not_negative(name: str, value: Any) -> float:
     """A finite number, at least 0."""
     number = _number(name, value)
@@ -164,3 +161,43 @@ def _number(name: str, value: Any) -> float:
     if isinstance(value, bool | str) or not abs(number) < float("inf"):
         raise OptionError(f"{name} must be a finite number, not {value!r}")
     return number
+
+
+# -- options on the command line: key=value --------------------------------------------------------
+
+
+def parse_key_value(text: str) -> tuple[str, Any]:
+    """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
+
+    A value in brackets is a list, as JSON has it, ``groups=[[0,1],[2,3]]``, and one in braces a
+    dictionary, ``x0={"azimuth": 30}``.
+
+    Raises OptionError (a ValueError) for anything else.
+
+    >>> [parse_key_value(text) for text in ("popsize=50", "sigma0=1e-1", "loss=mse", "fast=true")]
+    [('popsize', 50), ('sigma0', 0.1), ('loss', 'mse'), ('fast', True)]
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.isidentifier():
+        raise OptionError(f"key=value, not {text!r}")
+    words: dict[str, Any] = {"true": True, "false": False}
+    if value.lower() in words:
+        return key, words[value.lower()]
+    if value.startswith(("[", "{")):
+        return key, _from_json(text, value)
+    for kind in (int, float):
+        try:
+            return key, kind(value)
+        except ValueError:
+            continue
+    return key, value
+
+
+def _from_json(text: str, value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError as error:
+        rule = "a value in brackets is a list such as [[0,1],[2,3]]"
+        if value.startswith("{"):
+            rule = 'a value in braces is a dictionary such as {"azimuth": 30}, names in quotes'
+        raise OptionError(f"{text!r}: {rule} ({error})") from error
