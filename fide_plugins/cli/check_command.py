@@ -95,8 +95,8 @@ def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], A
     """Name, function, space and time limit of a render."""
     from fide_plugins.cli.own_renderer import function_of, program_of, space_of
     from fide_plugins.renderers.command import TIMEOUT
-    from fide_plugins.runtime.reference import is_reference
-    from fide_plugins.validation.option_rules import seconds_of
+    from fide_plugins.runtime.registry import is_reference
+    from fide_plugins.validation.options import seconds_of
 
     space = space_of(args.space)
     if args.templates is not None:

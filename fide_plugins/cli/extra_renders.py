@@ -13,7 +13,7 @@ from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Renderer
 from fide_plugins.fitting.workers import gathered, workers_for
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch
-from fide_plugins.validation.option_rules import seconds_of
+from fide_plugins.validation.options import seconds_of
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

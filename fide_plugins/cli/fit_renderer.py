@@ -25,7 +25,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
-from fide_plugins.validation.option_rules import positive_fraction
+from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -147,7 +147,7 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
     from fide_plugins.renderers.command import TIMEOUT
-    from fide_plugins.validation.option_rules import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     space = space_of(args.space)
     if args.renderer is not None:

@@ -25,7 +25,7 @@ from fide_plugins.fitting.workers import Workers
 from fide_plugins.recording.directory import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:

@@ -27,13 +27,13 @@ from fide_plugins.recording.parameters import read_solutions, solutions_as_data
 from fide_plugins.recording.record import Record, RunResult, Verdict, result_of
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_record, read_run
 from fide_plugins.runtime import files
-from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import image_files, images
-from fide_plugins.validation.value_range import ValueRange, restored, value_range_of
+from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
 
 _RELATIVE, _ABSOLUTE = 1e-3, 1e-6  # by which losses and features may differ between machines
 _CONTENTS = ("mask", "weights", "value_range")

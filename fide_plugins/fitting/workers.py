@@ -30,9 +30,9 @@ from fide_plugins.errors import OptionError
 from fide_plugins.fitting.processes import Processes
 from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, unpack
 from fide_plugins.runtime.machine import cores
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.image_sources import is_pil, is_torch_tensor
+from fide_plugins.validation.pixels import is_pil, is_torch_tensor
 
 LOOK = 0.25
 """Seconds between two looks at the clocks of renders that may take too long."""

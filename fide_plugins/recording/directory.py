@@ -57,7 +57,7 @@ from fide_plugins.recording.storage import (
     write_target,
 )
 from fide_plugins.runtime import files, machine
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Optimizer
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from fide_plugins.recording.figures import (
 )
 from fide_plugins.recording.parameters import rows
 from fide_plugins.renderers.naming import flat
-from fide_plugins.runtime.wording import cut
+from fide_plugins.runtime.messages import cut
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Float64, Indices, Solution
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
-from fide_plugins.validation.option_rules import seconds_of
+from fide_plugins.validation.options import seconds_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "fit.md"
 

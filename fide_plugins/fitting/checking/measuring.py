@@ -29,9 +29,9 @@ from fide_plugins.renderers.naming import described, flat
 from fide_plugins.space import Float, Kind, Space
 from fide_plugins.space.constraints import Constraints, constraints_of
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_pixels
-from fide_plugins.validation.option_rules import seconds_of
+from fide_plugins.validation.options import seconds_of
+from fide_plugins.validation.pixels import Pixels
 
 MOST = 5
 """Values of an integer or a choice, at most."""

@@ -12,7 +12,7 @@ import numpy as np
 from fide_plugins.fitting.checking.measuring import FAST, Effect, Facts
 from fide_plugins.recording.figures import plain
 from fide_plugins.renderers.naming import described, flat
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 from fide_plugins.space import Float
 from fide_plugins.types import Float32
 

@@ -22,7 +22,7 @@ from fide_lab.run import Interrupted, Progress
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.runtime import files, machine
-from fide_plugins.runtime.cluster import connected
+from fide_plugins.runtime.machine import connected
 from fide_plugins.validation.points import whole_number
 
 Lost = Callable[[Any], Any]

@@ -28,7 +28,7 @@ from fide_plugins.recording.storage import (
     read_target,
 )
 from fide_plugins.runtime import files
-from fide_plugins.runtime.warn import said_once
+from fide_plugins.runtime.messages import said_once
 
 __all__ = ["ERROR", "Outcome", "State", "examine", "is_busy", "run_one"]
 

@@ -29,9 +29,8 @@ from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import KeptTarget
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.warn import said_once, warn_user
-from fide_plugins.validation import key_value
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.runtime.messages import said_once, warn_user
+from fide_plugins.validation.options import check_names, parse_key_value
 from fide_plugins.validation.points import whole_number
 
 
@@ -57,7 +56,7 @@ class Configuration:
         Raises OptionError (a ValueError).
         """
         name, words = split(text)
-        pairs = [key_value.parse(word) for word in words]
+        pairs = [parse_key_value(word) for word in words]
         options = dict(sorted(pairs))
         misplaced = "=" in name and ".py:" not in name  # only a path may have one
         if not name or misplaced or len(options) < len(pairs):

@@ -43,8 +43,8 @@ from fide_plugins.recording.record import (
 )
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.types import Float32, Float64, Optimizer
-from fide_plugins.validation.clipping import Clipping
 from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.pixels import Clipping
 from fide_plugins.validation.points import as_points
 
 

@@ -30,11 +30,10 @@ from fide_plugins.recording.storage import (
     read_target,
     same_target,
 )
-from fide_plugins.runtime.callables import own_name
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]
