@@ -44,10 +44,9 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.runtime.locks import Lock, one_at_a_time
+from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.schema import array, check, maybe
-from fide_plugins.runtime.threads import one_thread
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
@@ -199,6 +198,7 @@ class FIDE(Saved):
             value_range=value_range,
             device=device,
             for_network=o.has_network,
+            **o.comparison,
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()

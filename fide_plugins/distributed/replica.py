@@ -49,7 +49,7 @@ from fide_plugins.evaluation import Evaluation
 from fide_plugins.fide import FIDE, Decision
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import columns
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float64
