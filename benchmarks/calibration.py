@@ -28,8 +28,8 @@ from rows import Row, append, missing, read, report
 
 import fide_tasks
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.networks.network import Network, as_input
-from fide_plugins.learning.renders.renderer import as_renderer
+from fide_plugins.learning.networks import Network, as_input
+from fide_plugins.learning.renders import as_renderer
 from fide_plugins.validation import key_value
 
 RESULTS = Path(__file__).parent / "results" / "calibration.jsonl"

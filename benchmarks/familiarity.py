@@ -5,7 +5,7 @@
 
 The scene is drawn here: a striped disk on a plain or checked floor, 32 x 24 pixels, seven
 parameters, one of which has no effect.  Three models learn it from 1,000 to 3,000 renders, too few
-for a scale of their density (`fide_plugins.learning.judging.calibration`).
+for a scale of their density (`fide_plugins.learning.judging`).
 
 *known*: share of 150 pictures of each kind that `Model.knows` takes for renders; those that are
 none should be 0.  *held*: share of 250 fresh renders whose 90 % region holds the truth.

@@ -30,12 +30,11 @@ from numpy.typing import NDArray
 from rows import Row, append, read, report, rows_of
 
 import fide_tasks
-from fide_plugins.learning.judging.report import Distance, judge
-from fide_plugins.learning.networks.head_choice import kind_of
-from fide_plugins.learning.networks.network import Network, as_input
-from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.learning.renders.store import RenderStore
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning.judging import Distance, judge
+from fide_plugins.learning.networks import Network, as_input
+from fide_plugins.learning.pipeline import kind_of
+from fide_plugins.learning.renders import RenderStore, as_renderer
+from fide_plugins.learning.training import Training
 from fide_plugins.space import Space
 
 RESULTS = Path(__file__).parent / "results" / "learned_training.jsonl"
@@ -204,7 +203,7 @@ def main() -> None:
     parser.add_argument("--passes", type=int, default=3)
     parser.add_argument("--batch", type=int, nargs="+", default=[32, 128])
     parser.add_argument(
-        "--heads", nargs="+", help="see fide_plugins.learning.networks.network.HEADS"
+        "--heads", nargs="+", help="see fide_plugins.learning.networks.HEADS"
     )
     parser.add_argument("--cpu-seconds", type=float, help="of each training; many passes, batch 32")
     parser.add_argument("--pictures", type=int, default=100, help="judged by hypotheses (100)")

@@ -4,7 +4,7 @@
     python benchmarks/robustness.py table
 
 One set of renders of 64 pixels, one network, three ways to change the images while it learns: none;
-exposure, noise and sharpness, as it was at first; all of `learning.training.augmentation`.
+exposure, noise and sharpness, as it was at first; all of `learning.augmentation`.
 The passes are the same.  The models are judged on renders that none has seen, as they are and
 changed: by other code, and mostly by more than in training.
 
@@ -33,10 +33,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 import fide_tasks
-from fide_plugins.learning.networks.network import Network, as_input
-from fide_plugins.learning.training import one_training
-from fide_plugins.learning.training.augmentation import augmented
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning import training as one_training
+from fide_plugins.learning.augmentation import augmented
+from fide_plugins.learning.networks import Network, as_input
+from fide_plugins.learning.training import Training
 
 RESULTS = Path(__file__).parent / "results" / "robustness.jsonl"
 SIZE = 64

@@ -226,7 +226,7 @@ class _Lines:
 
 def _line(progress: Any) -> str:
     """Line about a `LearnProgress`."""
-    from fide_plugins.learning.judging.report import against_prior
+    from fide_plugins.learning.judging import against_prior
 
     done = f"{progress.done}/{progress.total}"
     match progress.stage:

@@ -19,7 +19,7 @@ from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
 from fide_plugins.fitting.workers.choice import default_number, workers_for
-from fide_plugins.learning.rounds import rounds_of, search_options
+from fide_plugins.learning.hypotheses import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
@@ -137,7 +137,7 @@ def fit(
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
         be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
-        first, see `learning.rounds`.  Those renders count as evaluations, with a loss of infinity;
+        first, see `learning.hypotheses`.  Those renders count as evaluations, with a loss of infinity;
         they are made in this process or in `workers` processes, without `timeout`.
 
     A render that raises, takes too long, loses its process, or returns something else than an image

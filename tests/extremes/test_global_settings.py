@@ -15,11 +15,11 @@ from fide_plugins import Choice, Float, Solution, Space, fit
 from fide_plugins.encoders.dense import DenseEncoder
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import learn
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.network import Network
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.networks import Network
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import estimate
-from fide_plugins.uncertainty.values import looks_alike
+from fide_plugins.uncertainty.estimate import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
 BLOCKS = [[0, 1], [2, 3]]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.learning.hypotheses import unlike_all
-from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning.judging import Familiarity
 from fide_plugins.types import Float64
 
 
