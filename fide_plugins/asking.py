@@ -14,9 +14,8 @@ from fide_plugins.population import CandidateRole, Population
 from fide_plugins.population.training_sample import columns
 from fide_plugins.preview import make_next
 from fide_plugins.retargeting import Retargeting
-from fide_plugins.runtime.locks import one_at_a_time
-from fide_plugins.runtime.threads import one_thread
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import one_at_a_time, one_thread
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Float64

@@ -44,9 +44,8 @@ from fide_plugins.population import Candidate, Population
 from fide_plugins.population.training_sample import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.runtime.locks import Lock, one_at_a_time
-from fide_plugins.runtime.threads import one_thread
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
@@ -170,6 +169,7 @@ class FIDE(Asking):
             value_range=value_range,
             device=device,
             for_network=o.has_network,
+            **o.comparison,
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()

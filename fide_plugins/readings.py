@@ -13,9 +13,8 @@ from torch import Tensor
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.options import Options, flat
-from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.schema import array, check, maybe
-from fide_plugins.runtime.threads import one_thread
+from fide_plugins.runtime.threads import one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.scene.optima import APART
 from fide_plugins.search.validity import Validity

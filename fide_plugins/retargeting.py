@@ -18,9 +18,8 @@ from fide_plugins.population.training_sample import TrainingSample, columns
 from fide_plugins.proposers import Proposer, make_proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.readings import Readings
-from fide_plugins.runtime.locks import one_at_a_time
-from fide_plugins.runtime.threads import one_thread
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.threads import one_at_a_time, one_thread
 from fide_plugins.search.moves.base import Stage, Start
 from fide_plugins.search.recall import Recalled, recall
 from fide_plugins.types import Float64, Posterior

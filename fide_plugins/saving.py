@@ -14,9 +14,8 @@ from fide_plugins import losses
 from fide_plugins.errors import CheckpointError, UnknownNameError
 from fide_plugins.losses.own import loss_not_stored
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.locks import Locked, one_at_a_time
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
-from fide_plugins.runtime.threads import one_thread
+from fide_plugins.runtime.threads import Locked, one_at_a_time, one_thread
 
 __all__ = ["Saved", "as_arrays"]
 

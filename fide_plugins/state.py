@@ -41,7 +41,7 @@ from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.validation.clipping import Clipping
+from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
 __all__ = ["State"]

@@ -23,10 +23,9 @@ from fide_plugins.learning.hypotheses import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.runtime.callables import own_name
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import check_names, positive_fraction, switch
+from fide_plugins.validation.options import check_names, positive_fraction, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
@@ -137,7 +136,7 @@ def fit(
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
         be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
-        first, see `learning.hypotheses`.  Those renders count as evaluations, with a loss of infinity;
+        first.  Those renders count as evaluations, with a loss of infinity;
         they are made in this process or in `workers` processes, without `timeout`.
 
     A render that raises, takes too long, loses its process, or returns something else than an image

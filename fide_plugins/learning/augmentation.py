@@ -15,7 +15,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 _BLUR = 0.2, 0.8  # standard deviation of a Gaussian of 3 x 3 pixels, in pixels
 _SHIFT = 0.5  # along each axis, in pixels, at most

@@ -33,8 +33,8 @@ import numpy as np
 
 from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.options import GLOBAL
-from fide_plugins.runtime.fingerprints import changed, fingerprint_of, version_of
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import changed, fingerprint_of, version_of
 from fide_plugins.space import Space
 from fide_plugins.types import Float64, Mask, Posterior
 
@@ -81,7 +81,7 @@ def posterior_of(
     target = _only(target)
     far = learned.unfamiliarity(target)
     if far > 1:
-        warn_user(f"{unlike_all(learned, far)}: the search goes on without the model")
+        warn_user(f"{learned.unlike_all(far)}: the search goes on without the model")
         return None
     if learned.is_of_another(target):
         warn_user(
@@ -94,14 +94,6 @@ def posterior_of(
         x[0] = _middle(x, np.array(learned.periodic))
     refined = _refined(learned, target, x, seed % 2**32) if learned.emulates else None
     return Posterior(x, refined)
-
-
-def unlike_all(model: Model, far: float) -> str:
-    """Beginning of a warning of a picture; far: its `Model.unfamiliarity`."""
-    return (
-        f"the model of {model.renderer!r} has learned nothing like this picture (its features are "
-        f"{far:.3g} times as far from those of renders as the furthest that count as familiar)"
-    )
 
 
 def _refined(model: Model, target: Any, x: Float64, seed: int) -> Float64:
@@ -291,7 +283,7 @@ class Rounds:
 
         Raises OptionError if it is of another version of the renderer.
         """
-        from fide_plugins.runtime.fingerprints import version_of
+        from fide_plugins.runtime.registry import version_of
 
         version_of(self.render)  # raises for one that is no text
         try:

@@ -185,6 +185,14 @@ class Model:
         distance = self.familiarity.distances(self._vector(picture)[None])[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
 
+    def unlike_all(self, far: float) -> str:
+        """Beginning of a warning of a picture; far: its `unfamiliarity`."""
+        return (
+            f"the model of {self.renderer!r} has learned nothing like this picture (its features "
+            f"are {far:.3g} times as far from those of renders as the furthest that count as "
+            "familiar)"
+        )
+
     def is_of_another(self, picture: object) -> bool:
         """Whether a second round has learned another picture than this one.
 

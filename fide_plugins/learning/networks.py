@@ -589,8 +589,6 @@ class Network(Trainable):
 
     def _make_head(self, head: str, periodic: Tensor, blocks: Sequence[Sequence[int]]) -> Any:
         if head == "set":
-            from fide_plugins.learning.networks import Blocks
-
             return Blocks(self.encoder.channels, self.encoder.grid, _FEATURES, periodic, blocks)
         kind: Any = Mixture if head == "mixture" else Autoregressive
         return kind(_FEATURES, periodic)

@@ -26,7 +26,6 @@ from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
 from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.emulator import Emulator
-from fide_plugins.learning.hypotheses import unlike_all
 from fide_plugins.learning.judging import Distance, familiarity_of, report_of
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks import HEADS, Network
@@ -45,16 +44,14 @@ from fide_plugins.learning.renders import (
     version_for,
 )
 from fide_plugins.learning.training import Progress, Resumable, Training
-from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
-from fide_plugins.runtime.devices import resolve_device
-from fide_plugins.runtime.digest import digest
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.devices import digest, is_out_of_gpu_memory, resolve_device
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.option_rules import not_negative
+from fide_plugins.validation.options import not_negative
 from fide_plugins.validation.points import torch_seed, whole_number
 
 
@@ -145,7 +142,7 @@ class Truncated:
             )
         far = model.unfamiliarity(picture)
         if far > 1:
-            warn_user(f"{unlike_all(model, far)}: a second round renders where that model guesses")
+            warn_user(f"{model.unlike_all(far)}: a second round renders where that model guesses")
         return cls(model, picture, store, seed)
 
     @property

@@ -33,7 +33,6 @@ import numpy.typing as npt
 from fide_plugins.errors import CheckpointError, ImageError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, attempt
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.callables import own_name
 from fide_plugins.runtime.files import (
     atomic_writer,
     check_writable,
@@ -41,8 +40,14 @@ from fide_plugins.runtime.files import (
     open_regular,
     remove_leftovers,
 )
-from fide_plugins.runtime.fingerprints import changed, check_version, fingerprint_of, version_of
 from fide_plugins.runtime.opencv import cv2
+from fide_plugins.runtime.registry import (
+    changed,
+    check_version,
+    fingerprint_of,
+    own_name,
+    version_of,
+)
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64, Mask
 from fide_plugins.validation.images import as_target
@@ -229,7 +234,7 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
-    fingerprint: of the renderer, for a new folder, see `runtime.fingerprints`; None where nothing
+    fingerprint: of the renderer, for a new folder, see `runtime.registry`; None where nothing
         is known.  That of an earlier folder stays until it is replaced, see `accept`.
     draw: parameters (SHARD, d) of a shard; None: uniform in the unit cube.
 

@@ -25,8 +25,7 @@ from fide_plugins.learning.augmentation import augmented
 from fide_plugins.learning.networks import Trainable, as_input
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.batch_size import is_out_of_memory
-from fide_plugins.runtime.devices import repeatable
+from fide_plugins.runtime.devices import is_out_of_memory, repeatable
 from fide_plugins.runtime.schema import IMPOSSIBLE
 from fide_plugins.types import Float64, Indices, Mask
 

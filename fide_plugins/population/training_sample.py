@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, as_tensor, device
 
-from fide_plugins.runtime.batch_size import stack
+from fide_plugins.runtime.devices import stack
 from fide_plugins.runtime.schema import Schema, array, real, whole
 from fide_plugins.types import Float64
 

@@ -21,6 +21,7 @@ LAYERS = (
     ("encoders",),
     ("losses", "proposers"),
     ("saving", "views"),
+    ("comparison",),
     ("evaluation",),
     ("state",),
     ("preview", "readings", "recording"),

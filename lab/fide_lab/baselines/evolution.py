@@ -17,9 +17,9 @@ import numpy as np
 from fide_lab.baselines.base import Replayed, quietly, worse_than
 from fide_lab.baselines.libraries import CalledBack, GlobalRandom, Search, Sequential
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import fraction, positive
+from fide_plugins.validation.options import fraction, positive
 
 
 class Random(Replayed):

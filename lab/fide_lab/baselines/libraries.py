@@ -22,10 +22,10 @@ import numpy as np
 
 from fide_lab.baselines.base import ImageBased, Penalty, Replayed, quietly
 from fide_plugins.errors import OptimizerError, OptionError, ProtocolError, UnknownNameError
-from fide_plugins.runtime.extras import missing
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.machine import missing
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
 Search: TypeAlias = Callable[[Callable[[Float64], Any]], None]

@@ -23,7 +23,7 @@ from torch.distributions import Distribution
 
 from fide_lab.baselines.base import Stateful, needed_images, needed_target, quietly
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -37,7 +37,7 @@ from fide_plugins.runtime.schema import (
 )
 from fide_plugins.search.scene.exchangeability import check_groups
 from fide_plugins.types import Float32, Float64, Indices
-from fide_plugins.validation.option_rules import positive, positive_fraction
+from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number
 
 if TYPE_CHECKING:

@@ -37,10 +37,10 @@ from torch import Tensor
 
 from fide_lab.baselines.base import ImageBased, Stateful, quietly
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, real, whole
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
 FIRST, LARGEST = 0.8, 1.6  # side of the box, before the lengthscales

@@ -17,7 +17,7 @@ from fide_plugins.errors import RenderError
 from fide_plugins.learning import LearnProgress, Model, learn, rendering
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.renders import RenderStore, as_renderer
-from fide_plugins.runtime import cluster as cluster_module
+from fide_plugins.runtime import machine as cluster_module
 from fide_plugins.types import Float64
 
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")
