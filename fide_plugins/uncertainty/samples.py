@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.training_sample import TrainingSample, in_order
+from fide_plugins.population.candidate import TrainingSample, in_order
 from fide_plugins.search import boundary
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices, Mask
