@@ -56,7 +56,7 @@ from baselines import SMALL_DIBO, in_the_unit_cube
 from rows import Row, read, run_missing
 
 from fide_lab import optimizers
-from fide_lab.suite.tables import sign_test
+from fide_lab.suite.page import sign_test
 from fide_plugins.types import Float64
 
 RESULTS = Path(__file__).parent / "results" / "authors.jsonl"

@@ -28,7 +28,7 @@ from suite import CHEAP
 from fide_lab import run as harness
 from fide_lab.run.prepare import make_task
 from fide_lab.suite import read as read_suite
-from fide_lab.suite.tables import sign_test
+from fide_lab.suite.page import sign_test
 from fide_plugins import losses
 from fide_plugins.types import Float64
 

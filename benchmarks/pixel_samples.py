@@ -32,7 +32,7 @@ from rows import Row, by_key, command, finished_by_all
 import fide_tasks
 from fide_lab.run.pixel_samples import PixelSamples
 from fide_lab.suite import read as read_suite
-from fide_lab.suite.tables import sign_test
+from fide_lab.suite.page import sign_test
 from fide_plugins import FIDE, losses
 from fide_plugins.types import Float32, Float64
 
