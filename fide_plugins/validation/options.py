@@ -102,6 +102,19 @@ def positive_fraction(name: str, value: Any) -> float:
     return number
 
 
+def fraction_or(word: str) -> Rule:
+    """A number in (0, 1], or the word."""
+
+    def rule(name: str, value: Any) -> float | str:
+        if isinstance(value, str):
+            if value == word:
+                return value
+            raise OptionError(f"{name} must be a number in (0, 1] or {word!r}, not {value!r}")
+        return positive_fraction(name, value)
+
+    return rule
+
+
 def not_negative(name: str, value: Any) -> float:
     """A finite number, at least 0."""
     number = _number(name, value)

@@ -14,7 +14,7 @@ from fide_plugins.runtime.machine import EXTRAS, missing
 REQUIREMENT = re.compile(r"([\w.-]+)[^;]*; extra == ['\"]([\w-]+)['\"]")
 NAME = re.compile(r"[\w.-]+")
 PROJECT = Path(__file__).parents[2] / "pyproject.toml"
-NOT_FOR_USERS = {"all", "dev", "docs"}
+NOT_FOR_USERS = {"all", "dev", "docs", "release"}
 
 
 def declared() -> dict[str, set[str]]:
