@@ -26,7 +26,7 @@ from rows import Row, read, run_missing
 
 import fide_tasks
 from fide_lab import optimizers
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 MARKS = (250, 500, 1000, 2000, 4000, 5000, 10_000, 25_000, 50_000)
 
@@ -97,7 +97,7 @@ def parse_arguments() -> argparse.Namespace:
         parser.error(f"a scene is one of {', '.join(SCENES)}, not {', '.join(sorted(unknown))}")
     arguments.configuration, *rest = arguments.configuration
     arguments.optimizer, *pairs = rest or ["fide"]
-    arguments.options = dict(key_value.parse(pair) for pair in pairs)
+    arguments.options = dict(parse_key_value(pair) for pair in pairs)
     return arguments
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fide_lab import run as harness
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 
 def draw(results: list[harness.RunResult], targets: list[np.ndarray], path: Path) -> None:
@@ -68,7 +68,7 @@ def main() -> None:
             args.seed,
             size=args.size,
             task_options={"cells": cells},
-            options=dict(key_value.parse(text) for text in args.set),
+            options=dict(parse_key_value(text) for text in args.set),
         )
         results.append(run.execute())
         targets.append(run.target)

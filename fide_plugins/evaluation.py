@@ -5,11 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import torch
 
 from fide_plugins import encoders
+from fide_plugins.comparison.comparison import Comparison
+from fide_plugins.comparison.coverage import with_coverage, without_coverage
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
 from fide_plugins.errors import CheckpointError, FeaturesError, LossError
@@ -18,9 +21,8 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.clipping import OnClip
-from fide_plugins.validation.features import as_features
-from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
+from fide_plugins.validation.pixels import OnClip
+from fide_plugins.validation.tensors import as_features, as_tensor_batch, stays_on_device
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
 from fide_plugins.views.loss import loss_of
@@ -85,13 +87,42 @@ class Evaluator:
         value_range: object = None,
         device: str = "auto",
         for_network: bool = False,
+        photometric: str | None = None,
+        robust: float | str | None = None,
+        background: str | None = None,
+        photo: bool = False,
     ) -> None:
         self._device = device
         self.views = Views.read(target, mask, weights, value_range)
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
+        self._photo = photo
+        self.comparison: Comparison | None = None
+        """How renders are compared with a target that the renderer did not draw; None: as is."""
+        if photo or not (photometric is None and robust is None and background is None):
+            self.comparison = self._compared_by(
+                light=photometric if photometric or not photo else "auto",
+                scale=robust if robust or not photo else "auto",
+                background=photo or background is not None,
+            )
         self.target_tokens = self.encoder.compute(self.target[None])[0]  # (T, C)
+
+    def _compared_by(self, **how: Any) -> Comparison:
+        """A comparison with the present views and loss."""
+        name = self.loss_name
+        loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
+        return Comparison(self.views, self.loss, loss_at, **how)
+
+    def compare_at(self, blur: float) -> None:
+        """Compare renders and target at a blur, in pixels, from now on.
+
+        Losses and tokens of what was evaluated before are then of another comparison.
+        """
+        if self.comparison is None:
+            self.comparison = self._compared_by()
+        self.comparison.blur = blur
+        self.target_tokens = self.encoder.compute(self.comparison.target()[None])[0]
 
     def retargeted(
         self, target: object, loss: str | Callable[..., object] | None = None
@@ -113,7 +144,10 @@ class Evaluator:
         other.views, other.target = views, views.target
         other.loss = loss_of(views, loss or self.loss_name, device=self._device)
         other.encoder = encoder_of(views, self.encoder)
-        other.target_tokens = other.encoder.compute(other.target[None])[0]  # (T, C)
+        if self.comparison is not None:
+            other.comparison = other._compared_by(**self.comparison.options)
+        shown = other.target if other.comparison is None else other.comparison.target()
+        other.target_tokens = other.encoder.compute(shown[None])[0]  # (T, C)
         return other
 
     @property
@@ -161,6 +195,8 @@ class Evaluator:
     ) -> Images | None:
         """Images of n candidates, (n, H, W, 3), packed if there are several views, or None.
 
+        With a fourth channel, the coverage, where renders have one and it is used.
+
         A tensor on a GPU stays there, if encoder and loss can compute there, and there is one view
         without weights.
 
@@ -175,7 +211,9 @@ class Evaluator:
         if stays_on_device(images) and self._takes_tensors(losses is not None):
             values = self.views.values
             return as_tensor_batch(images, self.target.shape, n=n, on_clip=on_clip, values=values)
-        return self.views.as_batch(images, n, on_clip)
+        if self.comparison is not None and self.comparison.background:
+            return with_coverage(self.views, images, n, on_clip)
+        return self.views.as_batch(without_coverage(images, self.views.listed), n, on_clip)
 
     def evaluate(
         self,
@@ -195,8 +233,14 @@ class Evaluator:
 
         Raises LossError or FeaturesError.
         """
-        values = self._cost(batch) if losses is None else as_losses(losses, n)
-        tokens = self._encoded(batch) if encode and batch is not None else None
+        if batch is not None and self.comparison is not None:
+            compared = self.comparison.compare(batch)
+            batch = batch[..., :3]
+            values = compared.losses if losses is None else as_losses(losses, n)
+            tokens = self.encoder.compute(compared.images) if encode else None
+        else:
+            values = self._cost(batch) if losses is None else as_losses(losses, n)
+            tokens = self._encoded(batch) if encode and batch is not None else None
         if features is not None:
             shape = (n, *self.features_shape)
             taken = as_features(features, shape, self.encoder, version=version)
@@ -205,6 +249,8 @@ class Evaluator:
 
     def _takes_tensors(self, has_losses: bool) -> bool:
         loss_takes = isinstance(self.loss, LossOfTarget) and self.loss.takes_tensors
+        if self.comparison is not None:
+            return False
         return self.views.plain and self.encoder.takes_tensors and (has_losses or loss_takes)
 
     def _encoded(self, batch: Images) -> torch.Tensor:

@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.validation import option_rules as rules
+from fide_plugins.validation import options as rules
 
 __all__ = [
     "GLOBAL",
@@ -122,6 +122,15 @@ class Options:
         result is the same.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
         `search.memory`; 0 for none: then no std is known.
+    photometric: light that is set aside before images are compared, for each render: "exposure"
+        (gain, offset and curve of each channel), "shading" (a smooth field of gains, too), "auto"
+        (as far as the images say that the light differs), or None; see `fide_plugins.comparison`.
+    robust: scale in (0, 1], of the range of values, beyond which differences count less and less;
+        "auto": from the target; None: they count as they are.
+    background: "free": pixels that a render does not cover (RGBA, or an image with its coverage)
+        are explained by the target's colors; None: they are white.
+    photo: for targets that the renderer did not draw: photometric="auto", robust="auto", and
+        background="free" where renders have a coverage, unless these are given.
     """
 
     encoder: str = _option("dense", rules.text("a name in fide_plugins.encoders"))
@@ -135,8 +144,18 @@ class Options:
     guard_search: bool = _option(True, rules.switch)
     background_training: bool = _option(True, rules.switch)
     memory_mb: float = _option(8.0, rules.not_negative)
+    photometric: str | None = _option(None, rules.one_of("exposure", "shading", "auto"))
+    robust: float | str | None = _option(None, rules.fraction_or("auto"))
+    background: str | None = _option(None, rules.one_of("free"))
+    photo: bool = _option(False, rules.switch)
     proposal: ProposalOptions = ProposalOptions()
     network: NetworkOptions = NetworkOptions()
+
+    @property
+    def comparison(self) -> dict[str, Any]:
+        """Those that say how images are compared, by name."""
+        names = ("photometric", "robust", "background", "photo")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def has_network(self) -> bool:

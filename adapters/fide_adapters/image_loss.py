@@ -20,9 +20,8 @@ import numpy as np
 from fide_plugins.errors import ImageError, ImageNotFoundError, LossError
 from fide_plugins.types import Float32
 from fide_plugins.validation import images
-from fide_plugins.validation.clipping import Clipping
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.image_sources import is_path, is_pil, is_torch_tensor
+from fide_plugins.validation.pixels import Clipping, is_path, is_pil, is_torch_tensor
 from fide_plugins.views import Views
 
 __all__ = [

@@ -50,7 +50,7 @@ COMMANDS = {
 
 def commands() -> dict[str, str]:
     """What each command is for, also those of the laboratory, where it is."""
-    return COMMANDS | (laboratory.module("cli").COMMANDS if laboratory.is_here() else {})
+    return COMMANDS | (laboratory.module("cli").COMMANDS if laboratory.is_installed() else {})
 
 
 def module_of(command: str) -> Any:
@@ -148,17 +148,17 @@ def _parsers() -> dict[str, argparse.ArgumentParser]:
 
 
 def _parser() -> _Parser:
-    known, all_here = commands(), laboratory.is_here()
+    known, with_lab = commands(), laboratory.is_installed()
     width = max(map(len, known))
     listing = "\n".join(f"  fide {name:{width}}   {text}" for name, text in known.items())
     description = (
         f"Fit a black-box renderer to a picture.\n\n{listing}\n\n"
         "See fide COMMAND --help for each."
         + " A good start: fide run voronoi --size 112"
-        * all_here
+        * with_lab
     )
     parser = _Parser("fide", description, "fide COMMAND ...")
     parser.add_argument("--version", action="version", version=f"fide {__version__}")
-    parser.add_argument("command", choices=known if all_here else None,
+    parser.add_argument("command", choices=known if with_lab else None,
                         metavar="COMMAND", help=argparse.SUPPRESS)  # fmt: skip
     return parser

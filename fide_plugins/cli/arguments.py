@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 __all__ = [
     "add_run_arguments",
@@ -48,7 +48,7 @@ def path(text: str) -> Path:
 def setting(text: str) -> tuple[str, Any]:
     """Parse ``key=value``; the value is a bool, int, float or str, whichever fits first."""
     try:
-        return key_value.parse(text)
+        return parse_key_value(text)
     except OptionError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
 

@@ -24,7 +24,7 @@ def names(kind: str) -> list[str]:
     from fide_plugins import encoders, losses
 
     if kind == "optimizers":
-        return list(laboratory.module(kind).names()) if laboratory.is_here() else ["fide"]
+        return list(laboratory.module(kind).names()) if laboratory.is_installed() else ["fide"]
     lists = {"tasks": fide_tasks, "encoders": encoders, "losses": losses}
     return sorted(lists[kind].names())
 

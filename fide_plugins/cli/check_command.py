@@ -97,7 +97,7 @@ def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], A
     from fide_plugins.cli.own_renderer import function_of, program_of, space_of
     from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers.command import TIMEOUT
-    from fide_plugins.runtime.reference import is_reference
+    from fide_plugins.runtime.registry import is_reference
 
     space = space_of(args.space)
     if args.templates is not None:

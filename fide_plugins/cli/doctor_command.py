@@ -13,9 +13,8 @@ from typing import Any
 
 from fide_plugins.cli.availability import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
 from fide_plugins.cli.messages import plain
-from fide_plugins.runtime import opencv_distributions
-from fide_plugins.runtime.extras import EXTRAS, install_command
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.machine import EXTRAS, install_command, opencv_collision
+from fide_plugins.runtime.messages import counted
 
 __all__ = ["add_arguments", "execute"]
 
@@ -51,7 +50,7 @@ def _summary() -> str:
     ]
     if missing:
         lines.append(f"missing: {install_command(*missing)}")
-    if collision := opencv_distributions.collision():
+    if collision := opencv_collision():
         lines.append(f"OpenCV: {collision}")
     for kind in KINDS:
         lines.append(f"{kind}: {_here(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
@@ -107,7 +106,7 @@ def _try_opencv() -> str | None:
         import_module("fide_plugins.runtime.opencv")
     except ImportError as error:
         return plain(error)
-    return opencv_distributions.collision()
+    return opencv_collision()
 
 
 def _try_mitsuba() -> dict[str, str]:

@@ -123,7 +123,7 @@ def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> Non
 
 def _by_run(args: argparse.Namespace) -> str:
     """The command that fits the same picture with another optimizer."""
-    if len(args.targets) > 1 or args.optimizer == "fide" or not laboratory.is_here():
+    if len(args.targets) > 1 or args.optimizer == "fide" or not laboratory.is_installed():
         return "leave it out, since fide fit searches with fide"
     what = [args.renderer] if args.renderer else ["--command", args.templates[0]]
     space = [] if args.space is None else ["--space", args.space]

@@ -92,9 +92,8 @@ def _view(path: str, target: Any, side: int | None, raw: bool, given: dict[str, 
     given: the files of "mask" and "weights", "alpha" or None.  Those of the target's size say what
     counts where it is made smaller; another one may have the smaller size.
     """
-    from fide_plugins.validation.image_files import read_pixels
+    from fide_plugins.validation.image_files import read_pixels, shrunk
     from fide_plugins.validation.images import alpha_of
-    from fide_plugins.validation.reduction import shrunk
     from fide_plugins.views.weights import ALPHA, joined, read_weights
 
     size, product, counting = target.shape[:2], None, []

@@ -25,7 +25,7 @@ from fide_plugins.cli.messages import (
 )
 from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
-from fide_plugins.validation.option_rules import positive_fraction
+from fide_plugins.validation.options import positive_fraction
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -175,7 +175,7 @@ def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     if args.dask is None:
         yield {"workers": args.workers}
         return
-    from fide_plugins.runtime.cluster import connected, workers_of
+    from fide_plugins.runtime.machine import connected, workers_of
 
     with connected(args.dask) as client:  # one shard is rendered, another one waits
         yield {"executor": client, "workers": 2 * len(workers_of(client))}
@@ -185,7 +185,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
     from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers.command import TIMEOUT
-    from fide_plugins.runtime.reference import is_reference
+    from fide_plugins.runtime.registry import is_reference
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")

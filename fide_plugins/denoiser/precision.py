@@ -8,7 +8,7 @@ import torch
 
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.devices import has_bfloat16
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 __all__ = ["PRECISIONS", "autocast", "check_precision"]
 

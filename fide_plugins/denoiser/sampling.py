@@ -18,7 +18,7 @@ from torch import Tensor
 
 from fide_plugins.denoiser import Denoise
 from fide_plugins.options import PAPER_SCHEDULE
-from fide_plugins.validation.option_rules import check_schedule
+from fide_plugins.validation.options import check_schedule
 
 __all__ = ["euler", "evenly"]
 

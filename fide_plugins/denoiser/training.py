@@ -25,7 +25,7 @@ from torch import Tensor, nn
 
 from fide_plugins.denoiser import Denoise, Network
 from fide_plugins.denoiser.network import Context
-from fide_plugins.runtime.batch_size import BatchSize
+from fide_plugins.runtime.devices import BatchSize
 
 __all__ = [
     "Backup",

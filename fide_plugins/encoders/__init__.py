@@ -75,7 +75,7 @@ def name_of(encoder: Any) -> str | None:
     """Name of an encoder, of a callable that is one, or of a name itself."""
     if encoder is None or isinstance(encoder, str):
         return encoder
-    from fide_plugins.runtime.callables import own_name
+    from fide_plugins.runtime.registry import own_name
 
     return own_name(encoder)
 

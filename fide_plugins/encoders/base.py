@@ -9,8 +9,7 @@ import torch
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.devices import on_device, resolve_device
-from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.devices import batch_size, in_batches, on_device, resolve_device
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 from fide_plugins.validation.images import as_batch

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.locks import Lock
+from fide_plugins.runtime.threads import Lock
 from fide_plugins.types import Float32
 
 __all__ = ["TokenCache"]

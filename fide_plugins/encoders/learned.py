@@ -21,8 +21,7 @@ from fide_plugins.encoders.cache import TokenCache
 from fide_plugins.errors import WeightsNotFoundError
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.renders.renderer import resized
-from fide_plugins.runtime.digest import digest
-from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.devices import batch_size, digest, in_batches
 from fide_plugins.types import Float32
 
 __all__ = ["LearnedEncoder"]

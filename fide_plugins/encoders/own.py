@@ -18,8 +18,7 @@ import torch
 
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.errors import FeaturesError
-from fide_plugins.runtime.callables import differs, name_of, tried_on
-from fide_plugins.runtime.reference import Referent, attribute, load, split
+from fide_plugins.runtime.registry import Referent, differs, name_of, tried_on
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32
 
@@ -40,8 +39,8 @@ _REFERENT = Referent(
 
 def referenced(reference: str) -> Callable[..., Any]:
     """Return the encoder at ``FILE.py:NAME`` or ``module:NAME``; raises OptionError."""
-    place, name = split(reference, _REFERENT)
-    return attribute(load(place, _REFERENT), place, name, _REFERENT)
+    place, name = _REFERENT.split(reference)
+    return _REFERENT.attribute(_REFERENT.load(place), place, name)
 
 
 class OwnEncoder(PatchEncoder):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import FideError, RenderError
 from fide_plugins.fitting.rendering import Failed
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.result import Result

@@ -27,7 +27,7 @@ from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Solution
 from fide_plugins.validation import image_files, images
-from fide_plugins.validation.value_range import ValueRange, restored, value_range_of
+from fide_plugins.validation.pixels import ValueRange, restored, value_range_of
 
 __all__ = ["load_run"]
 

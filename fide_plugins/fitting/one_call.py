@@ -23,10 +23,9 @@ from fide_plugins.learning.rounds import rounds_of, search_options
 from fide_plugins.options import check_known
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.runtime.callables import own_name
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import check_names, positive_fraction, switch
+from fide_plugins.validation.options import check_names, positive_fraction, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]

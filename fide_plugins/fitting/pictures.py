@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fide_plugins.comparison.coverage import without_coverage
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32
-from fide_plugins.validation.clipping import Clipping
+from fide_plugins.validation.pixels import Clipping
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
@@ -48,7 +49,7 @@ def canonical(optimizer: FIDE, image: Any) -> Float32:
 
     Raises ImageError (a ValueError) for whatever `FIDE.tell` refuses.
     """
-    told = as_told(optimizer, image)
+    told = without_coverage(as_told(optimizer, image), optimizer.views.listed)
     packed: Float32 = optimizer.views.as_batch(told, 1, Clipping().note)[0]
     return packed
 

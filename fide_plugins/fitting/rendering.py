@@ -19,11 +19,11 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from fide_plugins.errors import ImageError, RenderError
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.image_sources import is_path, is_pil
+from fide_plugins.validation.pixels import is_path, is_pil
 
 __all__ = [
     "Failed",

@@ -15,9 +15,9 @@ from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.parameters import ROUGH, described, is_rough
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.renderers import naming
-from fide_plugins.runtime.wording import cut
+from fide_plugins.runtime.messages import cut
+from fide_plugins.validation.pixels import ValueRange
 from fide_plugins.validation.points import as_points
-from fide_plugins.validation.value_range import ValueRange
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.failures import Failure

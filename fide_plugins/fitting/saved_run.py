@@ -26,7 +26,7 @@ from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Record, RunResult
 from fide_plugins.recording.run_checkpoint import is_saved
-from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.types import Float32, Solution
 
 __all__ = ["SavedRun", "Unsaved", "features_of", "seed_there", "settings_of"]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.fingerprints import changed, fingerprint_of, version_of
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import changed, fingerprint_of, version_of
 from fide_plugins.space import Space
 from fide_plugins.types import Float64, Mask, Posterior
 

@@ -22,10 +22,10 @@ from fide_plugins.learning.renders.store import RenderStore, folder_of
 from fide_plugins.learning.training.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.truncation import Truncated
 from fide_plugins.runtime.devices import resolve_device
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
-from fide_plugins.validation.option_rules import not_negative
+from fide_plugins.validation.options import not_negative
 from fide_plugins.validation.points import torch_seed, whole_number
 
 __all__ = ["learn"]

@@ -27,9 +27,9 @@ from fide_plugins.learning.renders.tally import all_equal, too_few
 from fide_plugins.learning.training.one_training import Progress, Training
 from fide_plugins.learning.training.resumable import Resumable
 from fide_plugins.learning.truncation import Truncated
-from fide_plugins.runtime.batch_size import is_out_of_gpu_memory
-from fide_plugins.runtime.fingerprints import fingerprint_of
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.devices import is_out_of_gpu_memory
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.types import Float64
 
 __all__ = ["FEWEST", "LearnProgress", "Plan"]

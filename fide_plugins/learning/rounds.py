@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.learning.hypotheses import model_for, with_model
 from fide_plugins.options import GLOBAL
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.space import Space
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ class Rounds:
 
         Raises OptionError if it is of another version of the renderer.
         """
-        from fide_plugins.runtime.fingerprints import version_of
+        from fide_plugins.runtime.registry import version_of
 
         version_of(self.render)  # raises for one that is no text
         try:

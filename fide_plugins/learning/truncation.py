@@ -25,8 +25,8 @@ from fide_plugins.learning.hypotheses import unlike_all
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.renders.renderer import Pixels
 from fide_plugins.learning.renders.store import SHARD, RenderStore
-from fide_plugins.runtime.digest import digest
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.devices import digest
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
 

@@ -122,7 +122,7 @@ def resolve(
     name.
     """
     from fide_plugins.losses.base import CallableLoss, LossOfTarget, LossWithoutTarget
-    from fide_plugins.runtime.callables import name_of
+    from fide_plugins.runtime.registry import name_of
 
     if loss is None or isinstance(loss, str):
         name = "mse" if loss is None else loss

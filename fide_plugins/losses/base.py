@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from fide_plugins.errors import LossError
-from fide_plugins.runtime.callables import name_of
+from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import one_thread, user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.image_sources import is_torch_tensor
 from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.pixels import is_torch_tensor
 
 if TYPE_CHECKING:
     import torch
@@ -106,7 +106,7 @@ class LossOfTarget(ABC):
         """
         import torch
 
-        from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+        from fide_plugins.runtime.devices import batch_size, in_batches
 
         size = batch_size(images.device, *self.target.shape[:2])
         with torch.no_grad():

@@ -28,9 +28,7 @@ from fide_plugins.encoders.pretrained.backbones import Architecture
 from fide_plugins.encoders.pretrained.weights import Published
 from fide_plugins.errors import ImageError, OptionError, WeightsMismatchError
 from fide_plugins.losses.base import LossOfTarget
-from fide_plugins.runtime.devices import on_device, resolve_device
-from fide_plugins.runtime.digest import digest
-from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.devices import batch_size, digest, in_batches, on_device, resolve_device
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
 

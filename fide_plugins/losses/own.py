@@ -15,7 +15,7 @@ import numpy as np
 
 from fide_plugins.errors import LossError
 from fide_plugins.losses.base import ImageLoss
-from fide_plugins.runtime.callables import differs, tried_on
+from fide_plugins.runtime.registry import differs, tried_on
 from fide_plugins.types import Float32
 
 __all__ = ["check_loss", "loss_not_stored"]

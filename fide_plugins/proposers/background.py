@@ -20,10 +20,9 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers.base import Proposer, ProposerDefaults
-from fide_plugins.runtime.background import Background
 from fide_plugins.runtime.devices import as_here
 from fide_plugins.runtime.schema import Sides
-from fide_plugins.runtime.threads import user_threads
+from fide_plugins.runtime.threads import Background, user_threads
 from fide_plugins.types import Float64
 
 __all__ = ["BackgroundProposer"]

@@ -32,8 +32,8 @@ from fide_plugins.denoiser.training import (
 from fide_plugins.errors import OptionError
 from fide_plugins.options import NetworkOptions
 from fide_plugins.proposers.base import ProposerDefaults
-from fide_plugins.runtime.batch_size import BatchSize
-from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.runtime.devices import BatchSize, resolve_device
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,
@@ -46,9 +46,8 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.runtime.threads import user_threads
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float64
-from fide_plugins.validation.option_rules import check_schedule
+from fide_plugins.validation.options import check_schedule
 
 __all__ = ["DiffusionProposer"]
 

@@ -53,7 +53,7 @@ from fide_plugins.recording.run_checkpoint import (
     write_checkpoint,
 )
 from fide_plugins.runtime import files, machine
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer

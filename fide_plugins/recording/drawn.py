@@ -9,7 +9,7 @@ import numpy as np
 
 from fide_plugins.recording.figures import plain
 from fide_plugins.renderers.naming import flat
-from fide_plugins.runtime.wording import cut
+from fide_plugins.runtime.messages import cut
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Float64
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.recording.record import PARTS, RunResult, best_so_far
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 from fide_plugins.types import Float32, Float64
 
 __all__ = [

@@ -24,7 +24,7 @@ from fide_plugins.recording.figures import (
     plain,
 )
 from fide_plugins.recording.parameters import rows
-from fide_plugins.runtime.wording import cut
+from fide_plugins.runtime.messages import cut
 from fide_plugins.types import Float64, Indices, Solution
 
 __all__ = ["Figure", "curve_figure", "result_figure", "tidy"]

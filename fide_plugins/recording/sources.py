@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fide_plugins.runtime.fingerprints import changed, kind_of, of_file
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.registry import changed, kind_of, of_file
 from fide_plugins.saving import Saved
 
 if TYPE_CHECKING:

@@ -16,12 +16,12 @@ from fide_plugins.renderers.child import run, tail_of
 from fide_plugins.renderers.naming import described
 from fide_plugins.renderers.scratch import folder_of_a_render
 from fide_plugins.renderers.template import Template
-from fide_plugins.runtime import fingerprints
+from fide_plugins.runtime.registry import of_bytes
 from fide_plugins.space import Space
 from fide_plugins.types import Float32
 from fide_plugins.validation.image_files import read_pixels
-from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_target
+from fide_plugins.validation.pixels import Pixels
 
 __all__ = ["TIMEOUT", "CommandRenderer"]
 
@@ -85,7 +85,7 @@ class CommandRenderer:
     def fingerprint(self) -> str:
         """Of the command lines."""
         text = "\0".join(each.text for each in self.templates)
-        return fingerprints.of_bytes("command", text.encode())
+        return of_bytes("command", text.encode())
 
     def __reduce__(self) -> tuple[Any, ...]:
         texts = [template.text for template in self.templates]

@@ -9,17 +9,9 @@ from typing import Any
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers.folder import OwnFolder
 from fide_plugins.renderers.naming import described
-from fide_plugins.runtime.fingerprints import version_of
-from fide_plugins.runtime.reference import (
-    Referent,
-    attribute,
-    fingerprint,
-    load,
-    shown_traceback,
-    split,
-)
+from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback, version_of
 from fide_plugins.space import Space
-from fide_plugins.validation.image_sources import is_path
+from fide_plugins.validation.pixels import is_path
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["FunctionRenderer"]
@@ -60,13 +52,13 @@ class FunctionRenderer:
     """
 
     def __init__(self, reference: str) -> None:
-        place, self._name = split(reference, _REFERENT)
+        place, self._name = _REFERENT.split(reference)
         self.place = os.path.abspath(place) if place.endswith(".py") else place
         folder = OwnFolder()
         with folder.entered():
-            self._module = load(self.place, _REFERENT)
+            self._module = _REFERENT.load(self.place)
         self._folder = _FOLDERS.setdefault(self._module, folder)
-        self._function = attribute(self._module, self.place, self._name, _REFERENT)
+        self._function = _REFERENT.attribute(self._module, self.place, self._name)
 
     def __call__(self, params: Any) -> Any:
         """Image of the parameters."""
@@ -92,7 +84,7 @@ class FunctionRenderer:
     @property
     def fingerprint(self) -> str | None:
         """Of the file of the function, as it was loaded; None where there is none to read."""
-        return fingerprint(self._module)
+        return module_fingerprint(self._module)
 
     @property
     def version(self) -> str | None:

@@ -1,17 +1,18 @@
-"""The device that computes, and copies to it."""
+"""The device that computes: copies to it, batches that fit its memory, digests of networks."""
 
 from __future__ import annotations
 
+import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
+from torch import Tensor, nn
 
 from fide_plugins.errors import DeviceError
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
-
-__all__ = ["as_here", "has_bfloat16", "on_device", "repeatable", "resolve_device"]
 
 _GPU = ("gpu", "nvidia")  # what people call a device that PyTorch calls "cuda"
 _CUDNN = threading.RLock()  # its settings belong to the whole process
@@ -101,3 +102,132 @@ def has_bfloat16(device: torch.device) -> bool:
         known = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
         return any(bool(getattr(torch.cpu, name, bool)()) for name in known)
     return False
+
+
+# -- batch sizes that shrink if a device runs out of memory ----------------------------------------
+
+# Messages of PyTorch about the memory of the CPU, and of it and libraries that it calls about a
+# GPU; they come in a plain RuntimeError.
+_OF_CPU = ("can't allocate memory", "not enough memory")
+_OF_GPU = ("out of memory", "ALLOC_FAILED")
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error means that a device or the CPU has too little memory."""
+    return isinstance(error, MemoryError) or is_out_of_gpu_memory(error) or _says(error, _OF_CPU)
+
+
+def is_out_of_gpu_memory(error: BaseException) -> bool:
+    """Whether an error means that a GPU has too little memory."""
+    if isinstance(error, torch.OutOfMemoryError):
+        return True
+    return _says(error, _OF_GPU) and not _says(error, _OF_CPU)
+
+
+def _says(error: BaseException, texts: tuple[str, ...]) -> bool:
+    return isinstance(error, RuntimeError) and any(text in str(error) for text in texts)
+
+
+def stack(tensors: Sequence[Tensor]) -> Tensor:
+    """`torch.stack`; on the CPU if the device has too little memory for the result."""
+    try:
+        return torch.stack(list(tensors))
+    except RuntimeError as error:
+        if not is_out_of_memory(error):
+            raise
+    return torch.stack([tensor.cpu() for tensor in tensors])
+
+
+class BatchSize:
+    """A batch size that is halved whenever the device runs out of memory.
+
+    size: initial batch size; what: name of the items, for messages.
+    """
+
+    def __init__(self, size: int, what: str) -> None:
+        self.size, self.what = size, what
+        self._warned = False
+
+    def each(self, work: Callable[[slice], object], n: int) -> None:
+        """Call `work` on consecutive batches of n items.
+
+        If the device runs out of memory, the batch is repeated in halves, and all later batches
+        have that size; a RuntimeWarning reports it once.  So `work` must change nothing before it
+        raises.  An error for a batch of one item is raised.
+        """
+        start = 0
+        while start < n:
+            end = min(start + self.size, n)
+            try:
+                work(slice(start, end))
+            except (RuntimeError, MemoryError) as error:
+                if not is_out_of_memory(error):
+                    raise
+                if end - start == 1:
+                    remedy = "device='cpu', or smaller images"
+                    error.add_note(f"the memory is too small for one of the {self.what}: {remedy}")
+                    raise
+            else:
+                start = end
+                continue
+            self._shrink((end - start) // 2)  # only here: the exception has released its memory
+
+    def _shrink(self, size: int) -> None:
+        self.size = size
+        if torch.cuda.is_available():
+            torch.cuda.empty_cache()
+        if not self._warned:
+            self._warned = True
+            warn_user(
+                f"the device's memory is too small for so many {self.what} at once; "
+                f"from now on {size}"
+            )
+
+
+# -- batches of a fixed size -----------------------------------------------------------------------
+#
+# Matrix products of different shapes may sum in different orders.  With a variable batch size, the
+# last bits of an image's features would depend on the number of images in the batch, and a run on
+# the pieces in which results are told.  A single image costs as much as a full batch, so batches on
+# a CPU are small: with twice as many, a small vision transformer would need an eighth less time for
+# each 112 x 112 image, but nearly twice the time for a single one.
+
+_PIXELS = 2 * 112 * 112  # pixels of a batch on a CPU; larger batches are little faster
+_ON_GPU = 64  # times as many pixels and images on a GPU
+_MOST = 4  # most images of a batch on a CPU
+
+
+def batch_size(device: torch.device, height: int, width: int) -> int:
+    """Number of images of that size in a batch: on a CPU 2 images of 112 x 112."""
+    more = 1 if device.type == "cpu" else _ON_GPU
+    return min(max(more * _PIXELS // (height * width), 1), more * _MOST)
+
+
+def in_batches(network: Callable[[Tensor], Tensor], images: Tensor, size: int) -> Tensor:
+    """Results (n, ...) of a network for images (n, ...), in batches of exactly `size` images.
+
+    The last batch is padded with zeros.
+    """
+    results = []
+    for start in range(0, max(len(images), 1), size):
+        piece = images[start : start + size]
+        missing = size - len(piece)
+        padded = piece
+        if missing:
+            padded = torch.cat([piece, piece.new_zeros(missing, *piece.shape[1:])])
+        results.append(network(padded)[: len(piece)])
+    return torch.cat(results)
+
+
+def digest(*networks: nn.Module, extra: object = "") -> str:
+    """Eight hexadecimal digits that identify the weights.
+
+    extra: other settings that change the results, hashed as `str`.
+    """
+    sha = hashlib.sha256(str(extra).encode())
+    for network in networks:
+        for key, value in sorted(network.state_dict().items()):
+            sha.update(key.encode())
+            flat = value.detach().cpu().contiguous().reshape(-1)
+            sha.update(flat.view(torch.uint8).numpy().tobytes())
+    return sha.hexdigest()[:8]

@@ -11,12 +11,12 @@ from typing import Any
 
 from fide_plugins.errors import DependencyError
 
-__all__ = ["is_here", "keep_old_name", "module"]
+__all__ = ["is_installed", "keep_old_name", "module"]
 
 _ROOT = "fide_lab"
 
 
-def is_here() -> bool:
+def is_installed() -> bool:
     """Whether the laboratory can be imported."""
     return find_spec(_ROOT) is not None
 
@@ -26,7 +26,7 @@ def module(name: str = "") -> Any:
 
     Raises DependencyError (an ImportError) where the laboratory is not installed.
     """
-    if not is_here():
+    if not is_installed():
         raise DependencyError(
             f"{_ROOT} (rivals, runs of built-in tasks, comparisons, reports) is not installed: "
             "install the whole of FIDE, or add its folder lab to PYTHONPATH"

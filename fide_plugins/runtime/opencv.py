@@ -9,13 +9,13 @@ other's files, and to uninstall one of them breaks the other.
 from __future__ import annotations
 
 from fide_plugins.errors import DependencyError
-from fide_plugins.runtime.opencv_distributions import remedy
+from fide_plugins.runtime.machine import opencv_remedy
 
 __all__ = ["cv2"]
 
 try:
     import cv2 as cv2
 except ImportError as error:  # also a library of the system that is missing, such as libGL
-    raise DependencyError(f"OpenCV cannot be imported ({error}): {remedy()}") from error
+    raise DependencyError(f"OpenCV cannot be imported ({error}): {opencv_remedy()}") from error
 if not hasattr(cv2, "resize"):  # what is left of the folder is an empty package
-    raise DependencyError(f"OpenCV is installed in part only ({cv2!r}): {remedy()}")
+    raise DependencyError(f"OpenCV is installed in part only ({cv2!r}): {opencv_remedy()}")

@@ -1,15 +1,33 @@
-"""Factories by name, for encoders, losses and optimizers, also those of plug-ins."""
+"""What users name or hand over: factories by name, attributes of their files, their functions.
+
+- `Registry`: encoders, losses and optimizers by name;
+- `Referent`: an attribute of a user's file or module, ``FILE.py:NAME`` or ``module:NAME``;
+- fingerprints, each with its kind, such as "file:0123456789abcdef": a renderer is known again by a
+  version, which the user states, or else by a fingerprint of its source, since a model that was
+  learned of another renderer is of little use.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import inspect
+import os
+import sys
+import tokenize
+import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import import_module
-from typing import Generic, TypeVar
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, TypeVar
+from weakref import WeakKeyDictionary
 
-from fide_plugins.errors import OptionError, UnknownNameError
+import numpy as np
 
-__all__ = ["Registry"]
+from fide_plugins.errors import FideError, OptionError, UnknownNameError, did_you_mean
+from fide_plugins.types import Float32
 
 T = TypeVar("T")
 
@@ -110,3 +128,247 @@ class Registry(Generic[T]):
                 f"the {self._kind} {name!r} has no option {unknown[0]!r}; it has: "
                 f"{', '.join(known) or 'none'}"
             )
+
+
+# -- attributes of a user's file or module ---------------------------------------------------------
+
+_FINGERPRINTS: WeakKeyDictionary[ModuleType, str | None] = WeakKeyDictionary()
+
+
+def is_reference(text: str) -> bool:
+    """Whether a text has the form of a reference to a function, rather than a name."""
+    return ":" in text or text.endswith(".py")
+
+
+@dataclass(frozen=True, slots=True)
+class Referent:
+    """What references are to, by words for errors, and how to follow them.
+
+    name: such as "renderer"; word, plural: what it is in Python, such as "function".
+    rule: what it must be.
+    form: how to write a reference, with an example.
+
+    All errors are OptionErrors (a ValueError).
+    """
+
+    name: str
+    word: str
+    rule: str
+    plural: str
+    form: str
+
+    def split(self, reference: str) -> tuple[str, str]:
+        """File or module, and name."""
+        place, _, name = reference.rpartition(":")
+        if place and name.isidentifier():
+            return place, name
+        if os.path.isfile(reference):
+            names = self._names(self.load(reference))
+            raise OptionError(f"{reference} is a file, not a {self.word}; {names}")
+        raise OptionError(f"no {self.name} {reference!r}; {self.form}")
+
+    def load(self, place: str) -> ModuleType:
+        """Module in a file, or by its name; loaded once a process.
+
+        The folder of a file becomes the first in the search path for modules, as by
+        ``python FILE.py``.  Modules are also searched in the current folder.  The error for a
+        module that raises an exception shows its traceback.
+        """
+        module = self._execute(place) if place.endswith(".py") else self._import(place)
+        if module not in _FINGERPRINTS:  # at once: the file may be edited while this process runs
+            file = getattr(module, "__file__", None)
+            _FINGERPRINTS[module] = None if file is None else of_file(file)
+        return module
+
+    def attribute(self, module: ModuleType, place: str, name: str) -> Callable[..., Any]:
+        """Callable `name` of the module at `place`."""
+        if not hasattr(module, name):
+            hint = did_you_mean(name, _functions(module))
+            raise OptionError(f"{place} has no {name!r}; {self._names(module)}{hint}")
+        found: Any = getattr(module, name)
+        if not callable(found):
+            raise OptionError(
+                f"{name!r} in {place} is {type(found).__name__}, not {self.rule}; "
+                f"{self._names(module)}"
+            )
+        return found  # type: ignore[no-any-return]
+
+    def _execute(self, place: str) -> ModuleType:
+        path = os.path.abspath(place)
+        name = f"{Path(path).stem}_{hashlib.sha256(path.encode()).hexdigest()[:8]}"
+        if name in sys.modules:
+            return sys.modules[name]
+        if not os.path.isfile(path):
+            raise OptionError(f"no file {place!r}{_similar_files(path)}; {self.form}")
+        spec = spec_from_file_location(name, path)
+        assert spec is not None and spec.loader is not None, "a file that ends with .py"
+        module = module_from_spec(spec)
+        if (folder := os.path.dirname(path)) not in sys.path:
+            sys.path.insert(0, folder)
+        sys.modules[name] = module  # before it is executed: dataclasses look themselves up
+        try:
+            spec.loader.exec_module(module)
+        except BaseException as error:
+            del sys.modules[name]
+            raise _unusable(place, error) from None  # the message has its traceback
+        return module
+
+    def _import(self, name: str) -> ModuleType:
+        if os.getcwd() not in sys.path:
+            sys.path.append(os.getcwd())
+        try:
+            return import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name is not None and f"{name}.".startswith(f"{error.name}."):
+                raise UnknownNameError(f"no module {name!r}; {self.form}") from None
+            raise _unusable(name, error) from None
+        except BaseException as error:  # scripts end by sys.exit
+            raise _unusable(name, error) from None
+
+    def _names(self, module: ModuleType) -> str:
+        names = ", ".join(_functions(module))
+        return f"its {self.plural}: {names}" if names else f"it has no {self.plural}"
+
+
+def module_fingerprint(module: ModuleType) -> str | None:
+    """That of the file of a module, as it was when `Referent.load` loaded it; None without one."""
+    return _FINGERPRINTS[module]
+
+
+def _unusable(place: str, error: BaseException) -> BaseException:
+    """Error for a file that raised one; Ctrl-C stays what it is."""
+    if isinstance(error, KeyboardInterrupt):
+        return error
+    return OptionError(
+        f"{place} cannot be imported; mend this error in it:\n{shown_traceback(error)}"
+    )
+
+
+def shown_traceback(error: BaseException, caller: str = __file__) -> str:
+    """Traceback of an error, from the user's first line; caller: our file that called the user."""
+    own = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename not in (__file__, caller) and "importlib" not in frame.filename
+    ]
+    shown = traceback.format_list(own) + traceback.format_exception_only(error)
+    return "".join(shown).rstrip()
+
+
+def _functions(module: ModuleType) -> list[str]:
+    """Names of the functions that were written in the module."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and callable(value)
+        and getattr(value, "__module__", None) == module.__name__
+    ]
+
+
+def _similar_files(path: str) -> str:
+    folder = os.path.dirname(path)
+    files = [p.name for p in Path(folder).glob("*.py")] if os.path.isdir(folder) else []
+    return did_you_mean(os.path.basename(path), files)
+
+
+# -- functions of images, tried before anything depends on them ------------------------------------
+
+_RELATIVE, _ABSOLUTE = 1e-3, 1e-5  # kernels of networks round differently for each batch size
+
+
+def name_of(function: object) -> str:
+    """Name of a function, or of the class of another callable."""
+    return str(getattr(function, "__name__", type(function).__name__))
+
+
+def own_name(thing: object) -> str:
+    """Name that a thing gives itself, or else that of its function or class."""
+    name = getattr(thing, "name", None)
+    return name if isinstance(name, str) and name else name_of(thing)
+
+
+def tried_on(
+    target: Float32, function: Callable[[Float32], Any], what: str, error: type[FideError]
+) -> tuple[Any, Any]:
+    """Values of the target (H, W, 3) and its negative: together, and each alone, (2, ...) each.
+
+    Raises `error` in place of what the function raises, naming it, but for our own errors.
+    """
+    both = np.stack([target, 1 - target])
+    try:
+        together = function(both)
+        return together, np.concatenate([function(both[:1]), function(both[1:])])
+    except FideError:
+        raise
+    except Exception as cause:
+        raise error(
+            f"{what} was tried on two images, an array of shape {both.shape} and dtype float32, "
+            f"and raised {cause!r}; it gets batches of any number of images"
+        ) from cause
+
+
+def differs(together: Any, alone: Any) -> bool:
+    """Whether two arrays (2, ...) differ by more than kernels may round."""
+    scale = max(float(np.abs(alone[np.isfinite(alone)]).max(initial=0.0)), _ABSOLUTE)
+    return not np.allclose(together, alone, rtol=_RELATIVE, atol=_ABSOLUTE * scale, equal_nan=True)
+
+
+# -- fingerprints ----------------------------------------------------------------------------------
+
+
+def of_bytes(kind: str, data: bytes) -> str:
+    """Fingerprint of that kind: its name and 16 hexadecimal digits of SHA-256."""
+    return f"{kind}:{hashlib.sha256(data).hexdigest()[:16]}"
+
+
+def of_file(path: str | os.PathLike[str]) -> str | None:
+    """Fingerprint of the contents of a file, of the kind "file"; None if it cannot be read."""
+    try:
+        return of_bytes("file", Path(path).read_bytes())
+    except OSError:
+        return None
+
+
+def kind_of(one: str) -> str:
+    """Kind of a fingerprint; only those of one kind are compared."""
+    return one.partition(":")[0]
+
+
+def changed(one: str | None, other: str | None) -> bool:
+    """Whether two fingerprints are known to be of different things."""
+    if one is None or other is None or kind_of(one) != kind_of(other):
+        return False
+    return one != other
+
+
+def version_of(render: object) -> str | None:
+    """Version that a renderer states: the attribute `version` of the function or the object.
+
+    None: it states none.  A method of that name states none, either.  Raises OptionError for
+    anything else than a text, so that nobody relies on a version that would not count.
+    """
+    own = getattr(render, "version", None)
+    return None if callable(own) else check_version(own, f"the version of {own_name(render)}")
+
+
+def check_version(version: object, what: str) -> str | None:
+    """Return a version that is a text, or None; raises OptionError, beginning with `what`."""
+    if version is not None and not (isinstance(version, str) and version):
+        raise OptionError(f"{what} is a text such as '2', or None, not {version!r}")
+    return version
+
+
+def fingerprint_of(render: object) -> str | None:
+    """Kind and digest of what a renderer says of itself, or of the source of a function.
+
+    That of a `FunctionRenderer` is of its file, that of a `CommandRenderer` of its command lines;
+    what a file imports, and what a program reads, is not known.  None: nothing is known.
+    """
+    own = getattr(render, "fingerprint", None)
+    if own is None and inspect.isfunction(render):
+        try:
+            own = of_bytes("function", inspect.getsource(render).encode())
+        except (OSError, TypeError, SyntaxError, tokenize.TokenError):
+            return None  # the file is gone, or has changed since
+    return own if isinstance(own, str) else None

@@ -1,21 +1,24 @@
-"""How many threads compute.
+"""Threads: how many compute, locks, work in the background, and what a fork leaves of them.
 
 Most of what FIDE computes is small: products of matrices with a few hundred rows, images of 112 x
 112 pixels.  Several threads do it more slowly than one: they wait for each other by spinning, and
 OpenMP's (PyTorch) and OpenBLAS's (NumPy, SciPy) spin on the same cores.  So the small parts compute
 in one thread: within `one_thread`.  Networks, and functions of the user's that FIDE calls, compute
 in as many threads as the user has set, or the libraries by default: within `user_threads`.  Both
-are context managers and decorators, and may be nested.
-
-Therefore a run without a network is the same, bit for bit, whatever number of threads is set.
+are context managers and decorators, and may be nested.  So a run without a network is the same, bit
+for bit, whatever number of threads is set.
 
 OpenMP and MKL have one setting for each thread, so other threads keep theirs.  OpenBLAS has one for
 the process: the first thread that enters limits it, the last one that leaves restores it, and what
 the user's other threads compute with NumPy in between is computed in one thread, too.
 
-A forked process has none of its parent's OpenMP threads, and its first parallel loop would wait
-for them for ever.  There `user_threads` is one thread, too.  What else the user's child computes
-keeps its setting: importing FIDE changes nothing in it.
+A forked process has one thread only, and the locks and half-done work of the others:
+
+- its first parallel loop would wait for OpenMP's threads for ever, so `user_threads` is one thread
+  there; what else the user's child computes keeps its setting;
+- a `Lock` is free there;
+- `Background` work is waited for before the fork, and so are the ends of its thread and of those
+  that it made: MKL gives their memory back then, under a lock that nobody would open in the child.
 """
 
 from __future__ import annotations
@@ -24,14 +27,14 @@ import ctypes
 import os
 import sys
 import threading
+import time
 from collections.abc import Callable
-from contextlib import ContextDecorator
-from functools import partial
+from contextlib import ContextDecorator, suppress
+from functools import partial, wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
-
-__all__ = ["one_thread", "user_threads"]
+from typing import Any, Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
+from weakref import WeakSet
 
 _LIBRARIES = ("numpy", "scipy.linalg", "torch")
 """Modules that load libraries with threads of their own, each at another time or never."""
@@ -56,7 +59,7 @@ class _Pools(NamedTuple):
     by_process: tuple[_Pool, ...] = ()
 
 
-class _Here(threading.local):
+class _Thread(threading.local):
     """State of the calling thread."""
 
     depth = 0  # how many blocks of `one_thread` it is in
@@ -75,20 +78,20 @@ class _Process:
         self.forked = False
 
 
-_HERE, _PROCESS = _Here(), _Process()
+_THREAD, _PROCESS = _Thread(), _Process()
 
 
 class _OneThread(ContextDecorator):
     """Within it the calling thread computes alone.  Entering and leaving take some microseconds."""
 
     def __enter__(self) -> None:
-        if _HERE.depth == 0:
+        if _THREAD.depth == 0:
             _limit()
-        _HERE.depth += 1
+        _THREAD.depth += 1
 
     def __exit__(self, *exception: object) -> None:
-        _HERE.depth -= 1
-        if _HERE.depth == 0:
+        _THREAD.depth -= 1
+        if _THREAD.depth == 0:
             _restore()
 
 
@@ -97,23 +100,23 @@ class _UserThreads(ContextDecorator):
 
     def __enter__(self) -> None:
         if _PROCESS.forked:
-            _HERE.outer += (-1,)
+            _THREAD.outer += (-1,)
             one_thread.__enter__()
             return
-        _HERE.outer += (_HERE.depth,)
-        if _HERE.depth:
+        _THREAD.outer += (_THREAD.depth,)
+        if _THREAD.depth:
             _restore()
-        _HERE.depth = 0
+        _THREAD.depth = 0
 
     def __exit__(self, *exception: object) -> None:
-        *outer, depth = _HERE.outer
-        _HERE.outer = tuple(outer)
+        *outer, depth = _THREAD.outer
+        _THREAD.outer = tuple(outer)
         if depth < 0:
             one_thread.__exit__()
             return
         if depth:
             _limit()
-        _HERE.depth = depth
+        _THREAD.depth = depth
 
 
 one_thread = _OneThread()
@@ -122,7 +125,7 @@ user_threads = _UserThreads()
 
 def _limit() -> None:
     pools = _pools()
-    _HERE.before = tuple((pool, pool.limit()) for pool in pools.by_thread)
+    _THREAD.before = tuple((pool, pool.limit()) for pool in pools.by_thread)
     with _PROCESS.lock:
         if _PROCESS.inside == 0:
             _PROCESS.before = tuple((pool, pool.limit()) for pool in pools.by_process)
@@ -130,9 +133,9 @@ def _limit() -> None:
 
 
 def _restore() -> None:
-    for pool, before in _HERE.before:
+    for pool, before in _THREAD.before:
         pool.restore(before)
-    _HERE.before = ()
+    _THREAD.before = ()
     with _PROCESS.lock:
         _PROCESS.inside -= 1
         if _PROCESS.inside == 0:
@@ -224,16 +227,197 @@ def _openblas(library: Any) -> list[_Pool]:
     return []
 
 
+# -- locks -----------------------------------------------------------------------------------------
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Lock:
+    """A reentrant lock for ``with``; a copy of it, or the lock in a forked process, is free.
+
+    Work of another thread may be half done in a forked child; the lock does not wait for a thread
+    that does not exist there.
+    """
+
+    def __init__(self) -> None:
+        self.renew()
+        _LOCKS.add(self)
+
+    def renew(self) -> None:
+        """Free the lock, whoever holds it."""
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self._lock.release()
+
+    def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
+        return Lock, ()
+
+
+_LOCKS: WeakSet[Lock] = WeakSet()
+
+
+class Locked(Protocol):
+    """An object with a lock."""
+
+    _lock: Lock
+
+
+S = TypeVar("S", bound=Locked)
+
+
+def one_at_a_time(method: Callable[Concatenate[S, P], T]) -> Callable[Concatenate[S, P], T]:
+    """Decorate a method: one thread at a time runs decorated methods of the same object."""
+
+    @wraps(method)
+    def locked(self: S, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        with self._lock:
+            return method(self, *args, **kwargs)
+
+    return locked
+
+
+# -- work in the background ------------------------------------------------------------------------
+
+
+class Background:
+    """Runs one piece of work at a time in a background thread."""
+
+    def __init__(self) -> None:
+        self._work: _Work | None = None
+        self._error: BaseException | None = None
+        with _START:
+            _BACKGROUNDS.add(self)
+
+    @property
+    def busy(self) -> bool:
+        """Whether work is running."""
+        work = self._work
+        return work is not None and not work.done.is_set()
+
+    def start(self, work: Callable[[], object], what: str) -> None:
+        """Start `work` when the previous work is done; what: its description, for errors.
+
+        Raises what the previous work raised; the new work has started nevertheless.
+        """
+        self.join()
+        error, self._error = self._error, None
+        with _START:  # no process is forked between the two
+            self._work = _Work(work, what, self._note)
+            self._work.begin()
+        if error is not None:
+            raise error
+
+    def wait(self) -> None:
+        """Return when no work is running; raises, once, what the work raised."""
+        self.join()
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def join(self) -> None:
+        """Return when no work is running; keeps what the work raised for `wait`."""
+        work = self._work
+        if work is not None and not work.is_current:
+            work.wait()  # Ctrl-C may interrupt it; the work then goes on
+            with _START:
+                if self._work is work:  # no other thread has started new work meanwhile
+                    self._work = None
+
+    def _note(self, error: BaseException) -> None:
+        self._error = error
+
+
+class _Work:
+    """A thread, and an event that is set at its end.
+
+    `Thread.join` alone takes a thread for dead once it was interrupted (python/cpython#90882).
+    """
+
+    def __init__(
+        self, work: Callable[[], object], what: str, failed: Callable[[BaseException], None]
+    ) -> None:
+        self._work, self._what, self._failed = work, what, failed
+        self.done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=what)
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the current thread does this work."""
+        return self._thread is threading.current_thread()
+
+    def begin(self) -> None:
+        """Start the thread; raises RuntimeError if the system has no more threads."""
+        try:
+            self._thread.start()
+        except BaseException:
+            self.done.set()
+            raise
+
+    def wait(self) -> None:
+        """Return when the work is done and the thread has ended."""
+        self.done.wait()
+        if self._thread.ident is not None:  # the thread has started
+            self._thread.join()
+
+    def _run(self) -> None:
+        before = _threads()
+        try:
+            self._work()
+        except BaseException as error:
+            error.add_note(f"raised in the background, by {self._what}")
+            self._failed(error)
+        finally:
+            now = _threads()
+            _ENDING.intersection_update(now)
+            _ENDING.update(now - before, {str(threading.get_native_id())})
+            self.done.set()
+
+
+def _threads() -> set[str]:
+    """The system's names of all threads of this process; none where it does not list them."""
+    with suppress(OSError):
+        return set(os.listdir("/proc/self/task"))
+    return set()
+
+
+_START = threading.RLock()  # held when work starts, and while the process forks
+_BACKGROUNDS: WeakSet[Background] = WeakSet()
+_ENDING: set[str] = set()  # threads of work that is done, and what others made meanwhile
+_EXIT = 0.5  # seconds that they get; they need microseconds, on a busy machine milliseconds
+
+
 # -- forks -----------------------------------------------------------------------------------------
 
 
+def _before_fork() -> None:
+    _START.acquire()  # no work starts until the fork is over
+    for background in list(_BACKGROUNDS):
+        background.join()
+    until = time.monotonic() + _EXIT
+    while _ENDING & _threads() and time.monotonic() < until:
+        time.sleep(1e-4)
+    _ENDING.clear()
+
+
 def _after_fork_in_child() -> None:
-    """Threads that were inside are not here; the one that forked may be."""
+    global _START
+    _START = threading.RLock()  # threads that do not exist here may wait for the parent's
+    for lock in _LOCKS:
+        lock.renew()
     _PROCESS.lock, _PROCESS.forked = threading.Lock(), True
-    _PROCESS.inside = min(_HERE.depth, 1)
+    _PROCESS.inside = min(_THREAD.depth, 1)  # of threads that were inside, only this one is left
     if not _PROCESS.inside:
         _restore_process()
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_after_fork_in_child)
+    os.register_at_fork(
+        before=_before_fork,
+        after_in_parent=lambda: _START.release(),
+        after_in_child=_after_fork_in_child,
+    )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import OptionError, ProtocolError
-from fide_plugins.runtime.callables import name_of
+from fide_plugins.runtime.registry import name_of
 from fide_plugins.space.space import Space
 from fide_plugins.types import Float64
 

@@ -1,7 +1,7 @@
 """Pixels of image files and PIL images, and image files of pixels.
 
 Pillow reads most files.  OpenCV reads those that Pillow cannot: TIFF of float colors, Radiance HDR,
-colors of 16 bits where their numbers matter.  The extra exr reads EXR (`exr`).
+colors of 16 bits where their numbers matter.  The extra exr reads EXR.
 """
 
 from __future__ import annotations
@@ -14,15 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.errors import DependencyError, ImageError, ImageNotFoundError
+from fide_plugins.errors import ImageError, ImageNotFoundError
 from fide_plugins.runtime.files import RefusedFileError, check_regular
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.machine import missing
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32
-from fide_plugins.validation import exr
-from fide_plugins.validation.image_sources import Pixels, refuse_type, scale_remedy
-from fide_plugins.validation.reduction import reduced, reduced_size
-
-__all__ = ["MAX_PIXELS", "encoded", "from_pil", "read_pixels", "save"]
+from fide_plugins.validation.pixels import Pixels, refuse_type, scale_remedy
 
 MAX_PIXELS = 2**26
 """Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
@@ -39,10 +36,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
 
     raw: numbers as they are stored; otherwise those of 16 bits are divided by 65535.
     """
-    try:
-        from PIL import Image
-    except ImportError as e:
-        raise DependencyError("reading an image file needs Pillow: pip install pillow") from e
+    from PIL import Image  # takes a while
+
     try:
         check_regular(path)
         with Image.open(path) as image:
@@ -51,7 +46,8 @@ def read_pixels(path: str | os.PathLike[str], max_side: int | None, *, raw: bool
             if max_side is not None:
                 image.draft(None, (max_side, max_side))  # JPEG: decode at a fraction of its size
             if _narrowed(image):
-                pixels = _of_16_bit_colors(image, path, max_side, raw)
+                colors = _by_opencv(path, max_side, raw)
+                pixels = _upright(colors, image.getexif().get(_ORIENTATION, 1))
             else:
                 pixels = from_pil(image, repr(os.fspath(path)), max_side, whole, raw=raw)
     except FileNotFoundError as e:
@@ -76,16 +72,6 @@ def _narrowed(image: Any) -> bool:
     )
 
 
-def _of_16_bit_colors(
-    image: Any, path: str | os.PathLike[str], max_side: int | None, raw: bool
-) -> Pixels:
-    """Colors with all of their bits, upright; `image` is the file as Pillow has opened it."""
-    pixels = _by_opencv(path, max_side)
-    if not raw and pixels.dtype != np.uint8:  # floats where they have been reduced
-        pixels = pixels / np.float32(65535)
-    return _upright(pixels, image.getexif().get(_ORIENTATION, 1))
-
-
 def _upright(pixels: Pixels, orientation: int) -> Pixels:
     """Pixels (H, W, C) turned by the number that EXIF has for it."""
     if orientation in (5, 6, 7, 8):
@@ -104,23 +90,20 @@ def _of_another_format(
     name = os.fspath(path)
     remedy = "is it whole, and is it an image? PNG, JPEG, TIFF, PPM, HDR and EXR can be read"
     if name.lower().endswith(_EXR):
-        return _at_most(exr.decoded(path, MAX_PIXELS), max_side)
+        colors = _decoded_exr(path)
+        return reduced(colors, _reduced_size(colors.shape[1::-1], max_side))
     if name.lower().endswith(_OPENCV):
         try:
-            pixels = _by_opencv(path, max_side)
+            return _by_opencv(path, max_side, raw)
         except ImageError:
             raise
         except Exception as e:  # of a header that is none
             error = e
-        else:
-            if raw or pixels.dtype.kind == "f":
-                return pixels
-            return pixels if pixels.dtype == np.uint8 else pixels / np.float32(65535)
     raise ImageError(f"cannot read {name!r} as an image: {error}; {remedy}") from error
 
 
-def _by_opencv(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
-    """Pixels (H, W) or (H, W, C) of a file, with the numbers that it has; raises ImageError."""
+def _by_opencv(path: str | os.PathLike[str], max_side: int | None, raw: bool) -> Pixels:
+    """Pixels (H, W) or (H, W, C) of a file; raises ImageError.  raw: see `read_pixels`."""
     from fide_plugins.runtime.opencv import cv2  # takes a while
 
     name = os.fspath(path)
@@ -132,13 +115,8 @@ def _by_opencv(path: str | os.PathLike[str], max_side: int | None) -> Pixels:
     if pixels.ndim == 3:  # BGR, BGRA
         order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] in (3, 4) else slice(None)
         pixels = np.ascontiguousarray(pixels[..., order])
-    return _at_most(pixels, max_side)
-
-
-def _at_most(pixels: Pixels, max_side: int | None) -> Pixels:
-    """The picture with at most so many pixels a side."""
-    size = None if max_side is None else reduced_size(pixels.shape[1::-1], max_side)
-    return pixels if size in (None, pixels.shape[1::-1]) else reduced(pixels, size)
+    small = reduced(pixels, _reduced_size(pixels.shape[1::-1], max_side))
+    return small / np.float32(65535) if pixels.dtype == np.uint16 and not raw else small
 
 
 def _size_in_header(path: Path) -> tuple[int, int]:
@@ -193,7 +171,7 @@ def from_pil(
     image = ImageOps.exif_transpose(image)
     if image.size != (width, height):
         whole = whole[::-1]
-    size = whole if max_side is None else reduced_size(whole, max_side)
+    size = _reduced_size(whole, max_side)
     if image.mode.startswith("I") and raw:
         return reduced(np.asarray(image), size)
     if image.mode.startswith("I"):
@@ -250,7 +228,7 @@ def encoded(image: Float32, suffix: str) -> bytes:
     if pixels.ndim not in (2, 3) or pixels.shape[2:] not in ((), (1,), (3,), (4,)):
         raise ImageError(f"an image to save has axes (H, W) or (H, W, C), not {pixels.shape}")
     if suffix == _EXR:
-        return exr.encoded(pixels)
+        return _encoded_exr(pixels)
     if suffix not in _TIFF and not np.isfinite(pixels).all():
         raise ImageError(f"{suffix} holds no NaN and no infinity; save the image as .tif or .exr")
     if suffix == ".hdr" and (pixels.shape[2:] == (4,) or (pixels < 0).any()):
@@ -277,3 +255,162 @@ def encoded(image: Float32, suffix: str) -> bytes:
         got = f"an image of shape {pixels.shape}"
         raise ImageError(f"{suffix} cannot hold {got}: {e}; save it as .png or .tif") from e
     return buffer.getvalue()
+
+
+# -- OpenEXR ---------------------------------------------------------------------------------------
+#
+# An EXR file has colors multiplied by their alpha; images here have colors that are not.
+
+_COLORS = (("R", "G", "B", "A"), ("R", "G", "B"), ("Y", "A"), ("Y",))
+_FLOATS = (np.float16, np.float32)
+_OTHERS = 8  # channels besides colors that may be in a file, such as depth and normals
+
+
+def _decoded_exr(path: str | os.PathLike[str]) -> Float32:
+    """Pixels (H, W), (H, W, 3) or (H, W, 4) of the channels Y, RGB or RGBA in the data window.
+
+    The header is looked at before any pixel is read.  Raises ImageError, DependencyError.
+    """
+    exr, what = _package(), repr(os.fspath(path))
+    try:
+        with open(path, "rb") as file:
+            names = _checked(exr, exr.File(file, header_only=True, num_threads=0), what)
+            file.seek(0)
+            read = exr.File(file, separate_channels=True, num_threads=0).channels()
+            planes = [read[name].pixels for name in names]
+    except ImageError:
+        raise
+    except Exception as error:  # decoders of untrusted bytes raise nearly anything
+        raise ImageError(f"cannot read {what} as an image: {error}; is it whole?") from error
+    if any(plane.dtype not in _FLOATS or plane.shape != planes[0].shape for plane in planes):
+        raise ImageError(f"{what} has colors that are not halves or floats of one size")
+    pixels = np.stack(planes, axis=-1).astype(np.float32)
+    if names[-1] == "A":
+        alpha = pixels[..., -1:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            np.divide(pixels[..., :-1], alpha, out=pixels[..., :-1], where=alpha > 0)
+        return pixels if len(names) == 4 else pixels[..., [0, 0, 0, 1]]
+    return pixels if len(names) == 3 else pixels[..., 0]
+
+
+def _encoded_exr(pixels: Float32) -> bytes:
+    """File with the 32-bit floats of an image (H, W), (H, W, 1), (H, W, 3) or (H, W, 4)."""
+    exr, buffer = _package(), io.BytesIO()
+    planes = pixels[..., None] if pixels.ndim == 2 else pixels
+    if planes.shape[2] == 4:
+        planes = np.concatenate([planes[..., :3] * planes[..., 3:], planes[..., 3:]], axis=2)
+    names = "Y" if planes.shape[2] == 1 else "RGBA"[: planes.shape[2]]
+    channels = {name: np.ascontiguousarray(planes[..., i]) for i, name in enumerate(names)}
+    header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
+    exr.File(header, channels, num_threads=0).write(buffer)
+    return buffer.getvalue()
+
+
+def _package() -> Any:
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise missing("exr", "reading and writing EXR files needs OpenEXR") from error
+    return OpenEXR
+
+
+def _checked(exr: Any, file: Any, what: str) -> tuple[str, ...]:
+    """Names of the channels to take, by the header of a file; raises ImageError."""
+    sizes = []
+    for part in file.parts:
+        header = part.header
+        low, high = header["dataWindow"]
+        width, height = (int(b) - int(a) + 1 for a, b in zip(low, high, strict=True))
+        if header.get("type", exr.scanlineimage) not in (exr.scanlineimage, exr.tiledimage):
+            raise ImageError(f"{what} has deep pixels; flatten it first")
+        if min(width, height) < 1 or width * height > MAX_PIXELS:
+            raise ImageError(
+                f"{what} has {width} x {height} pixels, not 1 to {MAX_PIXELS:,}; reduce it"
+            )
+        sizes.append(width * height * len(header["channels"]))
+    channels = {one.name: one for one in file.parts[0].header["channels"]}
+    names = next((names for names in _COLORS if channels.keys() >= set(names)), None)
+    if names is None:
+        found = ", ".join(sorted(channels)[:8]) or "none"
+        raise ImageError(
+            f"{what} has no channels R, G, B or Y in its first part, but {found}: give the array, "
+            "such as OpenEXR.File(path).channels()[NAME].pixels"
+        )
+    if sum(sizes) > MAX_PIXELS * (4 + _OTHERS):
+        raise ImageError(f"{what} has too many channels for its size; save its colors alone")
+    if any(channels[name].xSampling != 1 or channels[name].ySampling != 1 for name in names):
+        raise ImageError(f"{what} has colors of a lower resolution; save it as RGB")
+    return names
+
+
+# -- pictures made smaller: each pixel is a mean of those that it covers, weighted by a mask -------
+
+
+def _reduced_size(size: tuple[int, ...], max_side: int | None) -> tuple[int, int]:
+    """Width and height with the longer one at most `max_side`."""
+    if max_side is None or max(size) <= max_side:
+        return size[0], size[1]
+    scale = max_side / max(size)
+    width, height = (max(1, round(side * scale)) for side in size)
+    return width, height
+
+
+def reduced(pixels: Pixels, size: tuple[int, int], weights: Pixels | None = None) -> Pixels:
+    """Pixels (H, W) or (H, W, C) in the size (width, height); themselves if they have it.
+
+    They come back as float32, whole numbers too, in their own range.  Colors of four channels are
+    weighted by the last one, the alpha channel.  What has no weight at all becomes 0.
+
+    weights: (H, W), of pixels; those of 0 have no influence, whatever they hold.
+    """
+    if pixels.shape[1::-1] == size:
+        return pixels
+    values: Float32 = pixels.astype(np.float32)
+    if values.ndim == 2 or values.shape[2] != 4:
+        return _mean(values, size, weights)
+    alpha = values[..., 3] if weights is None else np.where(weights > 0, values[..., 3], 0)
+    opacity = _mean(alpha, size, weights)
+    colors = _mean(values[..., :3], size, alpha if weights is None else alpha * weights)
+    return np.concatenate([colors, opacity[..., None]], axis=-1)
+
+
+def shrunk(
+    pixels: Pixels, weights: Float32 | None, max_side: int | None, *, raw: bool = False
+) -> tuple[Pixels, Float32 | None]:
+    """Pixels and their weights (H, W), where a side has more than `max_side` pixels smaller.
+
+    Both come back as float32 then: bytes in [0, 1], or, where their numbers are wanted (raw), as
+    they are.  Alpha is in [0, 1] in any case.
+    """
+    size = _reduced_size(pixels.shape[1::-1], max_side)
+    if size == pixels.shape[1::-1]:
+        return pixels, weights
+    if not raw and pixels.dtype in (np.uint8, np.bool_):
+        pixels = pixels / np.float32(255 if pixels.dtype == np.uint8 else 1)
+    elif pixels.ndim == 3 and pixels.shape[2] == 4 and pixels.dtype.kind in "iu":
+        alpha = pixels[..., 3:] / np.float32(np.iinfo(pixels.dtype).max)
+        pixels = np.concatenate([pixels[..., :3], alpha], axis=-1, dtype=np.float32)
+    return reduced(pixels, size, weights), None if weights is None else reduced(weights, size)
+
+
+def _mean(values: Float32, size: tuple[int, int], weights: Pixels | None) -> Float32:
+    """Weighted means of values (H, W) or (H, W, C); without weights plain ones."""
+    if weights is None:
+        return _by_channel(values, size)
+    weights = weights.astype(np.float32)
+    counted = weights if values.ndim == 2 else weights[..., None]
+    sums = _by_channel(np.where(counted > 0, values, 0) * counted, size)
+    total = _by_channel(weights, size)
+    total = total if values.ndim == 2 else total[..., None]
+    return np.divide(sums, total, out=np.zeros_like(sums), where=total > 0)
+
+
+def _by_channel(values: Float32, size: tuple[int, int]) -> Float32:
+    from PIL import Image
+
+    planes = [values] if values.ndim == 2 else list(np.moveaxis(values, -1, 0))
+    small = [
+        np.asarray(Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BOX))
+        for plane in planes
+    ]
+    return small[0] if values.ndim == 2 else np.stack(small, axis=-1)

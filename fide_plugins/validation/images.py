@@ -16,7 +16,7 @@ axes               channels last.  In a torch tensor channels may come first: if
 NaN, infinity      refused
 outside [0, 1]     refused in a target; clipped in a batch, with a warning (a renderer may
                    overshoot).  An overshoot of up to 1e-6, which is rounding, is clipped silently.
-                   Renders on another scale than the target are refused, see `clipping`
+                   Renders on another scale than the target are refused, see `pixels`
 value range        with one, [low, high] takes the place of [0, 1], and all types are numbers as
                    they are: uint8 from 0 to 255, uint16 from 0 to 65535, whole numbers of any kind.
                    Alpha is a share still: of whole numbers, of their type's largest one
@@ -40,32 +40,34 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.clipping import Clip, OnClip, warn_clipped
-from fide_plugins.validation.image_files import MAX_PIXELS, from_pil, read_pixels, save
-from fide_plugins.validation.image_sources import (
+from fide_plugins.validation.image_files import MAX_PIXELS, from_pil, read_pixels, save, shrunk
+from fide_plugins.validation.pixels import (
+    CHANNELS,
+    Clip,
+    OnClip,
     Pixels,
+    Size,
+    ValueRange,
+    channels_last,
+    check_axes,
+    check_batch_axes,
+    check_count,
     describe,
+    extremes,
     from_tensor,
     has_scale,
     is_path,
     is_pil,
     is_torch_tensor,
+    is_unit,
     refuse_type,
     scale_remedy,
+    shares,
+    unit_range,
     unmasked,
+    warn_clipped,
 )
 from fide_plugins.validation.points import whole_number
-from fide_plugins.validation.reduction import shrunk
-from fide_plugins.validation.rules import (
-    CHANNELS,
-    Size,
-    channels_last,
-    check_axes,
-    check_batch_axes,
-    check_count,
-)
-from fide_plugins.validation.unit_range import extremes, is_unit, shares, unit_range
-from fide_plugins.validation.value_range import ValueRange
 
 __all__ = [
     "MAX_PIXELS",
@@ -185,7 +187,7 @@ def as_batch(
     n
         required number of images; None: any number, also zero.
     on_clip
-        called once, with a `clipping.Clip`, if finite values outside [0, 1] were clipped.
+        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
     hidden
         (H, W) of that shape, pixels that do not count; None: all do.
     values

@@ -7,23 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.validation.clipping import OnClip, warn_clipped
-from fide_plugins.validation.image_sources import from_tensor, is_torch_tensor
-from fide_plugins.validation.rules import (
+from fide_plugins.errors import FeaturesError
+from fide_plugins.validation.pixels import (
+    OnClip,
+    ValueRange,
     channels_last,
     check_batch_axes,
     check_count,
+    from_tensor,
     is_clipped,
+    is_torch_tensor,
     refuse_not_finite,
+    warn_clipped,
 )
-from fide_plugins.validation.value_range import ValueRange
 
-__all__ = ["as_tensor_batch", "stays_on_device"]
+if TYPE_CHECKING:
+    from fide_plugins.encoders.base import PatchEncoder
+
 
 _WITH_NUMPY = ("cpu", "mps")  # whose images NumPy and OpenCV process: MPS has no float64
 
@@ -55,7 +61,7 @@ def as_tensor_batch(
     n
         required number of images; None: any number, also zero.
     on_clip
-        called once, with a `clipping.Clip`, if finite values outside [0, 1] were clipped.
+        called once, with a `pixels.Clip`, if finite values outside [0, 1] were clipped.
     values
         those that become 0 and 1; None: 0 and 1.
 
@@ -107,3 +113,86 @@ def _scaled(pixels: Tensor, scale: ValueRange) -> Tensor:
     whole = not (alpha.is_floating_point() or alpha.dtype == torch.bool)
     share = alpha / torch.iinfo(alpha.dtype).max if whole else alpha
     return torch.cat([colors, share.float()], dim=-1)
+
+
+# -- features that were encoded elsewhere ----------------------------------------------------------
+#
+# A remote worker can encode its image where it renders, and send the tokens instead of the picture:
+#
+#     encoder = encoders.make("dense")             # there
+#     tokens = encoder(images)                     # (n, T, C)
+#     opt.tell(X, losses=losses, features=tokens, version=encoder.version)  # here
+#
+# Two versions of an encoder, or two files of its weights, give features of the same shape.  If the
+# caller passes the version, it is compared; otherwise the caller is responsible for it.
+
+
+def as_features(
+    features: Any,
+    shape: tuple[int, int, int],
+    encoder: PatchEncoder,
+    *,
+    version: str | None = None,
+    device: torch.device | None = None,
+) -> torch.Tensor:
+    """Tokens of n images as float32 (n, T, C) on the device.
+
+    Parameters
+    ----------
+    features
+        array or tensor, or a list of n arrays or tensors (T, C).
+    shape
+        required shape (n, T, C); T and C are those of the target's tokens.
+    encoder
+        encoder of the optimizer.
+    version
+        attribute `version` of the encoder that made the features; None: unknown.
+    device
+        device of the result; None: that of the encoder.
+
+    Raises
+    ------
+    FeaturesError
+        another version, another shape, no real numbers, or values that are not finite (also a
+        ValueError).
+    """
+    _check_version(version, encoder)
+    rule = (
+        f"features must be what the encoder {encoder.name!r} gives for images of the target's "
+        f"size, (n, T, C) = {shape}"
+    )
+    array = _stacked(features, rule)
+    if array.shape != shape:
+        raise FeaturesError(f"{rule}, not {array.shape}; is it the same encoder, for each point?")
+    with np.errstate(over="ignore"):  # too large for float32: not finite, and refused
+        tokens = torch.from_numpy(array.astype(np.float32))
+    if not torch.isfinite(tokens).all():
+        raise FeaturesError(f"{rule}, and finite; leave out images that have none")
+    return tokens.to(encoder.device if device is None else device)
+
+
+def _check_version(version: str | None, encoder: PatchEncoder) -> None:
+    if version is not None and version != encoder.version:
+        raise FeaturesError(
+            f"features must be by the optimizer's own encoder, of the version {encoder.version!r}, "
+            f"not {version!r}; encode the images again with that, or tell the images themselves"
+        )
+
+
+def _stacked(features: Any, rule: str) -> np.ndarray[Any, Any]:
+    """One array of floating point numbers; FeaturesError with the rule for anything else."""
+    try:
+        if isinstance(features, list | tuple):
+            features = np.stack([_as_array(tokens) for tokens in features])
+        array = _as_array(features)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise FeaturesError(f"{rule}: {error}") from error
+    if array.dtype.kind != "f":
+        raise FeaturesError(f"{rule}, of floating point, not {array.dtype}")
+    return array
+
+
+def _as_array(features: Any) -> np.ndarray[Any, Any]:
+    if isinstance(features, torch.Tensor):
+        features = features.detach().cpu().numpy()
+    return np.asarray(features)

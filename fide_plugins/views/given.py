@@ -10,9 +10,8 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_pixels, as_target, is_image
-from fide_plugins.validation.value_range import ValueRange
+from fide_plugins.validation.pixels import Pixels, ValueRange
 from fide_plugins.views.view import View
 from fide_plugins.views.weights import ALPHA, hidden_by, joined, read_weights
 

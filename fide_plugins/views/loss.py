@@ -11,10 +11,10 @@ from fide_plugins import losses
 from fide_plugins.errors import LossError
 from fide_plugins.losses.base import CallableLoss, ImageLoss, LossOfTarget, as_losses
 from fide_plugins.losses.own import check_loss, loss_not_stored
-from fide_plugins.runtime.callables import name_of
+from fide_plugins.runtime.registry import name_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.clipping import warn_clipped
+from fide_plugins.validation.pixels import warn_clipped
 from fide_plugins.views.view import View
 from fide_plugins.views.views import Views
 

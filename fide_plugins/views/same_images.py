@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
 
 __all__ = ["SameImages"]

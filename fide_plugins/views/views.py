@@ -15,15 +15,16 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import ImageError
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import array, check, real, row
-from fide_plugins.runtime.warn import warn_user
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.clipping import Clip, OnClip
-from fide_plugins.validation.image_sources import describe
 from fide_plugins.validation.images import as_batch, is_image
-from fide_plugins.validation.value_range import (
+from fide_plugins.validation.pixels import (
     AUTO,
+    Clip,
+    OnClip,
     ValueRange,
+    describe,
     range_of,
     restored,
     value_range_of,
@@ -139,7 +140,7 @@ class Views:
     @cached_property
     def target(self) -> Float32:
         """Packed target (P, 1, 3); one view that is not listed, (H, W, 3)."""
-        return self._packed([view.target for view in self.views], ())
+        return self.pack([view.target for view in self.views], ())
 
     @property
     def targets(self) -> Any:
@@ -197,7 +198,7 @@ class Views:
                 batches.append(made)
             except ImageError as error:
                 raise type(error)(f"view {i}: {error}") from error
-        return self._packed(batches, (n,))
+        return self.pack(batches, (n,))
 
     def _rule(self, images: object) -> str:
         shapes = ", ".join(f"(n, {h}, {w}, C)" for h, w in (view.size for view in self.views))
@@ -221,7 +222,7 @@ class Views:
         parts, start = [], 0
         for height, width in (view.size for view in self.views):
             part = batch[:, start : start + height * width]
-            parts.append(np.ascontiguousarray(part).reshape(len(batch), height, width, 3))
+            parts.append(np.ascontiguousarray(part).reshape(len(batch), height, width, -1))
             start += height * width
         return parts
 
@@ -281,11 +282,11 @@ class Views:
         gray = all((view.target == view.target[..., :1]).all() for view in self.views)
         return self.counted * (1 if gray else 3)
 
-    def _packed(self, pictures: Sequence[Float32], leading: tuple[int, ...]) -> Float32:
-        """One array of pictures (..., H, W, 3), one for each view."""
+    def pack(self, pictures: Sequence[Float32], leading: tuple[int, ...] = ()) -> Float32:
+        """One array of pictures (..., H, W, C), one for each view."""
         if not self.listed:
             return pictures[0]
-        flat = [picture.reshape(*leading, -1, 1, 3) for picture in pictures]
+        flat = [one.reshape(*leading, -1, 1, one.shape[-1]) for one in pictures]
         packed: Float32 = np.concatenate(flat, axis=len(leading))
         return packed
 

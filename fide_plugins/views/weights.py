@@ -8,8 +8,8 @@ import numpy as np
 
 from fide_plugins.errors import ImageError
 from fide_plugins.types import Float32, Mask
-from fide_plugins.validation.image_sources import is_torch_tensor
 from fide_plugins.validation.images import alpha_of, as_target
+from fide_plugins.validation.pixels import is_torch_tensor
 
 __all__ = ["ALPHA", "hidden_by", "joined", "read_weights"]
 

@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from fide_lab.baselines import FAMILIES, PLACES as BASELINES
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.reference import is_reference
-from fide_plugins.runtime.registry import Registry
+from fide_plugins.runtime.registry import Registry, is_reference
 
 if TYPE_CHECKING:
     from fide_plugins.space import Space

@@ -83,7 +83,7 @@ def choose(variant: str) -> str:
     names = {**VARIANTS, **{full: full for full in VARIANTS.values()}}
     one_of("variant", variant, ("auto", *names))
     if importlib.util.find_spec("mitsuba") is None:
-        from fide_plugins.runtime.extras import missing
+        from fide_plugins.runtime.machine import missing
 
         raise missing("mitsuba", "this task renders with Mitsuba 3, which is not installed")
     if variant == "auto":

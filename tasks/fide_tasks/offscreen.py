@@ -45,7 +45,7 @@ def import_mujoco() -> Any:
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise
-        from fide_plugins.runtime.extras import missing
+        from fide_plugins.runtime.machine import missing
 
         what = "this task renders with MuJoCo, which is not installed"
         raise missing("robot", what) from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 from .conftest import fide
 

@@ -13,7 +13,7 @@ from fide_plugins.denoiser import Network
 from fide_plugins.denoiser.network import Context
 from fide_plugins.denoiser.preconditioning import whitened, x_prediction
 from fide_plugins.denoiser.training import WhitenedLoss, XLoss, adam_state, fit, load_adam_state
-from fide_plugins.runtime.batch_size import BatchSize
+from fide_plugins.runtime.devices import BatchSize
 
 STD = torch.tensor([0.3, 0.1, 0.7])
 

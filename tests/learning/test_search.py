@@ -19,7 +19,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
 from fide_plugins.learning.hypotheses import posterior_of
 from fide_plugins.recording.json_record import RunDirectoryError
-from fide_plugins.runtime.fingerprints import of_file
+from fide_plugins.runtime.registry import of_file
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk
@@ -106,7 +106,7 @@ def test_hypotheses_are_made_only_where_no_state_is_saved(
         asked.append(learned is not None)
         return posterior_of(learned, *about)
 
-    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", noted)
+    monkeypatch.setattr("fide_plugins.learning.hypotheses.posterior_of", noted)
     whole = run(learned, 120, None)
     assert any(asked)
     asked.clear()

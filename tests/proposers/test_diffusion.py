@@ -15,7 +15,7 @@ from fide_plugins.denoiser import Denoise, precision
 from fide_plugins.denoiser.training import XLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.batch_size import BatchSize
+from fide_plugins.runtime.devices import BatchSize
 
 Floats = NDArray[np.float64]
 MEAN, STD = np.array([0.5, 0.5]), np.array([0.1, 0.2])

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from fide_plugins.runtime import background as background_module
-from fide_plugins.runtime.background import Background
+from fide_plugins.runtime import threads
+from fide_plugins.runtime.threads import Background
 
 
 class Gate:
@@ -94,8 +94,8 @@ def test_a_process_forks_when_the_thread_of_the_work_is_gone() -> None:
     background.start(work, "work")
     background.wait()
     assert os.path.exists(f"/proc/self/task/{thread}")
-    background_module._before_fork()
-    background_module._LOCK.release()
+    threads._before_fork()
+    threads._START.release()
     assert not os.path.exists(f"/proc/self/task/{thread}")
     libc.pthread_key_delete(exit_later)
 

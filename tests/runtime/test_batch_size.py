@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.batch_size import (
+from fide_plugins.runtime.devices import (
     BatchSize,
     is_out_of_gpu_memory,
     is_out_of_memory,

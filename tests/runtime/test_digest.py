@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 
-from fide_plugins.runtime.digest import digest
+from fide_plugins.runtime.devices import digest
 
 
 def network(second: float = 1.0) -> nn.Module:

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from fide_plugins.runtime.extras import EXTRAS, missing
+from fide_plugins.runtime.machine import EXTRAS, missing
 
 REQUIREMENT = re.compile(r"([\w.-]+)[^;]*; extra == ['\"]([\w-]+)['\"]")
 NOT_FOR_USERS = {"all", "dev", "docs"}

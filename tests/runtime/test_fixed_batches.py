@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.devices import batch_size, in_batches
 
 
 @pytest.mark.parametrize(

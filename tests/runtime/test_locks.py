@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
-from fide_plugins.runtime.locks import Lock, one_at_a_time
+from fide_plugins.runtime.threads import Lock, one_at_a_time
 
 
 class Counter:

@@ -13,10 +13,10 @@ import pytest
 
 from fide_plugins.cli import main
 from fide_plugins.errors import DependencyError
-from fide_plugins.runtime import opencv_distributions
+from fide_plugins.runtime import machine
 
 HERE = "fide_plugins.runtime.opencv"
-OURS = opencv_distributions.OURS
+OURS = machine.OPENCV
 
 
 @pytest.fixture
@@ -51,12 +51,10 @@ def imported_again() -> Iterator[Any]:
 
 
 def test_one_distribution_is_no_collision(present: set[str]) -> None:
-    assert opencv_distributions.collision() is None
+    assert machine.opencv_collision() is None
     present.add("opencv-python")
-    assert opencv_distributions.collision() is None
-    assert opencv_distributions.remedy() == (
-        f"pip uninstall -y opencv-python && pip install {OURS}"
-    )
+    assert machine.opencv_collision() is None
+    assert machine.opencv_remedy() == (f"pip uninstall -y opencv-python && pip install {OURS}")
 
 
 def test_doctor_says_what_to_do_where_two_collide(

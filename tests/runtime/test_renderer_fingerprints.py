@@ -11,7 +11,7 @@ import pytest
 from fide_lab.run.renderer_task import RendererTask
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.fingerprints import fingerprint_of, version_of
+from fide_plugins.runtime.registry import fingerprint_of, version_of
 
 CODE = "\n\ndef render(p):\n    return p\n"
 

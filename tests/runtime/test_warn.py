@@ -18,9 +18,9 @@ import torch
 from fide_adapters.nevergrad import ParametrizedFIDE
 from fide_plugins import FIDE, FIDESampler, Float, Space, fit
 from fide_plugins.proposers.diffusion import DiffusionProposer
-from fide_plugins.runtime.batch_size import BatchSize
+from fide_plugins.runtime.devices import BatchSize
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.threads import user_threads
-from fide_plugins.runtime.warn import warn_user
 
 
 def ours(function: Callable[[], None]) -> Callable[[], None]:

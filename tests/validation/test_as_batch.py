@@ -10,8 +10,8 @@ from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from fide_plugins.errors import ImageError, ValueRangeError
-from fide_plugins.validation.clipping import Clip
 from fide_plugins.validation.images import as_batch, as_target
+from fide_plugins.validation.pixels import Clip
 
 RGB = np.random.default_rng(1).random((4, 5, 7, 3), dtype=np.float32)
 GRAY = RGB[..., 0]

@@ -18,8 +18,8 @@ from torch.utils._pytree import tree_leaves, tree_map
 
 from fide_plugins import FIDE, encoders, losses
 from fide_plugins.errors import ImageError
-from fide_plugins.validation.clipping import Clip
 from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.pixels import Clip
 from fide_plugins.validation.tensors import as_tensor_batch, stays_on_device
 
 SEED = 41

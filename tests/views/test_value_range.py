@@ -11,8 +11,8 @@ from fide_plugins import FIDE, Float, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.validation.images import as_batch, as_target, load, save
+from fide_plugins.validation.pixels import ValueRange
 from fide_plugins.validation.tensors import as_tensor_batch
-from fide_plugins.validation.value_range import ValueRange
 from fide_plugins.views import Views
 
 V, U = np.mgrid[0:16, 0:16] / 15

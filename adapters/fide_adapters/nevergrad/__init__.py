@@ -17,7 +17,7 @@ Importing this module registers the name FIDE, also if it is imported again, and
 
 from __future__ import annotations
 
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 try:
     from nevergrad.optimization.base import registry

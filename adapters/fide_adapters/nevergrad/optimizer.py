@@ -44,7 +44,7 @@ from fide_adapters.nevergrad.search import Evaluation, Search
 from fide_adapters.nevergrad.settings import check_options, target_setting
 from fide_plugins.errors import ImageError
 from fide_plugins.options import make_options
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import new_seed
 from fide_plugins.views import Views

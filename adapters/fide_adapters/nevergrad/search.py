@@ -170,7 +170,7 @@ class Search:
     def _check_features(self, result: Result) -> Tensor:
         import torch
 
-        from fide_plugins.validation.features import as_features
+        from fide_plugins.validation.tensors import as_features
 
         fide, device = self.fide, torch.device("cpu")  # FIDE moves them to its own device
         shape = (1, *fide.features_shape)

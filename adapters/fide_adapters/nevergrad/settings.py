@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Mapping
 
 from fide_plugins.errors import OptionError
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.views import Views
 from fide_plugins.views.views import views_of
 

@@ -18,7 +18,7 @@ they share nothing but Optuna's storage.  `docs/reference/optuna.md` explains ho
 
 from __future__ import annotations
 
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 try:
     import optuna  # noqa: F401  # fails here, with a remedy, where Optuna is not installed

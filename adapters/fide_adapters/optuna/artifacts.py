@@ -20,7 +20,7 @@ from PIL import Image
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32
-from fide_plugins.validation.clipping import warn_clipped
+from fide_plugins.validation.pixels import warn_clipped
 from fide_plugins.views import Views
 
 __all__ = ["ImageArtifacts"]

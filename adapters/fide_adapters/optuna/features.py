@@ -50,7 +50,7 @@ from torch import Tensor
 from fide_adapters.image_loss import ImageReader
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.features import as_features
+from fide_plugins.validation.tensors import as_features
 
 __all__ = ["BYTES", "Codec", "ImageEvaluator"]
 

@@ -21,7 +21,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import standard_deviation
 from fide_plugins.views import Views
 

@@ -33,7 +33,7 @@ from optuna.storages import BaseStorage, InMemoryStorage
 from optuna.study import Study
 from optuna.trial import FrozenTrial, Trial
 
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 __all__ = [
     "ASK",

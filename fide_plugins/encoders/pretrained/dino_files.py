@@ -16,8 +16,8 @@ from typing import Any
 
 from fide_plugins.encoders.pretrained.network import IMAGENET_MEAN, IMAGENET_STD
 from fide_plugins.errors import DependencyError, WeightsMismatchError, WeightsNotFoundError
-from fide_plugins.runtime import extras
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.machine import missing as missing_extra
+from fide_plugins.runtime.messages import warn_user
 
 __all__ = ["DEFAULT", "colors", "find", "library", "missing", "read_json", "unreadable"]
 
@@ -141,4 +141,4 @@ def library(module: str = "transformers") -> Any:
 
 
 def _not_installed() -> DependencyError:
-    return extras.missing("dinov3", "the encoder 'dinov3' needs transformers")
+    return missing_extra("dinov3", "the encoder 'dinov3' needs transformers")

@@ -25,8 +25,7 @@ from fide_plugins.encoders.pretrained.dino_files import DEFAULT
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.encoders.pretrained.weights import check_finite
 from fide_plugins.errors import OptionError, WeightsMismatchError, WeightsNotFoundError
-from fide_plugins.runtime.devices import has_bfloat16
-from fide_plugins.runtime.digest import digest
+from fide_plugins.runtime.devices import digest, has_bfloat16
 
 __all__ = ["DEFAULT", "DinoEncoder"]
 

@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from fide_plugins.encoders.pretrained import weights as weights_module
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.errors import DependencyError, OptionError
-from fide_plugins.runtime.digest import digest
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.devices import digest
+from fide_plugins.runtime.machine import missing
 
 __all__ = ["EfficientNetEncoder"]
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from fide_plugins.encoders import whole_patches
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.cache import TokenCache
-from fide_plugins.runtime.fixed_batches import batch_size, in_batches
+from fide_plugins.runtime.devices import batch_size, in_batches
 from fide_plugins.types import Float32
 
 __all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NetworkEncoder"]

@@ -17,7 +17,7 @@ from torch import Tensor
 from fide_plugins.encoders.pretrained import backbones
 from fide_plugins.encoders.pretrained.network import NetworkEncoder
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.digest import digest
+from fide_plugins.runtime.devices import digest
 
 __all__ = ["VGG19Encoder"]
 

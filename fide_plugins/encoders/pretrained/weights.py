@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.errors import WeightsMismatchError, WeightsNotFoundError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 __all__ = ["Published", "check_finite", "fill", "read"]
 

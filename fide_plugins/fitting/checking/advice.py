@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from fide_plugins.fitting.checking.facts import Effect, Facts
 from fide_plugins.fitting.checking.rendering import FAST
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 from fide_plugins.space import Float
 
 __all__ = ["advice", "budget", "duration", "workers"]

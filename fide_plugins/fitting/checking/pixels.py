@@ -11,8 +11,8 @@ from fide_plugins.errors import ImageError
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.recording.figures import thumbnail
 from fide_plugins.types import Float32
-from fide_plugins.validation.image_sources import Pixels
 from fide_plugins.validation.images import as_pixels
+from fide_plugins.validation.pixels import Pixels
 
 __all__ = ["Difference", "Image", "difference", "image_of", "mean_of", "small"]
 

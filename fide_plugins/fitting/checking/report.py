@@ -14,7 +14,7 @@ from fide_plugins.fitting.checking.advice import (
 )
 from fide_plugins.fitting.checking.facts import Effect, Facts
 from fide_plugins.renderers.naming import described, flat
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 __all__ = ["as_data", "lines"]
 

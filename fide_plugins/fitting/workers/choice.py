@@ -15,7 +15,7 @@ from fide_plugins.fitting.workers.here import Here
 from fide_plugins.fitting.workers.processes import Processes
 from fide_plugins.fitting.workers.threads import DaemonThreads
 from fide_plugins.runtime.machine import cores
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 __all__ = ["DAEMON", "default_number", "workers_for"]
 

@@ -19,7 +19,7 @@ import numpy as np
 from fide_plugins.fitting.rendering import Failed, Outcome, Portable, unpack
 from fide_plugins.fitting.workers.base import Task
 from fide_plugins.fitting.workers.threads import DaemonThreads
-from fide_plugins.validation.image_sources import is_pil, is_torch_tensor
+from fide_plugins.validation.pixels import is_pil, is_torch_tensor
 
 __all__ = ["OfExecutor"]
 

@@ -15,7 +15,7 @@ from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed
 from fide_plugins.learning.renders.renderer import BatchRenderer, Pixels, resized
 from fide_plugins.learning.renders.store import RenderStore
-from fide_plugins.runtime.fingerprints import changed, check_version, fingerprint_of, version_of
+from fide_plugins.runtime.registry import changed, check_version, fingerprint_of, version_of
 from fide_plugins.types import Float64, Mask
 
 __all__ = ["check_images", "version_for"]

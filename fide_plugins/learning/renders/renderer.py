@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from fide_plugins.errors import ImageError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, attempt
-from fide_plugins.runtime.callables import own_name
 from fide_plugins.runtime.opencv import cv2
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target

@@ -50,7 +50,7 @@ class RenderStore:
 
     folder: made if it is missing.
     settings: plain values that define the renders: "dim", "size", "seed" and more.
-    fingerprint: of the renderer, for a new folder, see `runtime.fingerprints`; None where nothing
+    fingerprint: of the renderer, for a new folder, see `runtime.registry`; None where nothing
         is known.  That of an earlier folder stays until it is replaced, see `accept`.
     draw: parameters (SHARD, d) of a shard; None: uniform in the unit cube.
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 __all__ = ["AUGMENT", "augmented", "check_installed"]
 

@@ -14,7 +14,7 @@ from typing import Any
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning.training.one_training import Progress, Training
 from fide_plugins.runtime import checkpoint
-from fide_plugins.runtime.batch_size import is_out_of_memory
+from fide_plugins.runtime.devices import is_out_of_memory
 from fide_plugins.runtime.schema import IMPOSSIBLE
 
 __all__ = ["Resumable"]

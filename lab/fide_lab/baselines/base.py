@@ -29,15 +29,14 @@ from fide_plugins import losses as losses_module
 from fide_plugins.errors import LossError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Candidate, Population
-from fide_plugins.runtime.locks import Lock, one_at_a_time
+from fide_plugins.runtime.machine import timed
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, maybe, real, whole
-from fide_plugins.runtime.threads import one_thread
-from fide_plugins.runtime.timing import timed
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.types import Float32, Float64, Solution
 from fide_plugins.validation.images import as_batch, as_target
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import as_points, new_seed, whole_number
 
 __all__ = ["Baseline"]

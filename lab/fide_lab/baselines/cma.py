@@ -14,7 +14,7 @@ import numpy as np
 from fide_lab.baselines.penalty import quietly, worse_than
 from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["CMA", "library", "library_settings"]

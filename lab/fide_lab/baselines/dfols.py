@@ -22,7 +22,7 @@ from fide_lab.baselines.image_features import ImageBased
 from fide_lab.baselines.reverse_communication import Search
 from fide_lab.baselines.sequential import Sequential
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["DFOLS", "least_squares"]

@@ -20,7 +20,7 @@ import numpy as np
 from fide_lab.baselines.reverse_communication import Search
 from fide_lab.baselines.sequential import Sequential
 from fide_plugins.types import Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 
 __all__ = ["DualAnnealing", "anneal", "descent"]
 

@@ -28,7 +28,7 @@ from fide_lab.baselines.reverse_communication import Search
 from fide_lab.baselines.sequential import Sequential
 from fide_plugins.runtime.schema import Schema, anything, array, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
 if TYPE_CHECKING:

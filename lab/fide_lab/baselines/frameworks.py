@@ -17,7 +17,7 @@ from fide_lab.baselines.global_random import GlobalRandom
 from fide_lab.baselines.penalty import Penalty, quietly
 from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptimizerError, UnknownNameError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import whole_number
 

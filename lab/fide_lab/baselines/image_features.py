@@ -11,8 +11,8 @@ import numpy as np
 from fide_lab.baselines.base import Baseline
 from fide_lab.baselines.images_needed import needed_images, needed_target
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.locks import one_at_a_time
 from fide_plugins.runtime.schema import Sides
+from fide_plugins.runtime.threads import one_at_a_time
 from fide_plugins.types import Float32
 from fide_plugins.validation.points import whole_number
 

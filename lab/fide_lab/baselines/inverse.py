@@ -16,7 +16,7 @@ from fide_lab.baselines.posterior_sampler import PosteriorSampler
 from fide_lab.baselines.stateful import Stateful
 from fide_plugins.runtime.schema import GENERATOR, Schema, anything, array, flag
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive_fraction
+from fide_plugins.validation.options import positive_fraction
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Inverse"]

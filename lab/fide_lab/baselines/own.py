@@ -28,14 +28,7 @@ from fide_lab.baselines.global_random import GlobalRandom
 from fide_lab.baselines.images_needed import needed_images
 from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import CheckpointError, OptionError, PointsError
-from fide_plugins.runtime.reference import (
-    Referent,
-    attribute,
-    fingerprint,
-    load,
-    shown_traceback,
-    split,
-)
+from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback
 from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.points import as_points, whole_number
@@ -243,13 +236,17 @@ def own(reference: str) -> type[Own]:
 
     Raises OptionError (a ValueError), with the remedy, if there is none or it breaks the protocol.
     """
-    place, name = split(reference, _REFERENT)
-    module = load(place, _REFERENT)
-    found = attribute(module, place, name, _REFERENT)
+    place, name = _REFERENT.split(reference)
+    module = _REFERENT.load(place)
+    found = _REFERENT.attribute(module, place, name)
     _check_constructor(reference, found)
     if isinstance(found, type):
         _check_methods(reference, found)
-    about = {"name": reference, "made_by": staticmethod(found), "source": fingerprint(module)}
+    about = {
+        "name": reference,
+        "made_by": staticmethod(found),
+        "source": module_fingerprint(module),
+    }
     return type("Own", (Own,), about)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from fide_lab.baselines.replay import Replayed
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import fraction, positive
+from fide_plugins.validation.options import fraction, positive
 
 __all__ = ["PGPE"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from fide_lab.baselines.called_back import CalledBack
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Sequential"]

@@ -65,7 +65,7 @@ def options_of(args: argparse.Namespace) -> dict[str, Any]:
 
 def _built_in(args: argparse.Namespace) -> list[str]:
     """Tasks that are no renderers of the user."""
-    from fide_plugins.runtime.reference import is_reference
+    from fide_plugins.runtime.registry import is_reference
 
     named = args.tasks if "tasks" in args else [args.task]
     return [] if args.template is not None else [task for task in named if not is_reference(task)]

@@ -8,7 +8,7 @@ from typing import Any
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.cli.messages import note, plain
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 __all__ = ["add_suite_arguments", "check_no_suite", "suite_plan"]
 

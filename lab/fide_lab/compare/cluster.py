@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.cluster import connected
+from fide_plugins.runtime.machine import connected
 
 __all__ = ["on_dask"]
 

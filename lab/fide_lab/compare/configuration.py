@@ -15,7 +15,7 @@ from typing import Any
 from urllib.parse import quote
 
 from fide_plugins.errors import OptionError
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 __all__ = ["Configuration", "as_file_name", "split"]
 
@@ -42,7 +42,7 @@ class Configuration:
         Raises OptionError (a ValueError).
         """
         name, words = split(text)
-        pairs = [key_value.parse(word) for word in words]
+        pairs = [parse_key_value(word) for word in words]
         options = dict(sorted(pairs))
         misplaced = "=" in name and ".py:" not in name  # only a path may have one
         if not name or misplaced or len(options) < len(pairs):

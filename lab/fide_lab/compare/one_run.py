@@ -23,7 +23,7 @@ from fide_plugins.recording.json_record import RunDirectoryError, check_settings
 from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
 from fide_plugins.runtime import files
-from fide_plugins.runtime.warn import said_once
+from fide_plugins.runtime.messages import said_once
 
 __all__ = ["ERROR", "Outcome", "State", "examine", "is_busy", "run_one"]
 

@@ -19,8 +19,8 @@ from fide_plugins.learning.hypotheses import model_for
 from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.warn import said_once, warn_user
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.runtime.messages import said_once, warn_user
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["TARGETS", "Checked", "Plan", "RunKey", "target_file"]

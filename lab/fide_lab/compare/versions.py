@@ -18,7 +18,7 @@ from fide_lab.compare.one_run import State
 from fide_lab.compare.plan import RunKey
 from fide_plugins.recording.json_record import RunDirectoryError, read_run
 from fide_plugins.recording.sources import edited, file_of, loss_reference, versions_there
-from fide_plugins.runtime.warn import warn_user
+from fide_plugins.runtime.messages import warn_user
 
 __all__ = ["check_versions", "warn_of_mixed"]
 

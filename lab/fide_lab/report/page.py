@@ -17,7 +17,7 @@ from fide_lab.compare.plan import target_file
 from fide_lab.compare.results import AXES, Results, StoredRun
 from fide_lab.report import pictures, plots, sentences, svg, tables
 from fide_lab.report.panel import Panel
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 
 __all__ = ["environment", "render"]
 

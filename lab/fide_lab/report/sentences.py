@@ -10,7 +10,7 @@ from typing import Any
 from fide_lab.compare.results import Results, StoredRun
 from fide_lab.report.panel import SIGNIFICANT, Panel, Row
 from fide_lab.report.tables import number
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 __all__ = [
     "METHOD",

@@ -38,8 +38,8 @@ from fide_plugins.recording.outcome import Verdict, result_of
 from fide_plugins.recording.record import Keep, Progress, Record, Report, RunResult
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.types import Float32, Float64, Optimizer
-from fide_plugins.validation.clipping import Clipping
 from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.pixels import Clipping
 from fide_plugins.validation.points import as_points
 
 __all__ = ["PIECE", "Run"]

@@ -27,11 +27,10 @@ from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
 from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
-from fide_plugins.runtime.callables import own_name
-from fide_plugins.runtime.fingerprints import fingerprint_of
+from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.option_rules import check_names
+from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["kept_of", "make_task", "prepare", "run", "settings_of", "target_of"]

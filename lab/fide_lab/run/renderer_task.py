@@ -15,8 +15,7 @@ import numpy as np
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.renderers import CommandRenderer, FunctionRenderer
 from fide_plugins.renderers.command import TIMEOUT
-from fide_plugins.runtime.fingerprints import fingerprint_of, kind_of, version_of
-from fide_plugins.runtime.reference import is_reference
+from fide_plugins.runtime.registry import fingerprint_of, is_reference, kind_of, version_of
 from fide_plugins.space import Space
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch, as_target

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
-from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.callables import own_name
+from fide_plugins.runtime.registry import own_name
 from fide_plugins.status import Status
 from fide_plugins.types import Float64, Optimizer, Solution
 

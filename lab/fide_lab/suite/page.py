@@ -27,7 +27,7 @@ from fide_lab.suite.remarks import remarks
 from fide_lab.suite.scores import Scores, scores
 from fide_lab.suite.tables import by_scene, lowest, totals
 from fide_plugins.runtime import files
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 __all__ = ["Origin", "write", "write_scores"]
 

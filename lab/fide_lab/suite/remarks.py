@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from fide_lab.report import sentences
 from fide_lab.suite.scores import Scores
-from fide_plugins.runtime.wording import counted
+from fide_plugins.runtime.messages import counted
 
 __all__ = ["remarks"]
 

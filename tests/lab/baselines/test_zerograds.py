@@ -13,7 +13,7 @@ from fide_lab.baselines.networks import make
 from fide_lab.baselines.zerograds import Proxy, ZeroGrads
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float64
-from fide_plugins.validation import key_value
+from fide_plugins.validation.options import parse_key_value
 
 
 def valley(X: Float64) -> Float64:
@@ -129,7 +129,7 @@ def test_a_saved_scale_goes_on(scale: str, tmp_path: Path) -> None:
 
 
 def test_the_command_line_says_none() -> None:
-    name, value = key_value.parse("scale=none")
+    name, value = parse_key_value("scale=none")
     assert ZeroGrads(2, **{name: value}).scale == "none"
 
 

@@ -21,7 +21,7 @@ from fide_plugins.cli import main
 from fide_plugins.learning import learn
 from fide_plugins.recording.json_record import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.runtime.fingerprints import of_file
+from fide_plugins.runtime.registry import of_file
 
 from .conftest import contents
 

@@ -19,7 +19,7 @@ from fide_plugins.learning.renders import rendering
 from fide_plugins.learning.renders.renderer import as_renderer
 from fide_plugins.learning.renders.rendering import fill
 from fide_plugins.learning.renders.store import RenderStore
-from fide_plugins.runtime import cluster as cluster_module
+from fide_plugins.runtime import machine as cluster_module
 from fide_plugins.types import Float64
 
 distributed = pytest.importorskip("distributed", reason="needs the extra dask")

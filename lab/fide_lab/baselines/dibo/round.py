@@ -22,7 +22,7 @@ from fide_lab.baselines.dibo.diffusion import (
 from fide_lab.baselines.dibo.likelihood import program_likelihood
 from fide_lab.baselines.dibo.networks import Ensemble, NoisePredictor
 from fide_lab.baselines.networks import make
-from fide_plugins.validation.option_rules import Rule, one_of, positive, whole
+from fide_plugins.validation.options import Rule, one_of, positive, whole
 
 __all__ = ["Round", "RoundOptions", "trajectory_balance"]
 

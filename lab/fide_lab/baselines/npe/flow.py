@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from fide_lab.baselines.penalty import quietly
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.types import Float32, Float64
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from fide_lab.baselines.penalty import quietly
 from fide_lab.baselines.stateful import Stateful
 from fide_lab.baselines.trust_region.region import FIRST, REGION, SMALLEST, Region, candidates
 from fide_plugins.errors import OptionError
-from fide_plugins.runtime.extras import missing
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.schema import GENERATOR, Schema, array, maybe, whole
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.option_rules import positive
+from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
 __all__ = ["Surrogate", "TrustRegion"]

@@ -1,0 +1,237 @@
+"""Adjusted images and their losses, for the views of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.comparison.light import Light, fit_light
+from fide_plugins.losses.base import ImageLoss
+from fide_plugins.types import Float32, Float64
+from fide_plugins.views.view import View
+from fide_plugins.views.views import Views
+
+__all__ = ["Compared", "Comparison"]
+
+_SMALL = 28  # pixels of a side at which the light is found
+_BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
+_SCALE = 0.7  # of the standard deviation of the blurred target: scale of robust differences
+_LEAST_SCALE = 0.02
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What is compared with the target, of n renders.
+
+    images: (n, H, W, 3), packed if there are several views.
+    losses: (n,).
+    light: of each render, one for each view; None where the light is not adjusted.
+    """
+
+    images: Float32
+    losses: Float64
+    light: list[list[Light]] | None
+
+
+class Comparison:
+    """How renders are compared with a target.
+
+    views: of the target.
+    loss: of views, such as `views.loss.loss_of(views, "mse")`.
+    loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
+        and knows one target; it gets the target with the blurred difference.
+    light: "exposure" or "shading"; None: the light stays as it is.
+    scale: of robust differences, in [0, 1] of the range of values; "auto": from the contrast of the
+        (blurred) target; None: differences count as they are.
+    background: whether pixels that are not covered are explained by the target's colors.
+    blur: standard deviation in pixels at which `compare` compares if it is not told otherwise.
+    """
+
+    def __init__(
+        self,
+        views: Views,
+        loss: ImageLoss,
+        loss_at: Callable[[Views], ImageLoss] | None = None,
+        *,
+        light: str | None = None,
+        scale: float | str | None = None,
+        background: bool = False,
+        blur: float = 0.0,
+    ) -> None:
+        self.views, self._loss, self._loss_at = views, loss, loss_at
+        self.light, self.scale, self.background, self.blur = light, scale, background, blur
+        self._levels: dict[float, _Level] = {}
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Keyword arguments of the constructor, as they are now."""
+        names = ("light", "scale", "background", "blur")
+        return {name: getattr(self, name) for name in names}
+
+    def at(self, blur: float | None = None) -> _Level:
+        """The target at a blur, with its loss."""
+        blur = self.blur if blur is None else blur
+        if blur not in self._levels:
+            self._levels[blur] = _Level(self, blur)
+        return self._levels[blur]
+
+    def target(self, blur: float | None = None) -> Float32:
+        """Target (H, W, 3), blurred, packed if there are several views."""
+        return self.at(blur).views.target
+
+    def compare(self, images: Float32, blur: float | None = None) -> Compared:
+        """Adjusted images of renders, with their losses.
+
+        images: (n, H, W, 3), packed if there are several views; (n, H, W, 4) with coverage.
+        blur: standard deviation in pixels; None: the present one.
+        """
+        level = self.at(blur)
+        made: Float32 = np.empty((*images.shape[:3], 3), np.float32)
+        lights: list[list[Light]] = []
+        hidden = np.zeros(len(images))
+        for i, image in enumerate(images):
+            parts = self.views.split(image[None])
+            adjusted, light = [], []
+            for one, part in zip(level.each, parts, strict=True):
+                covered = part[0, ..., 3:] if part.shape[-1] == 4 else None
+                x, found, free = one.adjusted(part[0, ..., :3], covered)
+                adjusted.append(x)
+                light.append(found)
+                hidden[i] += free / len(parts)
+            made[i] = self.views.pack(adjusted)
+            if light[0] is not None:
+                lights.append(light)  # type: ignore[arg-type]
+        losses = level.loss.compute(made)
+        if hidden.any():
+            losses = losses + hidden * level.free
+        return Compared(made, losses, lights or None)
+
+
+class _Level:
+    """Target of a comparison at a blur.
+
+    views: of the blurred targets.  loss: for these.
+    """
+
+    def __init__(self, comparison: Comparison, blur: float) -> None:
+        views = comparison.views
+        self.each = [_OneView(comparison, view, blur) for view in views.views]
+        self.views, self.loss = views, comparison._loss
+        if blur and comparison._loss_at is not None:
+            shown = [
+                View(one.target, view.weights)
+                for one, view in zip(self.each, views.views, strict=True)
+            ]
+            self.views = Views(shown, listed=views.listed, values=views.values)
+            self.loss = comparison._loss_at(self.views)
+        for one, view in zip(self.each, self.views.views, strict=True):
+            one.shown = view.target
+
+    @cached_property
+    def free(self) -> float:
+        """Loss of a pixel that is not covered."""
+        shuffled = [one.shuffled() for one in self.each]
+        packed = self.views.pack(shuffled)
+        return _BACKGROUND * float(self.loss.compute(packed[None])[0])
+
+
+class _OneView:
+    """Target of one view at a blur."""
+
+    def __init__(self, comparison: Comparison, view: View, blur: float) -> None:
+        self._comparison, self._view, self._blur = comparison, view, blur
+        self.target = blurred(view.target, blur)
+        self.shown = self.target
+        self.small = _small(view.target)
+        self.small_weights = None if view.weights is None else _small(view.weights)[..., None]
+
+    @cached_property
+    def scale(self) -> float | None:
+        """Of robust differences; None: they count as they are."""
+        scale = self._comparison.scale
+        if not isinstance(scale, str):
+            return scale
+        seen = self.target if self._view.hidden is None else self.target[~self._view.hidden]
+        deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
+        return max(_SCALE * deviation, _LEAST_SCALE)
+
+    def adjusted(
+        self, image: Float32, coverage: Float32 | None
+    ) -> tuple[Float32, Light | None, float]:
+        """A render (H, W, 3), its light, and the share of pixels that it does not cover."""
+        light = self._light(image, coverage)
+        y = image if light is None else light.applied(image)
+        apart = blurred(y, self._blur) - self.target
+        if self.scale is not None:
+            apart *= _factor(apart, self.scale)
+        free = 0.0
+        if coverage is not None:
+            a = blurred(coverage, self._blur)
+            apart *= np.sqrt(a)
+            free = 1 - float(np.average(a[..., 0], weights=self._view.weights))
+        return self.shown + apart, light, free
+
+    def _light(self, image: Float32, coverage: Float32 | None) -> Light | None:
+        kind = self._comparison.light
+        if kind is None:
+            return None
+        small, weights = _small(image), self.small_weights
+        if coverage is not None:
+            covered = _small(coverage)[..., None]
+            weights = covered if weights is None else weights * covered
+        light = fit_light(small, self.small, weights, kind)
+        if self.scale is not None:  # again, with the weights of robust differences
+            robust = np.square(_factor(light.applied(small) - self.small, self.scale))
+            weights = robust if weights is None else weights * robust
+            light = fit_light(small, self.small, weights, kind)
+        return light
+
+    def shuffled(self) -> Float32:
+        """Target with its pixels in another order, as a render that is compared."""
+        pixels = self.target.reshape(-1, 3)
+        order = np.random.default_rng(0).permutation(len(pixels))
+        apart = pixels[order].reshape(self.target.shape) - self.target
+        if self.scale is not None:
+            apart *= _factor(apart, self.scale)
+        return self.shown + apart
+
+
+def _factor(apart: Float32, scale: float) -> Float32:
+    """C / sqrt(c^2 + |d|^2), (H, W, 1), of differences d (H, W, 3)."""
+    squares = np.square(apart).mean(axis=-1, keepdims=True)
+    factor: Float32 = np.float32(scale) / np.sqrt(np.float32(scale * scale) + squares)
+    return factor
+
+
+def _small(image: Float32) -> Float32:
+    """An image (H, W, C) or (H, W), averaged to at most 28 x 28 pixels."""
+    from fide_plugins.runtime.opencv import cv2
+
+    height, width = image.shape[:2]
+    size = min(width, _SMALL), min(height, _SMALL)
+    small: Float32 = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return small
+
+
+def blurred(image: Float32, blur: float) -> Float32:
+    """An image (H, W, C) behind a Gaussian filter, with its own pixels beyond the border.
+
+    blur: standard deviation in pixels; a large one filters a smaller image.
+    """
+    if not blur:
+        return image
+    from fide_plugins.runtime.opencv import cv2
+
+    height, width = image.shape[:2]
+    factor = max(1, int(blur / 2))
+    size = max(1, round(width / factor)), max(1, round(height / factor))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if factor > 1 else image
+    small = cv2.GaussianBlur(small, (0, 0), blur / factor, borderType=cv2.BORDER_REPLICATE)
+    if factor > 1:
+        small = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
+    made: Float32 = small.reshape(image.shape)
+    return made

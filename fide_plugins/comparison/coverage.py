@@ -1,0 +1,133 @@
+"""Renders that say which pixels they draw: RGBA, or pairs of an image and its coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fide_plugins.errors import ImageError
+from fide_plugins.types import Float32
+from fide_plugins.validation.images import as_target, is_image
+from fide_plugins.validation.pixels import OnClip
+from fide_plugins.views.views import Views
+
+__all__ = ["is_pair", "straight", "with_coverage", "without_coverage"]
+
+
+def is_pair(value: object) -> bool:
+    """Whether it is a tuple of one image and its coverage (H, W)."""
+    if not isinstance(value, tuple) or len(value) != 2:
+        return False
+    return is_image(value[0]) and getattr(value[1], "ndim", None) == 2
+
+
+def without_coverage(images: Any, listed: bool = False) -> Any:
+    """Renders as `FIDE.tell` takes them, images in place of pairs.
+
+    listed: whether there is a list of them for each view.
+    """
+    if not isinstance(images, list | tuple):
+        return images
+    if listed:
+        return [without_coverage(one) for one in images]
+    return [one[0] if is_pair(one) else one for one in images]
+
+
+def with_coverage(views: Views, images: Any, n: int, on_clip: OnClip) -> Float32:
+    """Batch (n, H, W, 3) of renders, packed if there are several views; with a coverage, of 4.
+
+    Raises ImageError.
+    """
+    if not views.listed:
+        parts = [images]
+    elif isinstance(images, list | tuple) and len(images) == len(views.views):
+        parts = list(images)
+    else:
+        return views.as_batch(images, n, on_clip)  # raises, or takes what is packed
+    found = [_split(one, view.size) for one, view in zip(parts, views.views, strict=True)]
+    plain = [one.images for one in found]
+    batch = views.as_batch(plain if views.listed else plain[0], n, on_clip)
+    if all(one.coverage is None for one in found):
+        return batch
+    covers = [
+        np.ones((n, *v.size), np.float32) if one.coverage is None else one.coverage
+        for one, v in zip(found, views.views, strict=True)
+    ]
+    colors = [
+        straight(part, cover) if one.is_alpha else part
+        for one, part, cover in zip(found, views.split(batch), covers, strict=True)
+    ]
+    four = [np.concatenate([x, a[..., None]], axis=-1) for x, a in zip(colors, covers, strict=True)]
+    return views.pack(four, (n,))
+
+
+class _Split(NamedTuple):
+    """Renders of one view; coverage (n, H, W), None without; whether that is an alpha channel."""
+
+    images: Any
+    coverage: Float32 | None = None
+    is_alpha: bool = False
+
+
+def _split(images: Any, size: tuple[int, int]) -> _Split:
+    """Renders of one view and their coverage.
+
+    images: as `FIDE.tell` takes them, or a list of pairs.  size: (H, W).
+
+    Raises ImageError for a coverage that does not fit.
+    """
+    if isinstance(images, list | tuple):
+        if not any(map(is_pair, images)):
+            alphas = [_alpha(one) for one in images]
+            if all(alpha is None for alpha in alphas):
+                return _Split(images)
+            full = np.ones(size, np.float32)
+            kept = [full if alpha is None else alpha for alpha in alphas]
+            return _Split(images, _stacked(kept, size), is_alpha=True)
+        pairs = [one if is_pair(one) else (one, np.ones(size, np.float32)) for one in images]
+        return _Split([image for image, _ in pairs], _stacked([a for _, a in pairs], size))
+    alpha = _alpha(images, batch=True)
+    if alpha is None:
+        return _Split(images)
+    return _Split(images, _stacked(alpha, size), is_alpha=True)
+
+
+def _stacked(coverages: Iterable[Any], size: tuple[int, int]) -> Float32:
+    return np.stack([_checked(one, size) for one in coverages])
+
+
+def straight(batch: Float32, coverage: Float32) -> Float32:
+    """Colors (n, H, W, 3) of what was composited over white, where anything is covered."""
+    a = coverage[..., None]
+    colors: Float32 = np.where(a > 0, 1 - (1 - batch) / np.maximum(a, 1e-3), batch)
+    return colors.clip(0, 1, out=colors)
+
+
+def _alpha(image: Any, batch: bool = False) -> Any:
+    """Alpha channel, the last of four, of an image or a batch; None if it has none."""
+    if not hasattr(image, "shape") or not hasattr(image, "dtype"):
+        return None
+    array = image.detach().cpu().numpy() if hasattr(image, "detach") else np.asarray(image)
+    if array.ndim != 3 + batch:
+        return None
+    if array.shape[-1] == 4:
+        return array[..., 3]
+    first = array[:, 0] if batch else array[0]
+    return first * 0 + array[:, 3] if batch and array.shape[1] == 4 else None
+
+
+def _checked(coverage: Any, size: tuple[int, int]) -> Float32:
+    """Coverage (H, W) in [0, 1]; a render may overshoot."""
+    shape = tuple(coverage.shape)
+    if shape != tuple(size):
+        raise ImageError(
+            f"the coverage of a render must have the size of its image, {size}, got {shape}; "
+            "resize it, or return RGBA"
+        )
+    if coverage.dtype.kind == "f":
+        if not np.isfinite(coverage).all():
+            raise ImageError("the coverage of a render must be finite, got NaN or infinity")
+        coverage = np.clip(coverage, 0, 1)
+    return as_target(coverage, what="the coverage")[..., 0].copy()

@@ -1,0 +1,71 @@
+"""Words of messages, and warnings that name the line of the user.
+
+A fixed `stacklevel` names another line as soon as a function is called in two ways, or through a
+decorator: one that is a context manager has a frame of its own, in contextlib.py or in PyTorch.
+Optuna and Nevergrad call this library for the user, whose line is the one that called them.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_SAID: ContextVar[set[str] | None] = ContextVar("said", default=None)
+
+_BETWEEN = (
+    *("fide_plugins", "fide_adapters", "fide_lab", "fide_tasks", "optuna", "nevergrad"),
+    *("contextlib", "torch.utils._contextlib"),
+)
+"""Modules whose lines, and those of what is in them, are not the user's."""
+
+
+def warn_user(message: str, category: type[Warning] = RuntimeWarning) -> None:
+    """Warn at the innermost line that is neither of this library nor of what calls it."""
+    said = _SAID.get()
+    if said is not None:
+        if message in said:
+            return
+        said.add(message)
+    level, frame = 1, sys._getframe()
+    while frame.f_back is not None and _is_between(frame.f_globals.get("__name__")):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
+@contextmanager
+def said_once(said: set[str]) -> Iterator[None]:
+    """Within this block, `warn_user` says nothing that is in `said`, and adds what it says."""
+    token = _SAID.set(said)
+    try:
+        yield
+    finally:
+        _SAID.reset(token)
+
+
+def _is_between(module: object) -> bool:
+    return isinstance(module, str) and any(f"{module}.".startswith(f"{m}.") for m in _BETWEEN)
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things, in the plural unless it is one.
+
+    >>> counted(1, "problem"), counted(2000, "problem")
+    ('1 problem', '2000 problems')
+    """
+    return f"{number} {thing}{'s' * (number != 1)}"
+
+
+def cut(text: str, most: int) -> str:
+    """One line of text of at most so many characters, with both ends of a longer one.
+
+    >>> cut("left_shoulder_rotation", 12), cut("short", 12)
+    ('left_...tion', 'short')
+    """
+    text = " ".join(text.split())
+    if len(text) <= most:
+        return text
+    end = (most - 3) // 2
+    return f"{text[: most - 3 - end]}...{text[len(text) - end :]}"

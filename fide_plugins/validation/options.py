@@ -1,0 +1,203 @@
+"""Rules for the values of options: each takes an option's name and value, and returns the value.
+
+`check_names` is about names only.  All raise OptionError (a ValueError) that names the option, its
+value and the rule.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterable
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+from fide_plugins.errors import OptionError
+from fide_plugins.validation.points import whole_number
+
+Rule: TypeAlias = Callable[[str, Any], Any]
+
+_MOST_STEPS = 1000
+
+
+def check_names(options: Collection[str], arguments: Iterable[str], instead: str) -> None:
+    """Refuse options of an optimizer that are named as arguments that its caller gives it.
+
+    instead: what such an option is, to end the error.
+    """
+    for name in arguments:
+        if name in options:
+            raise OptionError(f"{name} {instead}")
+
+
+def whole(low: int, high: int | None = None, note: str = "") -> Rule:
+    """A whole number from `low` to `high`; `note` ends the error for a larger one."""
+
+    def rule(name: str, value: Any) -> int:
+        number = whole_number(name, value, low)
+        if high is not None and number > high:
+            raise OptionError(f"{name} must be at most {high:,}, not {number:,}; {note}")
+        return number
+
+    return rule
+
+
+def whole_numbers(name: str, value: Any) -> tuple[int, ...]:
+    """One positive whole number or several, as a tuple."""
+    several = value if isinstance(value, tuple | list) else (value,)
+    return tuple(whole_number(f"each of {name}", number, 1) for number in several)
+
+
+def groups(name: str, value: Any) -> tuple[tuple[int, ...], ...]:
+    """Lists of parameter numbers; what they must be is known when the dimension is."""
+    try:
+        return tuple(tuple(whole_number(f"each of {name}", i, 0) for i in group) for group in value)
+    except TypeError as error:
+        raise OptionError(
+            f"{name} must be lists of parameter numbers, such as [[0, 1], [2, 3]]; got {value!r}"
+        ) from error
+
+
+def one_of(*choices: str) -> Rule:
+    """One of `choices`."""
+
+    def rule(name: str, value: Any) -> str:
+        if value not in choices:
+            raise OptionError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
+        return str(value)
+
+    return rule
+
+
+def text(meaning: str) -> Rule:
+    """A string; `meaning` describes it in the error."""
+
+    def rule(name: str, value: Any) -> str:
+        if not isinstance(value, str):
+            raise OptionError(f"{name} must be {meaning}, not {value!r}")
+        return value
+
+    return rule
+
+
+def switch(name: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, bool):
+        raise OptionError(f"{name} must be True or False, not {value!r}")
+    return value
+
+
+def positive(name: str, value: Any) -> float:
+    """A positive, finite number."""
+    number = _number(name, value)
+    if not number > 0:
+        raise OptionError(f"{name} must be a positive number, not {value!r}")
+    return number
+
+
+def positive_fraction(name: str, value: Any) -> float:
+    """A number in (0, 1]."""
+    number = positive(name, value)
+    if number > 1:
+        raise OptionError(f"{name} must lie in (0, 1], not {value!r}")
+    return number
+
+
+def fraction_or(word: str) -> Rule:
+    """A number in (0, 1], or the word."""
+
+    def rule(name: str, value: Any) -> float | str:
+        if isinstance(value, str):
+            if value == word:
+                return value
+            raise OptionError(f"{name} must be a number in (0, 1] or {word!r}, not {value!r}")
+        return positive_fraction(name, value)
+
+    return rule
+
+
+def not_negative(name: str, value: Any) -> float:
+    """A finite number, at least 0."""
+    number = _number(name, value)
+    if number < 0:
+        raise OptionError(f"{name} must not be negative, got {value!r}")
+    return number
+
+
+def fraction(name: str, value: Any) -> float:
+    """A number in [0, 1]."""
+    number = _number(name, value)
+    if not 0 <= number <= 1:
+        raise OptionError(f"{name} must lie in [0, 1], not {value!r}")
+    return number
+
+
+def schedule(name: str, value: Any) -> tuple[float, ...]:
+    """Noise levels, see `denoiser.sampling`; at most 1,000."""
+    levels = check_schedule(value)
+    whole(1, _MOST_STEPS, "3 are published")("steps", len(levels))
+    return levels
+
+
+def check_schedule(schedule: Iterable[float]) -> tuple[float, ...]:
+    """Return `schedule` as a tuple; OptionError unless times are finite, positive, decreasing."""
+    try:
+        times = tuple(float(t) for t in schedule)
+    except (TypeError, ValueError, OverflowError):
+        times = ()
+    positive = bool(times) and all(0 < t < float("inf") for t in times)
+    if not positive or any(later >= t for t, later in pairwise(times)):
+        raise OptionError(
+            "a schedule is a decreasing sequence of positive times, such as (0.3, 0.2, 0.1); "
+            f"got {schedule!r}"
+        )
+    return times
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if isinstance(value, bool | str) or not abs(number) < float("inf"):
+        raise OptionError(f"{name} must be a finite number, not {value!r}")
+    return number
+
+
+# -- options on the command line: key=value --------------------------------------------------------
+
+
+def parse_key_value(text: str) -> tuple[str, Any]:
+    """Key and value of ``key=value``, the value as bool, int, float or str, whichever fits first.
+
+    A value in brackets is a list, as JSON has it, ``groups=[[0,1],[2,3]]``, and one in braces a
+    dictionary, ``x0={"azimuth": 30}``.
+
+    Raises OptionError (a ValueError) for anything else.
+
+    >>> [parse_key_value(text) for text in ("popsize=50", "sigma0=1e-1", "loss=mse", "fast=true")]
+    [('popsize', 50), ('sigma0', 0.1), ('loss', 'mse'), ('fast', True)]
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.isidentifier():
+        raise OptionError(f"key=value, not {text!r}")
+    words: dict[str, Any] = {"true": True, "false": False}
+    if value.lower() in words:
+        return key, words[value.lower()]
+    if value.startswith(("[", "{")):
+        return key, _from_json(text, value)
+    for kind in (int, float):
+        try:
+            return key, kind(value)
+        except ValueError:
+            continue
+    return key, value
+
+
+def _from_json(text: str, value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError as error:
+        rule = "a value in brackets is a list such as [[0,1],[2,3]]"
+        if value.startswith("{"):
+            rule = 'a value in braces is a dictionary such as {"azimuth": 30}, names in quotes'
+        raise OptionError(f"{text!r}: {rule} ({error})") from error

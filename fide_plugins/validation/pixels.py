@@ -1,0 +1,607 @@
+"""Rules of types, axes and values, for images that are an array or a torch tensor.
+
+`pixels` of the type Any below are an array or a tensor: only their shape, their dtype and views of
+them are used.  PyTorch and Pillow are imported only if an image needs them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from fide_plugins.errors import ImageError, OptionError, ValueRangeError
+from fide_plugins.runtime.messages import warn_user
+from fide_plugins.runtime.schema import Schema, check, flag, real, whole
+from fide_plugins.types import Float32, Mask
+
+Pixels: TypeAlias = npt.NDArray[Any]
+
+
+def describe(pixels: Any) -> str:
+    """Shape and dtype of an array or a tensor, for errors."""
+    return f"shape {tuple(pixels.shape)}, dtype {str(pixels.dtype).removeprefix('torch.')}"
+
+
+def is_path(image: object) -> bool:
+    """Whether it names a file."""
+    return isinstance(image, (str, os.PathLike))
+
+
+def is_pil(image: object) -> bool:
+    """Whether it is a PIL image."""
+    module = sys.modules.get("PIL.Image")  # not imported: then nobody can have made one
+    return module is not None and isinstance(image, module.Image)
+
+
+def is_torch_tensor(image: object) -> bool:
+    """Whether it is a torch tensor."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(image, torch.Tensor)
+
+
+def from_tensor(tensor: Any, what: str, raw: bool = False) -> Pixels:
+    """Array of a tensor on any device; ImageError for types that no image has.
+
+    raw: whether any numbers will do.
+    """
+    try:
+        tensor = tensor.detach().cpu()
+        if tensor.dtype.is_floating_point and tensor.dtype.itemsize <= 2:
+            tensor = tensor.float()  # numpy has no bfloat16
+        array: Pixels = tensor.numpy()
+    except (TypeError, RuntimeError, ValueError) as e:
+        raise ImageError(f"{what}, a {tensor.dtype} tensor, is not an image: {e}") from e
+    if not has_scale(array, raw):
+        remedy = scale_remedy(array, "image.bool()", "image.to(torch.uint8)")
+        whole = array.dtype.kind in "iu"
+        raise refuse_type(what, f"a tensor of {describe(array)}", remedy, whole=whole)
+    return array
+
+
+def unmasked(image: Any, what: str) -> Pixels:
+    """Values of a masked array; ImageError if some are masked, which would be lost."""
+    hidden = int(np.count_nonzero(np.ma.getmaskarray(image)))
+    if hidden:
+        remedy = "give image.filled(value)"
+        if what.split()[0] not in ("mask", "weights"):
+            remedy += ", and say by mask= or weights= which pixels count"
+        raise ImageError(
+            f"{what} is a masked array with {hidden:,} masked values, and its mask would be lost; "
+            f"{remedy}"
+        )
+    values: Pixels = image.data
+    return values
+
+
+def has_scale(array: Pixels, raw: bool = False) -> bool:
+    """Whether the type of an array says which value is white; raw: whether it holds numbers."""
+    return array.dtype.kind in ("fbiu" if raw else "fb") or array.dtype == np.uint8
+
+
+def scale_remedy(array: Pixels, as_bool: str, as_bytes: str) -> str:
+    """What to write for an array whose type does not say it; as_bool, as_bytes: conversions."""
+    if array.dtype.kind not in "iu" or not array.size or array.min() < 0:
+        return "convert it to floats in [0, 1]"
+    high = int(array.max())
+    if array.dtype == np.uint16 or high > 255:
+        return (
+            "divide by the value that is white, for example image / 65535, or give value_range, "
+            "for example (0, 65535)"
+        )
+    if high <= 1:
+        return f"write {as_bool} if 1 is white, {as_bytes} if 255 is"
+    return f"write {as_bytes} if 255 is white"
+
+
+def refuse_type(what: str, got: str, remedy: str, *, whole: bool = False) -> ImageError:
+    """Error for values of a type that no image has.
+
+    whole: whether they are whole numbers, whose scale is unknown: all renders of a run have it.
+    """
+    return (ValueRangeError if whole else ImageError)(
+        f"{what} must be uint8 in [0, 255], bool, or floating in [0, 1], got {got}; {remedy}"
+    )
+
+
+# -- which values are black and white: 0 and 1, or the two numbers of a user's `value_range` -------
+
+AUTO: Final = "auto"
+_MARGIN = 0.5  # of the span of a picture, beyond both ends
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRange:
+    """Values of images that become 0 and 1: x' = (x - low) / (high - low)."""
+
+    low: float
+    high: float
+
+    @property
+    def span(self) -> float:
+        """Distance of the two."""
+        return self.high - self.low
+
+    def scaled(self, values: Pixels) -> Pixels:
+        """Values as floats of which [0, 1] is the range; a copy, float32 of float32."""
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            if values.dtype == np.float32 and values.ndim == 4:  # image by image: less memory
+                scaled = np.empty(values.shape, np.float32)
+                for one, out in zip(values, scaled, strict=True):
+                    out[...] = (one.astype(np.float64) - self.low) / self.span
+                return scaled
+            result: Pixels = (values.astype(np.float64) - self.low) / self.span
+            return result.astype(np.float32) if values.dtype == np.float32 else result
+
+    def restored(self, image: Float32) -> Float32:
+        """Values that a user knows, of an image in [0, 1]."""
+        return np.asarray(self.low + image.astype(np.float64) * self.span, np.float32)
+
+    def __str__(self) -> str:
+        return f"[{self.low:.6g}, {self.high:.6g}]"
+
+
+def restored(image: Any, values: ValueRange | None) -> Any:
+    """An image in [0, 1], or a list of them, in the user's values; None stays None."""
+    if values is None or image is None:
+        return image
+    if isinstance(image, list):
+        return [values.restored(one) for one in image]
+    return values.restored(image)
+
+
+def value_range_of(given: Any) -> ValueRange | str | None:
+    """`value_range` as a user gives it: None, "auto", or two numbers.
+
+    Raises OptionError (a ValueError) for anything else, and where the first is not the lower one.
+    """
+    if given is None or isinstance(given, ValueRange):
+        return given
+    if isinstance(given, str) and given == AUTO:
+        return AUTO
+    try:
+        low, high = (_number(value) for value in given)
+    except (TypeError, ValueError):
+        raise OptionError(
+            "value_range must be two numbers, the values that are black and white, such as "
+            f'(0, 10), or "auto", not {given!r}'
+        ) from None
+    made = ValueRange(low, high)
+    smallest = 1e-12 * max(abs(low), abs(high), 1e-280)
+    if not (np.isfinite([low, high, made.span]).all() and made.span > smallest):
+        raise OptionError(
+            f"value_range must be two finite numbers, the lower one first, not {given!r}"
+        )
+    return made
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, str | bytes | bool | np.bool_):
+        raise TypeError("no number")
+    return float(value)
+
+
+def range_of(pictures: Iterable[tuple[Pixels, Mask | None]]) -> ValueRange:
+    """Range for `value_range="auto"`: of the pictures, with half of their span beyond both ends.
+
+    A picture without negative values has a range without them.  One of a single value c gets half
+    of |c| beyond both ends, or 1/2 if c is 0.
+
+    pictures: (H, W, C) each, and its hidden pixels (H, W).  Transparent ones do not count.
+    Raises ImageError for NaN and infinity.
+    """
+    lows, highs = [], []
+    for pixels, hidden in pictures:
+        seen = np.ones(pixels.shape[:2], np.bool_) if hidden is None else ~hidden
+        if pixels.shape[-1] == 4:
+            seen = seen & (pixels[..., 3] > 0)
+        values = pixels[..., :3][seen]
+        if values.size:
+            lows.append(float(values.min()))
+            highs.append(float(values.max()))
+    if not np.isfinite(lows + highs).all():
+        raise ImageError(
+            'value_range="auto" needs a target without NaN and infinity; mend it, hide these '
+            "pixels by mask=, or give two numbers, value_range=(low, high)"
+        )
+    low, high = min(lows, default=0.0), max(highs, default=1.0)
+    margin = _MARGIN * ((high - low) or abs(low) or 1.0)
+    return ValueRange(max(0.0, low - margin) if low >= 0 else low - margin, high + margin)
+
+
+# -- renders beyond [0, 1]: an overshoot, which is clipped, or another scale, which ends the run ---
+#
+# One image does not tell the two apart: a highlight is brighter than white, and a dark picture in
+# [0, 255] may be darker than 1.  So a run counts, over all of its renders that go beyond 1, the
+# values that are not black (above 0.05), those of them above 1, and the mean of the latter.
+# Renders are on another scale than the target where most of what is not black is above 1, and above
+# 8 on average; or where an image holds whole numbers only, up to more than 2 and at most 255.
+
+_LIT = 0.05  # values from here on are not black
+_MOST = 0.5  # of these, that may be above 1 where they are large
+_LARGEST_MEAN = 8.0  # of the values above 1
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """Values outside of the range in the images of one call; `str` of it is what a user is told.
+
+    images: how many have such values.
+    low, high: extremes of all of them, in the user's values.
+    lit, above: values above 0.05 and above 1 in these images, counted after scaling; total: sum of
+        the latter.
+    """
+
+    message: str
+    images: int
+    low: float
+    high: float
+    lit: int
+    above: int
+    total: float
+
+    def __str__(self) -> str:
+        return self.message
+
+    def joined(self, others: list[Clip]) -> Clip:
+        """One for this and further images; the message is that of the first."""
+        if not others:
+            return self
+        every = [self, *others]
+        return Clip(
+            f"{self.message} (and {len(others)} more images)",
+            low=min(one.low for one in every),
+            high=max(one.high for one in every),
+            **{
+                n: sum(getattr(one, n) for one in every)
+                for n in ("images", "lit", "above", "total")
+            },
+        )
+
+    def of_view(self, view: int) -> Clip:
+        """The same, saying of which view."""
+        return replace(self, message=f"view {view}: {self.message}")
+
+
+OnClip: TypeAlias = Callable[[Clip], object]
+"""What is called, once a batch, where values were clipped; it may raise ValueRangeError."""
+
+
+@dataclass(slots=True)
+class Clipping:
+    """What a run has clipped so far; called with each `Clip`.
+
+    images: clipped ones.  low, high: extremes of their values, 0 and 1 before the first one.
+    lit, above, total: as of `Clip`, of all of them.
+    """
+
+    images: int = 0
+    low: float = 0.0
+    high: float = 1.0
+    lit: int = 0
+    above: int = 0
+    total: float = 0.0
+    warned: bool = False
+
+    def __call__(self, clip: Clip) -> None:
+        """Count images; warns of the first ones.
+
+        Raises ValueRangeError, before anything changes, if the run is on another scale.
+        """
+        self.note(clip)
+        if not self.warned:
+            self.warned = True
+            warn_user(clip.message)
+
+    def note(self, clip: Clip) -> None:
+        """Count images without a warning; raises as a call does."""
+        lit, above, total = self.lit + clip.lit, self.above + clip.above, self.total + clip.total
+        images, high = self.images + clip.images, max(self.high, clip.high)
+        if above > _MOST * lit and total > _LARGEST_MEAN * above:
+            which = "the image" if images == 1 else f"the {images:,} images that go beyond white"
+            raise ValueRangeError(
+                f"the renders are on another scale than the target: in {which}, {above / lit:.0%} "
+                f"of what is not black is brighter than white, {total / above:.3g} times on "
+                f"average (values up to {high:.6g}); multiply renders and target by the same "
+                "number, so that white is 1, or give value_range=(low, high).  If they are on one "
+                "scale, clip in the renderer, np.clip(image, 0, 1)"
+            )
+        self.images, self.high, self.low = images, high, min(self.low, clip.low)
+        self.lit, self.above, self.total = lit, above, total
+
+    def copy(self) -> Clipping:
+        """The same, to be changed in a step that may fail."""
+        return replace(self)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything."""
+        return asdict(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Clipping:
+        """What `state_dict` gave; raises ValueError for what it cannot have given."""
+        check(state, _SCHEMA, {}, "clipping")
+        return cls(**state)
+
+
+_SCHEMA: dict[str, Schema] = {
+    "images": whole(),
+    "low": real(),
+    "high": real(),
+    "lit": whole(),
+    "above": whole(),
+    "total": real(),
+    "warned": flag,
+}
+
+
+def warn_clipped(clip: Clip) -> None:
+    """Issue what `clip` says as a RuntimeWarning; the default of `as_batch(on_clip=...)`.
+
+    Raises ValueRangeError for images on another scale.
+    """
+    Clipping()(clip)
+
+
+# -- axes ------------------------------------------------------------------------------------------
+
+Size: TypeAlias = tuple[int, int]  # (H, W)
+
+CHANNELS = (1, 3, 4)  # gray, RGB, RGBA
+
+
+def check_axes(pixels: Any, what: str) -> None:
+    """Raise ImageError unless the axes are those of one image."""
+    if pixels.ndim not in (2, 3):
+        remedy = ""
+        if pixels.ndim == 4:
+            remedy = f"; {_views('list(image)')}"
+            if len(pixels) == 1:
+                remedy = "; take it out of its batch of one, image[0]"
+        raise ImageError(
+            f"{what} must have axes (H, W) or (H, W, C), got {describe(pixels)}{remedy}"
+        )
+
+
+def _views(pictures: str) -> str:
+    """What to write for several pictures in one array."""
+    return f"of several pictures make views: {pictures}, a list, and let render return such a list"
+
+
+def check_batch_axes(pixels: Any, size: Size | None, what: str) -> None:
+    """Raise ImageError unless the axes are those of a batch."""
+    single = pixels.ndim == 2 or (
+        # (H, W, C) could pass for n gray images where no size tells them apart
+        pixels.ndim == 3
+        and pixels.shape[2] in CHANNELS
+        and (size is None or tuple(pixels.shape[1:]) != size)
+    )
+    if single or pixels.ndim not in (3, 4):
+        raise ImageError(
+            f"{what} must have axes (n, H, W, C), or (n, H, W) for gray, got {describe(pixels)}"
+            + ("; for a single image write image[None]" if single else "")
+        )
+
+
+def check_count(count: int, n: int | None) -> None:
+    """Raise ImageError unless there are n images."""
+    if n is not None and count != n:
+        raise ImageError(f"there must be one image per point: got {count} images for {n} points")
+
+
+def channels_last(
+    pixels: Any,
+    batch: int,
+    may_be_first: bool,
+    size: Size | None,
+    what: str,
+    remedy: str = "render at that size, or resize the target",
+) -> Any:
+    """View of `pixels` as (..., H, W, C), after `batch` (0 or 1) leading axes; checks the size.
+
+    may_be_first: whether channels may come before H and W, as in torch tensors.
+    remedy: for those of another size.
+    """
+    if pixels.ndim == batch + 2:
+        pixels = pixels[..., None]
+    else:
+        first, *rest = pixels.shape[batch:]
+        if may_be_first and first in CHANNELS and size in (None, tuple(rest)):
+            pixels = pixels.swapaxes(batch, batch + 1).swapaxes(batch + 1, batch + 2)
+        elif pixels.shape[-1] not in CHANNELS:
+            count = pixels.shape[-1]
+            each = f"[image[..., i] for i in range({count})]"
+            hint = _views("list(image)" if first < count else each)
+            if first in CHANNELS:
+                hint = "np.moveaxis(image, -3, -1) puts the channels last"
+            raise ImageError(
+                f"{what} must have 1, 3 or 4 channels in its last axis, got {describe(pixels)}; "
+                f"{hint}"
+            )
+    height, width = pixels.shape[batch : batch + 2]
+    if height == 0 or width == 0:
+        raise ImageError(f"{what} is empty: {describe(pixels)} has no pixels")
+    if size is not None and size != (height, width):
+        raise ImageError(
+            f"{what} must have the target's size, {size[0]} x {size[1]} (H x W), got "
+            f"{height} x {width}: {describe(pixels)}; {remedy}"
+        )
+    return pixels
+
+
+# -- values ----------------------------------------------------------------------------------------
+
+_ROUNDING = 1e-6
+_LARGEST = 1e30  # of values that are added; there is no end to those of fireflies
+_NO_FIT = "the image of"  # begins the name of a render that is no part of a fit
+
+
+def refuse_not_finite(what: str, bad: int, pixels: Any) -> ImageError:
+    """Error for so many values that are NaN or infinite."""
+    return ImageError(
+        f"{what} must be finite, got {bad} NaN or infinite values in {describe(pixels)}; "
+        "mend them in the renderer, or replace them with np.nan_to_num"
+    )
+
+
+def is_clipped(
+    seen: Any,
+    pixels: Any,
+    low: float,
+    high: float,
+    what: str,
+    on_clip: OnClip | None,
+    values: ValueRange | None = None,
+) -> bool:
+    """Whether floats with these extremes are to be clipped to [0, 1]; `on_clip` None: never.
+
+    seen: those of `pixels` that count; low, high: their extremes.
+    values: range from which they were scaled, for messages; None: they are as they were given.
+
+    Raises ImageError for those that are refused, ValueRangeError for renders that are plainly on
+    another scale; tells `on_clip` of more than rounding.
+    """
+    if low >= 0.0 and high <= 1.0:
+        return False
+    if low >= -_ROUNDING and high <= 1.0 + _ROUNDING:
+        return True
+    ends = (low, high)
+    if values is not None:
+        ends = values.low + low * values.span, values.low + high * values.span
+    of_bytes = values is None and _are_bytes(seen, low, high)
+    got = f"values in [{ends[0]:.6g}, {ends[1]:.6g}], {describe(pixels)}"
+    rule, remedy = values or "[0, 1]", _remedy(what, ends, of_bytes, values)
+    if on_clip is None or of_bytes:
+        refused = ImageError if on_clip is None else ValueRangeError
+        raise refused(f"{what} must have values in {rule}, got {got}; {remedy}")
+    hint = f"; if they are no overshoot, {remedy}" if high > 2.0 or low < -1.0 else ""
+    batch = seen.reshape(len(pixels) if pixels.ndim == 4 else 1, -1)
+    told = f"{what} has {got}; they are clipped to {rule}{hint}"
+    on_clip(_clip(told, batch, ends))
+    return True
+
+
+def _clip(message: str, batch: Any, ends: tuple[float, float]) -> Clip:
+    """What was clipped in images (n, values); ends: extremes in the user's values."""
+    beyond = (batch > 1.0 + _ROUNDING).any(1)
+    outside = beyond | (batch < -_ROUNDING).any(1)
+    bright = batch[beyond]
+    above = bright > 1.0
+    total = bright[above].clip(0.0, _LARGEST).sum()
+    counts = (int(outside.sum()), int((bright > _LIT).sum()), int(above.sum()))
+    return Clip(message, counts[0], *ends, *counts[1:], float(total))
+
+
+def _are_bytes(seen: Any, low: float, high: float) -> bool:
+    """Whether floats with these extremes are plainly in [0, 255]: whole numbers, one above 2."""
+    if not (low >= 0.0 and 2.0 < high <= 255 + _ROUNDING):
+        return False
+    return bool((seen == seen.round()).all())
+
+
+def _remedy(what: str, ends: tuple[float, float], of_bytes: bool, values: ValueRange | None) -> str:
+    """What to do about values with these extremes."""
+    if what.startswith(("mask", "weights")):
+        return "divide by 255" if of_bytes else "divide them by the largest"
+    if values is not None:
+        return "give a wider value_range, which target and renders share"
+    if of_bytes:
+        return "divide by 255, target and renders alike, or give value_range=(0, 255)"
+    if what.startswith(_NO_FIT):
+        return "divide all of them by the value that is white"
+    given = f"value_range=({min(0.0, ends[0]):.6g}, {max(1.0, ends[1]):.6g})"
+    clip = ", or clip what is an overshoot" if ends[0] >= -1.0 and ends[1] <= 2.0 else ""
+    return (
+        f'give {given} or "auto", in the shell --value-range, or divide target and renders by the '
+        f"same number{clip}"
+    )
+
+
+def unit_range(
+    pixels: Pixels,
+    what: str,
+    on_clip: OnClip | None,
+    hidden: Mask | None = None,
+    values: ValueRange | None = None,
+) -> Pixels:
+    """Values of (..., H, W, C) as floats in [0, 1], itself if they are; `on_clip` None: never clip.
+
+    hidden: (H, W), pixels whose values are put into this range silently.
+    """
+    given = pixels
+    if values is not None:
+        _check_alpha(pixels, what, on_clip, hidden)
+        pixels = _scaled(pixels, values)
+    if pixels.dtype == np.uint8:
+        return np.divide(pixels, np.float32(255), dtype=np.float32, order="C")
+    if pixels.dtype == np.bool_:
+        return pixels.astype(np.float32, order="C")
+    low, high = extremes(pixels)
+    if is_unit(low, high):
+        return pixels
+    seen = pixels
+    if hidden is not None:  # what does not count is looked at only where something is wrong
+        seen, pixels = pixels[..., ~hidden, :], _mended(pixels, hidden)
+        low, high = extremes(seen)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        bad = seen.size - int(np.count_nonzero(np.isfinite(seen)))
+        raise refuse_not_finite(what, bad, given)
+    if seen.dtype.itemsize == 2:  # float16 counts and adds up to 65504 only
+        seen = seen.astype(np.float32)
+    if not is_clipped(seen, given, low, high, what, on_clip, values):
+        return pixels
+    return np.clip(pixels, 0.0, 1.0, order="C")
+
+
+def _scaled(pixels: Pixels, values: ValueRange) -> Pixels:
+    """Floats (..., C) of which [0, 1] is the value range, and the alpha channel has its own."""
+    if pixels.shape[-1] != 4:
+        return values.scaled(pixels)
+    return np.concatenate([values.scaled(pixels[..., :3]), shares(pixels[..., 3:])], axis=-1)
+
+
+def _check_alpha(pixels: Pixels, what: str, on_clip: OnClip | None, hidden: Mask | None) -> None:
+    """Raise ImageError for an alpha channel of floats that are no shares; renders may overshoot."""
+    if pixels.shape[-1] != 4 or pixels.dtype.kind != "f":
+        return
+    alpha = pixels[..., 3] if hidden is None else pixels[..., ~hidden, 3]
+    low, high = extremes(alpha)
+    most, refused = (_ROUNDING, ImageError) if on_clip is None else (1.0, ValueRangeError)
+    if low < -most or high > 1.0 + most:
+        raise refused(
+            f"{what} has an alpha channel with values in [{low:.6g}, {high:.6g}], "
+            f"{describe(pixels)}; alpha of floats must be in [0, 1], whatever value_range is: "
+            "divide it by its largest value, or leave it out, image[..., :3]"
+        )
+
+
+def shares(alpha: Pixels) -> Pixels:
+    """An alpha channel in [0, 1] where it is one of whole numbers."""
+    return alpha / np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else alpha
+
+
+def _mended(pixels: Pixels, hidden: Mask) -> Pixels:
+    """Copy of floats (..., H, W, C) whose hidden pixels lie in [0, 1], with 0 for NaN."""
+    mended = pixels.copy(order="C")
+    values = mended[..., hidden, :]
+    values[np.isnan(values)] = 0.0
+    mended[..., hidden, :] = np.clip(values, 0.0, 1.0)
+    return mended
+
+
+def extremes(pixels: Pixels) -> tuple[float, float]:
+    """Smallest and largest value; NaN if there is one."""
+    if pixels.size == 0:
+        return 0.0, 0.0
+    with np.errstate(invalid="ignore"):
+        return float(pixels.min()), float(pixels.max())
+
+
+def is_unit(low: float, high: float) -> bool:
+    """Whether values from low to high lie in [0, 1]; False for NaN."""
+    return low >= 0.0 and high <= 1.0
