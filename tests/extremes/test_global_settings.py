@@ -14,8 +14,6 @@ import torch
 from fide_plugins import Choice, Float, Solution, Space, fit
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import learn
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.network import Network
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import estimate
 from fide_plugins.uncertainty.values import looks_alike
@@ -78,16 +76,6 @@ def test_candidates_are_the_same_where_double_precision_is_the_default(
         return opt.ask()
 
     np.testing.assert_array_equal(double(second_generation), second_generation())
-
-
-@pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
-def test_a_new_network_is_the_same_where_double_precision_is_the_default(
-    double: Any, head: str
-) -> None:
-    make = partial(Network, (16, 16), [False, True, False, True], head, BLOCKS)
-    assert same(double(make), make())
-    emulator = partial(Emulator, (16, 16), [False, True, False, True], BLOCKS)
-    assert same(double(emulator), emulator())
 
 
 @pytest.mark.parametrize(

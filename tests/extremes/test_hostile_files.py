@@ -103,17 +103,6 @@ def test_a_checkpoint_of_anything_is_refused_or_goes_on(
     refused_or_goes_on(state)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
-@pytest.mark.parametrize("proposer", STATES)
-def test_every_place_of_a_checkpoint_is_refused_or_goes_on(proposer: str) -> None:
-    """Every odd value in every place, one at a time."""
-    for place in places(STATES[proposer]):
-        for value in ODD:
-            refused_or_goes_on(changed(STATES[proposer], place, value))
-
-
 def refused_or_goes_on(state: Any) -> None:
     checkpoint.write(FOLDER / "odd", "fide", state)
     try:
@@ -188,15 +177,6 @@ def test_an_enormous_file_is_not_read_to_be_refused(tmp_path: Path) -> None:
         os.truncate(path, 2**40)
         with pytest.raises(CheckpointError):
             checkpoint.read(path, "fide")
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(CheckpointError, match="pipe"):
-        checkpoint.read(tmp_path / "pipe", "fide")
-    with pytest.raises(CheckpointError, match="device"):
-        checkpoint.read("/dev/zero", "fide")
 
 
 class Gray:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +21,7 @@ from fide_plugins.errors import (
 )
 from fide_plugins.fide import FIDE
 from fide_plugins.losses import lpips as lpips_module
-from fide_plugins.losses.lpips import VARIANTS, LPIPSLoss
+from fide_plugins.losses.lpips import VARIANTS
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(12)
@@ -113,35 +110,6 @@ def test_the_definition(variant: str, size: tuple[int, int], cached_weights: Pat
     expected = by_definition(variant, state, weights.read(heads), a, b)
     assert expected > 0.1
     np.testing.assert_allclose(value, expected, atol=1e-5)
-
-
-@pytest.fixture
-def theirs() -> Any:
-    """The package `lpips`, where it and torchvision are installed and work."""
-    for name in ("torchvision", "lpips"):
-        try:
-            module = importlib.import_module(name)
-        except (ImportError, RuntimeError) as error:  # torchvision of another build than torch
-            pytest.skip(f"{name} cannot be used here: {error}")
-    return module
-
-
-@every_variant
-@pytest.mark.filterwarnings("ignore:.*pretrained.*:UserWarning")  # theirs calls torchvision so
-@pytest.mark.filterwarnings("ignore:Arguments other than a weight enum:UserWarning")
-def test_the_package_lpips_agrees(variant: str, theirs: Any, tmp_path: Path) -> None:
-    """With its own weights w_l, and a network whose weights are random."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        model = theirs.LPIPS(net=variant, pnet_rand=True, verbose=False)
-    state = {re.sub(r"^slice\d", "features", k): v for k, v in model.net.state_dict().items()}
-    torch.save(state, tmp_path / "network.pth")
-    images = RNG.random((3, 70, 64, 3), dtype=np.float32)
-    loss = LPIPSLoss(images[0], variant=variant, weights=tmp_path / "network.pth", device="cpu")
-    x = torch.from_numpy(images).permute(0, 3, 1, 2)
-    with torch.no_grad():
-        expected = model(x, x[:1].expand_as(x), normalize=True).flatten().numpy()
-    np.testing.assert_allclose(loss(images), expected, atol=1e-5)
 
 
 # -- what it takes ---------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from typing import Any
 
 import numpy as np
@@ -236,14 +235,3 @@ def test_what_is_not_finite_is_black() -> None:
     mitsuba_task.to_srgb(radiance, out)
     expected = np.array([[[0, 0, 1], [0, 0.7353569, 0]]], np.float32)
     np.testing.assert_allclose(out, expected, atol=1e-6)
-
-
-@pytest.mark.slow
-@needs_llvm
-def test_a_frame_of_full_size_takes_little_more_than_a_second_of_two_cores() -> None:
-    """In CPU time, which depends less on what else runs."""
-    task = make(224, spp=64, variant="llvm")
-    task.render(random_x(1))
-    start = time.process_time()
-    task.render(random_x(8))
-    assert (time.process_time() - start) / 8 / 2 < 1.1

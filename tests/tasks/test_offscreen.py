@@ -259,13 +259,3 @@ def test_neither_frames_nor_contexts_leave_memory_behind_and_contexts_that_stay_
         "leaks(lambda: kept.append(Robot(64)) or kept[-1].render(X[:1]), 3, 5)",
     )
     assert max(frames, contexts) < 0.5 and kept > 5
-
-
-@needs_proc
-@pytest.mark.slow
-def test_ten_thousand_frames_leave_no_memory_behind() -> None:
-    frames, contexts = measured(
-        "added(lambda task=Robot(224): task.render(X), warm=10, n=100).sum()",
-        "added(lambda: Robot(224).render(X[:1]), warm=20, n=200).sum()",
-    )
-    assert frames < 4 and contexts < 16

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import importlib.util
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_tasks.mitsuba_variant import problem_with
 from fide_tasks.san_miguel import SanMiguel
 from fide_tasks.viewpoints import merit
 
@@ -249,14 +247,3 @@ def test_bad_options_are_refused_when_the_task_is_made(
 ) -> None:
     with pytest.raises(error, match=rule):
         fide_tasks.make("san_miguel", **options)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(problem_with("llvm") is not None, reason="LLVM does not run here")
-def test_a_frame_of_full_size_takes_less_than_a_sixth_of_a_second_of_two_cores() -> None:
-    """In time of the processor, which depends less on what else runs."""
-    task, X = SanMiguel(224, spp=8, variant="llvm"), np.random.default_rng(5).random((20, 8))
-    task.render(X[:2])
-    start = time.process_time()
-    task.render(X)
-    assert (time.process_time() - start) / 20 / 2 < 0.15

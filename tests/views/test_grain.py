@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -101,35 +99,6 @@ def test_noise_alone_is_grain(side: int, colors: int) -> None:
     ]
     assert sum(not is_even_grain(one, side**2) for one in noise) <= 0.01 * number + 1
     assert sum(not is_grain(one) for one in noise) <= 0.01 * number + 1
-
-
-def test_most_wrong_images_are_told_without_looking_at_all_pixels() -> None:
-    """A status is asked for after each generation."""
-    side = 1024
-    rows, columns = np.mgrid[0:side, 0:side] / (side - 1)
-
-    def large(x: float) -> Float32:
-        gray = 0.1 + 0.8 / (1 + np.exp(30 * (np.hypot(columns - x, rows - 0.4) - 0.2)))
-        return np.repeat(gray[..., None], 3, axis=-1).astype(np.float32)
-
-    noise = 0.02 * np.random.default_rng(0).standard_normal((side, side, 1))
-    views = Views.read(np.clip(large(0.7) + noise, 0, 1).astype(np.float32))
-    grain = Grain(views)
-    for _ in range(2):
-        grain.note(large(0.2))
-
-    def seconds(image: Float32) -> float:
-        start = time.process_time()
-        left = grain.left(image, views.target)
-        took = time.process_time() - start
-        assert (left is None) == (image is not right)
-        return took
-
-    right = large(0.7)
-    first = seconds(right)
-    again = min(seconds(right) for _ in range(3))
-    other = min(seconds(large(x)) for x in (0.6, 0.65, 0.68))
-    assert other < 0.2 * first and again < 0.01 * first
 
 
 def test_of_few_pixels_nothing_is_said() -> None:

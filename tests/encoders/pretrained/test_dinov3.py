@@ -105,24 +105,6 @@ def test_half_precision(precision: str, tolerance: float, dino_folders: dict[str
         DinoEncoder(variant=variant, precision="int8")
 
 
-@pytest.mark.parametrize(("has", "chosen"), [(True, torch.bfloat16), (False, torch.float16)])
-def test_half_precision_of_a_gpu(
-    has: bool, chosen: torch.dtype, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What the GPU itself computes, not what can be emulated there; it, not the present one."""
-    asked: list[torch.device] = []
-
-    def chosen_gpu(device: torch.device) -> nullcontext[None]:
-        asked.append(device)
-        return nullcontext()
-
-    monkeypatch.setattr(torch.cuda, "device", chosen_gpu)
-    supported: Callable[..., bool] = lambda including_emulation=True: including_emulation or has  # noqa: E731
-    monkeypatch.setattr(torch.cuda, "is_bf16_supported", supported)
-    assert dinov3._dtype(None, torch.device("cuda", 1)) is chosen
-    assert asked == [torch.device("cuda", 1)]
-
-
 def test_the_version_says_which_weights(dino_folders: dict[str, Path], tmp_path: Path) -> None:
     versions = {DinoEncoder(variant=str(folder)).version for folder in dino_folders.values()}
     assert len(versions) == 3
