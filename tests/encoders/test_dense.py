@@ -1,5 +1,3 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -86,14 +84,6 @@ def test_a_shift_by_a_patch_shifts_tokens_where_nothing_is_smoothed() -> None:
     image = smooth(112)
     tokens, shifted = encode(image), encode(np.roll(image, (8, 16), axis=(1, 2)))
     np.testing.assert_allclose(shifted[:, 2:13, 3:13], tokens[:, 1:12, 1:11], atol=1e-6)
-
-
-SYMMETRIES: list[tuple[Callable[[np.ndarray], np.ndarray], list[int], list[int]]] = [
-    # of the image; order of the four edge channels; signs of right, down, diagonal
-    (lambda x: x[:, :, ::-1], [0, 1, 3, 2], [-1, 1, -1]),
-    (lambda x: x[:, ::-1], [0, 1, 3, 2], [1, -1, -1]),
-    (lambda x: x[:, ::-1, ::-1], [0, 1, 2, 3], [-1, -1, 1]),
-]
 
 
 def test_the_transposed_image_swaps_directions() -> None:

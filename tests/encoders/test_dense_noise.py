@@ -1,7 +1,4 @@
-"""`dense` on noisy images: smoothed as much as they are noisy, and others not at all.
-
-How little of the noise is left is tested in tests/losses/test_noise.py, on real renders.
-"""
+"""`dense` on noisy images: smoothed as much as they are noisy, and others not at all."""
 
 from __future__ import annotations
 

@@ -158,12 +158,6 @@ def parts(path: Path) -> tuple[bytes, Callable[[bytes], bytes]]:
     return body[8 : 8 + length], whole
 
 
-STATE: dict[str, Any] = {
-    "x": np.arange(6.0).reshape(2, 3), "big": 2**100, "real": 0.1, "none": None, "name": "mse",
-    "list": [1, [2, {"deep": np.zeros(0)}], True], "dict": {"a": {"b": {"c": -0.5}}},
-}  # fmt: skip
-
-
 @pytest.mark.thorough
 def test_models(tmp_path: Path) -> None:
     """What is loaded gives hypotheses in the box."""
