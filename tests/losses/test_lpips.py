@@ -17,6 +17,7 @@ from fide_plugins.errors import (
     DeviceError,
     ImageError,
     OptionError,
+    WeightsMismatchError,
     WeightsNotFoundError,
 )
 from fide_plugins.fide import FIDE
@@ -236,3 +237,12 @@ def test_a_mask(name: str) -> None:
     np.testing.assert_allclose(opt.evaluator.loss([image]), expected, rtol=1e-6)
     np.testing.assert_array_equal(opt.evaluator.loss([other]), opt.evaluator.loss([image]))
     assert opt.evaluator.loss([target])[0] == 0.0
+
+
+def test_heads_below_zero(cached_weights: Path, tmp_path: Path) -> None:
+    heads = weights.read(cached_weights / "lpips-v0.1-alex.pth")
+    heads["lin2.model.1.weight"][0, 7] = -0.25
+    torch.save(heads, tmp_path / "heads.pth")
+    message = r"heads\.pth: 'lin2\.model\.1\.weight', of shape \(1, 384, 1, 1\), .*least -0\.25"
+    with pytest.raises(WeightsMismatchError, match=message):
+        losses.make("lpips", np.zeros((40, 40, 3)), heads=tmp_path / "heads.pth")

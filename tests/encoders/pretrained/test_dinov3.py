@@ -357,3 +357,33 @@ def test_other_networks_and_files(dino_folders: dict[str, Path], tmp_path: Path)
     config.unlink()
     with pytest.raises(WeightsNotFoundError, match=r"no config\.json in"):
         encoders.make(f"dinov3:{folder}")
+
+
+@pytest.mark.parametrize(("has", "chosen"), [(True, torch.bfloat16), (False, torch.float16)])
+def test_half_precision_of_a_gpu(
+    has: bool, chosen: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the GPU itself computes, not what can be emulated there; it, not the present one."""
+    asked: list[torch.device] = []
+
+    def chosen_gpu(device: torch.device) -> nullcontext[None]:
+        asked.append(device)
+        return nullcontext()
+
+    monkeypatch.setattr(torch.cuda, "device", chosen_gpu)
+    supported: Callable[..., bool] = lambda including_emulation=True: including_emulation or has  # noqa: E731
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", supported)
+    assert dinov3._dtype(None, torch.device("cuda", 1)) is chosen
+    assert asked == [torch.device("cuda", 1)]
+
+
+def test_transformers_is_left_as_it_was(dino_folders: dict[str, Path]) -> None:
+    log = transformers.utils.logging
+    log.enable_progress_bar()
+    log.set_verbosity_info()
+    try:
+        encoders.make(f"dinov3:{dino_folders['dinov3']}")
+        assert log.is_progress_bar_enabled() and log.get_verbosity() == log.INFO
+    finally:
+        log.set_verbosity_warning()
+        log.disable_progress_bar()
