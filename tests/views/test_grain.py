@@ -124,7 +124,9 @@ def test_views_and_weights_count_as_in_the_loss() -> None:
     for hidden in (0.0, 1.0):
         grain.note(renders(0.2, hidden))
     assert grain.variance == pytest.approx(0.05**2, rel=0.1)
-    assert grain.left(renders(0.6, 0.0), views.target)
+    right = renders(0.6, 0.0)
+    left = grain.left(right, views.target)
+    assert left and grain.left(right, views.target) == left, "asked again, it knows"
     assert not grain.left(renders(0.65, 0.0), views.target)
 
 

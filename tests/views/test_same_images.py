@@ -118,3 +118,12 @@ def test_different_candidates_count(
         for i in range(40):
             same.note(np.array([points(i)], float), np.full((1, 2, 2, 3), images(i)), np.ones(1))
     assert same.number == number
+
+
+def test_it_keeps_no_more_points_than_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fide_plugins.views.same_images._MOST", 50)
+    same, rng = SameImages(10), np.random.default_rng(0)
+    with pytest.warns(RuntimeWarning, match=SAYS):
+        for _ in range(40):
+            same.note(rng.random((4, 3)), np.zeros((4, 8, 8, 3), np.float32), np.ones(4))
+    assert same.number == 52
