@@ -19,7 +19,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.cli import availability
+from fide_plugins.cli import doctor_command
 from fide_tasks import offscreen, robot
 from fide_tasks.offscreen import OffscreenError
 from fide_tasks.robot import Robot
@@ -67,10 +67,10 @@ ctypes.util.find_library = lambda name: None if name == "EGL" else find(name)
 
 
 def test_fide_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(availability, "names", lambda kind: ["robot"])
-    assert availability.problems("tasks") == {"robot": None}
+    monkeypatch.setattr(doctor_command, "names", lambda kind: ["robot"])
+    assert doctor_command.problems("tasks") == {"robot": None}
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
-    problem = availability.problems("tasks")["robot"]
+    problem = doctor_command.problems("tasks")["robot"]
     assert problem is not None
     assert "apt-get install libegl1 libgl1-mesa-dri" in problem
 
