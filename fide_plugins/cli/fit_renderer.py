@@ -9,10 +9,16 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from fide_plugins.cli.arguments import free_directory, optimizer_options
-from fide_plugins.cli.fit_pictures import pictures, value_range_of
-from fide_plugins.cli.live import page_of
-from fide_plugins.cli.messages import (
+from fide_plugins.cli.arguments import (
+    free_directory,
+    function_of,
+    optimizer_options,
+    program_of,
+    space_of,
+)
+from fide_plugins.cli.fit_inputs import pictures, value_range_of
+from fide_plugins.cli.progress import page_of
+from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     as_typed,
     continuation,
@@ -23,7 +29,6 @@ from fide_plugins.cli.messages import (
     plain,
     warnings_as_notes,
 )
-from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
 from fide_plugins.validation.options import positive_fraction
 
@@ -98,7 +103,7 @@ Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
     """Everything checked, with one render; the run directory; and what renders further points."""
-    from fide_plugins.cli.extra_renders import check_first, outcomes
+    from fide_plugins.cli.fit_inputs import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
     from fide_plugins.fitting.workers import default_number

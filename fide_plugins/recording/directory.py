@@ -35,6 +35,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
+<<<<<<< HEAD
 import numpy as np
 
 from fide_plugins.errors import CheckpointError
@@ -42,6 +43,12 @@ from fide_plugins.recording import sources as sources_module
 from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
 from fide_plugins.recording.storage import (
     CHECKPOINT,
+=======
+from fide_plugins.errors import CheckpointError, DependencyError
+from fide_plugins.recording import kept_target, sources as sources_module, tables
+from fide_plugins.recording.directory import try_each
+from fide_plugins.recording.storage import (
+>>>>>>> main
     FORMAT,
     TARGET_FILE,
     KeptTarget,
@@ -374,10 +381,18 @@ class RunDirectory:
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
     ) -> None:
-        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts."""
+        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts.
+
+        Without matplotlib, which is an extra, a warning says so: the run is worth more.
+        """
         from fide_plugins.recording.figures import summary
 
-        files.write_bytes(self.path / "summary.png", summary(result, target, counts))
+        try:
+            drawn = summary(result, target, counts)
+        except DependencyError as error:
+            warn_user(f"summary.png is left out: {error}")
+        else:
+            files.write_bytes(self.path / "summary.png", drawn)
 
     def write_run(
         self,

@@ -29,7 +29,7 @@ from fide_lab.run.pixel_samples import Fidelity
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import FideError, PointsError, RenderError
-from fide_plugins.learning.rounds import Rounds
+from fide_plugins.learning.hypotheses import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.directory import CheckpointTimer, RunDirectory, note_unsaved
 from fide_plugins.recording.record import (
