@@ -97,12 +97,12 @@ class Evaluator:
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
-        self._photo = photo
+        self._adapts_light = photometric == "auto" or (photo and photometric is None)
         self.comparison: Comparison | None = None
         """How renders are compared with a target that the renderer did not draw; None: as is."""
         if photo or not (photometric is None and robust is None and background is None):
             self.comparison = self._compared_by(
-                light=photometric if photometric or not photo else "auto",
+                light="none" if photometric in (None, "auto") else photometric,
                 scale=robust if robust or not photo else "auto",
                 background=photo or background is not None,
             )
@@ -113,6 +113,11 @@ class Evaluator:
         name = self.loss_name
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
+
+    @property
+    def adapts_light(self) -> bool:
+        """Whether the images say which light is set aside."""
+        return self._adapts_light
 
     def compare_at(self, blur: float) -> None:
         """Compare renders and target at a blur, in pixels, from now on.

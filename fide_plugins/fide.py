@@ -38,6 +38,8 @@ import numpy as np
 
 from fide_plugins import encoders
 from fide_plugins.asking import Asking
+from fide_plugins.comparing import adapt_light
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.evaluation import Evaluator, Result
 from fide_plugins.options import make_options
 from fide_plugins.population import Candidate, Population
@@ -203,6 +205,7 @@ class FIDE(Asking):
             steps=make_steps(o, self.dim, k, self.encoder, learned=known),
             memory=Memory(o.memory_mb),
             grain=Grain(self.views),
+            kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
         )
 
     def draw(self, population: Population, rng: np.random.Generator) -> None:
@@ -297,6 +300,10 @@ class FIDE(Asking):
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
         self.same_images.note(points, batch, results.losses)
+        if self.state.kept is not None and batch is not None:
+            given = losses is not None
+            number = self.state.evaluations
+            self.state.kept.note(points, batch, results.losses, number, given=given)
         with timed(self.times, "search"):
             self._enter(results.of(points))
         return results.losses
@@ -325,6 +332,7 @@ class FIDE(Asking):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
             self._update_search(members, losses)  # line 10
+        adapt_light(self)
 
     def _train(self, samples: list[TrainingSample]) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.best import SCHEMA as BEST, Best
@@ -71,6 +72,8 @@ class State:
     search_best: best since the last search was over.  over_at: evaluations at that time.
     memory: samples for the next target and for `Solution.std`.
     grain: noise of pixels, measured where a test renders one candidate twice.
+    kept: the best renders; None where the comparison never changes.
+    comparisons: how often it has changed.
     retargeted_at: evaluations when the search for the present one began.
     clipping: images with values outside [0, 1].
     times: seconds in "encode", "train" and "search".
@@ -83,6 +86,8 @@ class State:
     gate: ImageGate
     proposer: Proposer | None
     grain: Grain
+    kept: Kept | None = None
+    comparisons: int = 0
     steps: GaussNewtonSteps | None = None
     searches: int = 1
     evaluations: int = 0
@@ -321,6 +326,7 @@ class State:
             "search_best": None if found is None else found.state_dict(),
             "memory": self.memory.state_dict(),
             "grain": self.grain.state_dict(),
+            "kept": None if self.kept is None else self.kept.state_dict(),
             "clipping": self.clipping.state_dict(),
             **{name: getattr(self, name) for name in _PLAIN},
             "times": dict(self.times),
@@ -356,6 +362,8 @@ class State:
         self.search_best = None if found is None else TrainingSample.from_state(found, device)
         self.memory.load_state_dict(state["memory"], sides, device)
         self.grain.load_state_dict(state["grain"], sides)
+        if self.kept is not None:
+            self.kept.load_state_dict(state["kept"], sides)
         self.clipping = Clipping.from_state(state["clipping"])
         for name in _PLAIN:
             setattr(self, name, state[name])
@@ -378,6 +386,7 @@ _PLAIN: dict[str, Schema] = {
     "improved_to": real(high=np.inf),
     "over_at": whole(),
     "retargeted_at": whole(),
+    "comparisons": whole(),
 }
 _SCHEMA: dict[str, Schema] = {
     "rng": GENERATOR,
@@ -386,7 +395,7 @@ _SCHEMA: dict[str, Schema] = {
     **dict.fromkeys(
         ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
     ),
-    **dict.fromkeys(("grain", "clipping"), anything),
+    **dict.fromkeys(("grain", "kept", "clipping"), anything),
     "best": maybe(BEST),
     "samples": each(SAMPLE),
     "learned": each(SAMPLE),

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.comparison.light import Light, fit_light
+from fide_plugins.comparison.auto import MOST, changed_light, light_between
+from fide_plugins.comparison.light import NONE, Light, robust_factor, robust_light
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.view import View
@@ -19,7 +20,7 @@ __all__ = ["Compared", "Comparison"]
 
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
-_SCALE = 0.7  # of the standard deviation of the blurred target: scale of robust differences
+_SCALE = 0.7  # of the standard deviation of the target: scale of robust differences
 _LEAST_SCALE = 0.02
 
 
@@ -44,9 +45,9 @@ class Comparison:
     loss: of views, such as `views.loss.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
-    light: "exposure" or "shading"; None: the light stays as it is.
+    light: "none", "exposure" or "shading": what of it is set aside.
     scale: of robust differences, in [0, 1] of the range of values; "auto": from the contrast of the
-        (blurred) target; None: differences count as they are.
+        target; None: differences count as they are.
     background: whether pixels that are not covered are explained by the target's colors.
     blur: standard deviation in pixels at which `compare` compares if it is not told otherwise.
     """
@@ -57,7 +58,7 @@ class Comparison:
         loss: ImageLoss,
         loss_at: Callable[[Views], ImageLoss] | None = None,
         *,
-        light: str | None = None,
+        light: str = NONE,
         scale: float | str | None = None,
         background: bool = False,
         blur: float = 0.0,
@@ -97,8 +98,10 @@ class Comparison:
             parts = self.views.split(image[None])
             adjusted, light = [], []
             for one, part in zip(level.each, parts, strict=True):
-                covered = part[0, ..., 3:] if part.shape[-1] == 4 else None
-                x, found, free = one.adjusted(part[0, ..., :3], covered)
+                covered = None
+                if part.shape[-1] == 4:
+                    covered = np.ascontiguousarray(part[0, ..., 3])
+                x, found, free = one.adjusted(np.ascontiguousarray(part[0, ..., :3]), covered)
                 adjusted.append(x)
                 light.append(found)
                 hidden[i] += free / len(parts)
@@ -109,6 +112,19 @@ class Comparison:
         if hidden.any():
             losses = losses + hidden * level.free
         return Compared(made, losses, lights or None)
+
+    def light_that_explains(self, images: Float32) -> str:
+        """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""
+        level, found = self.at(), []
+        for i, view in enumerate(level.each):
+            parts = [self.views.split(image[None])[i][0] for image in images[:MOST]]
+            small = [_small(np.ascontiguousarray(part[..., :3])) for part in parts]
+            covers = [
+                _small(np.ascontiguousarray(part[..., 3])) if part.shape[-1] == 4 else None
+                for part in parts
+            ]
+            found.append(light_between(view.small, small, covers, view.small_weights, view.scale))
+        return changed_light(self.light, np.mean(found, axis=0))
 
 
 class _Level:
@@ -147,7 +163,7 @@ class _OneView:
         self.target = blurred(view.target, blur)
         self.shown = self.target
         self.small = _small(view.target)
-        self.small_weights = None if view.weights is None else _small(view.weights)[..., None]
+        self.small_weights = None if view.weights is None else _small(view.weights)
 
     @cached_property
     def scale(self) -> float | None:
@@ -155,7 +171,9 @@ class _OneView:
         scale = self._comparison.scale
         if not isinstance(scale, str):
             return scale
-        seen = self.target if self._view.hidden is None else self.target[~self._view.hidden]
+        seen = self._view.target
+        if self._view.hidden is not None:
+            seen = seen[~self._view.hidden]
         deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
         return max(_SCALE * deviation, _LEAST_SCALE)
 
@@ -166,29 +184,27 @@ class _OneView:
         light = self._light(image, coverage)
         y = image if light is None else light.applied(image)
         apart = blurred(y, self._blur) - self.target
-        if self.scale is not None:
-            apart *= _factor(apart, self.scale)
+        factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
         free = 0.0
         if coverage is not None:
             a = blurred(coverage, self._blur)
-            apart *= np.sqrt(a)
-            free = 1 - float(np.average(a[..., 0], weights=self._view.weights))
-        return self.shown + apart, light, free
+            free = 1 - float(np.average(a, weights=self._view.weights))
+            root = np.sqrt(a)
+            factor = root if factor is None else factor * root
+        if factor is not None:
+            apart = _times(apart, factor)
+        apart += self.shown
+        return apart, light, free
 
     def _light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
-        if kind is None:
+        if kind == NONE:
             return None
-        small, weights = _small(image), self.small_weights
+        weights = self.small_weights
         if coverage is not None:
-            covered = _small(coverage)[..., None]
+            covered = _small(coverage)
             weights = covered if weights is None else weights * covered
-        light = fit_light(small, self.small, weights, kind)
-        if self.scale is not None:  # again, with the weights of robust differences
-            robust = np.square(_factor(light.applied(small) - self.small, self.scale))
-            weights = robust if weights is None else weights * robust
-            light = fit_light(small, self.small, weights, kind)
-        return light
+        return robust_light(_small(image), self.small, weights, kind, self.scale)
 
     def shuffled(self) -> Float32:
         """Target with its pixels in another order, as a render that is compared."""
@@ -196,15 +212,16 @@ class _OneView:
         order = np.random.default_rng(0).permutation(len(pixels))
         apart = pixels[order].reshape(self.target.shape) - self.target
         if self.scale is not None:
-            apart *= _factor(apart, self.scale)
+            apart = _times(apart, robust_factor(apart, self.scale))
         return self.shown + apart
 
 
-def _factor(apart: Float32, scale: float) -> Float32:
-    """C / sqrt(c^2 + |d|^2), (H, W, 1), of differences d (H, W, 3)."""
-    squares = np.square(apart).mean(axis=-1, keepdims=True)
-    factor: Float32 = np.float32(scale) / np.sqrt(np.float32(scale * scale) + squares)
-    return factor
+def _times(image: Float32, factor: Float32) -> Float32:
+    """An image (H, W, 3) times a factor (H, W)."""
+    from fide_plugins.runtime.opencv import cv2
+
+    made: Float32 = cv2.multiply(image, cv2.merge([factor, factor, factor]))
+    return made
 
 
 def _small(image: Float32) -> Float32:
