@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import re
 import subprocess
@@ -26,11 +27,17 @@ def read(*paths: Path) -> list[Row]:
 
 
 def _rows_in(path: Path) -> Iterator[Row]:
+    """Rows with their provenance, which the file has once for all rows with its name."""
+    made: dict[str | None, Row] = {}
     for i, line in enumerate(path.read_text().splitlines(), 1):
         try:
-            yield json.loads(line)
+            row = json.loads(line)
         except ValueError as error:
             raise ValueError(f"{path}:{i} is no row; a cut-off line must be deleted") from error
+        if "provenance" in row:
+            made[row["made"]] = row["provenance"]
+        else:
+            yield row | made.get(row.pop("made", None), {})
 
 
 def rows_of(path: Path) -> list[Row]:
@@ -46,10 +53,14 @@ def append(path: Path, *rows: Row, made_by: Row | None = None) -> None:
     made_by = made_by or provenance()
     if twice := made_by.keys() & {name for row in rows for name in row}:
         raise ValueError(f"a row has {', '.join(sorted(twice))} already; append adds them")
-    lines = "".join(json.dumps({**row, **made_by}) + "\n" for row in rows)
+    name = hashlib.sha256(json.dumps(made_by, sort_keys=True).encode()).hexdigest()[:10]
+    there = path.exists() and f'"made": "{name}"' in path.read_text()
+    lines = [] if there else [{"made": name, "provenance": made_by}]
+    lines += [{**row, "made": name} for row in rows]
+    text = "".join(json.dumps(line) + "\n" for line in lines)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
-        file.write(lines)
+        file.write(text)
 
 
 def provenance() -> Row:

@@ -35,7 +35,7 @@ and theta its angle, |g| cos 2 theta and |g| sin 2 theta are each split into pos
 part and averaged over the patch, so opposite contrasts do not cancel, unlike in channels 3-11.  A
 constant image has zeros in 3-15.
 
-`lab/reports/encoders_other.md` lists the alternatives that were tried.  Version 1 did not
+`lab/reports/encoders_quality.md` lists the alternatives that were tried.  Version 1 did not
 despeckle, and had four more channels, edges of half that scale; version 2 differs in the last
 digits, version 3 in noisy images.
 """

@@ -15,8 +15,7 @@ Where this deviates
   serves losses of any size.  With scale="none" they are learned as they are, as published.
 - The published learning rates are set by hand for each experiment (1e-3 for the network, 5e-4 for
   the parameter of a 2-D Rosenbrock function).  The defaults here were chosen for the unit box on
-  four functions of 5 to 20 parameters, in races with the published program, see
-  `lab/reports/baselines_authors.md`.
+  four functions of 5 to 20 parameters, in races with the published program.
 - Points and the parameter are kept in the box.  The published program may leave it, which helps it
   where the loss outside says more (Ackley's function in those races).
 """

@@ -25,7 +25,7 @@ Where this deviates from the authors' program
   for the noise that schedule="authors" leaves in its points; with alpha = 1e-4 it weighs next to
   nothing in the score.  By default it is the program's own number, see `likelihood.py`: its ODE
   goes the other way round and ends in N(0, 0.0276^2), so that it is no likelihood, but a strong
-  pull to the mean of the buffer.  `lab/reports/baselines_settings.md` has a race of the two.
+  pull to the mean of the buffer.
 - The first points are the center of the box and uniform ones, like those of the others here.
 """
 
