@@ -31,8 +31,9 @@ def adapt_light(optimizer: FIDE) -> None:
     generations = optimizer.state.population.generations
     if kept is None or not len(kept) or not evaluator.adapts_light:
         return
-    if generations & (generations - 1):
+    if generations == kept.considered or generations & (generations - 1):
         return
+    kept.considered = generations
     assert evaluator.comparison is not None and kept.images is not None
     light = evaluator.comparison.light_that_explains(kept.images)
     if light != evaluator.comparison.light:

@@ -266,9 +266,10 @@ class FIDE(Asking):
         X
             (n, dim), points in [0, 1]: those that were asked, or any others.
         images
-            (n, H, W, C) or a list of n images, of the target's size; for a list of targets a list
-            of these, one for each view; None: only losses are known, and the proposer does not
-            learn from these points.
+            (n, H, W, C) or a list of n images, of the target's size, or of n tuples (image,
+            coverage), coverage (H, W) in [0, 1], see `background` of `fide_plugins.options`; for a
+            list of targets a list of these, one for each view; None: only losses are known, and
+            the proposer does not learn from these points.
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.
         features
@@ -301,11 +302,11 @@ class FIDE(Asking):
         self.state.clipping = clipping
         self.same_images.note(points, batch, results.losses)
         if self.state.kept is not None and batch is not None:
-            given = losses is not None
-            number = self.state.evaluations
-            self.state.kept.note(points, batch, results.losses, number, given=given)
+            at, given = self.state.evaluations, losses is not None
+            self.state.kept.note(points, batch, results.losses, at, given=given)
         with timed(self.times, "search"):
             self._enter(results.of(points))
+            adapt_light(self)
         return results.losses
 
     def _enter(self, results: Iterator[Result]) -> None:
@@ -332,7 +333,6 @@ class FIDE(Asking):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
             self._update_search(members, losses)  # line 10
-        adapt_light(self)
 
     def _train(self, samples: list[TrainingSample]) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""

@@ -22,7 +22,7 @@ from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
 from fide_plugins.status import Facts, Status, status_of
-from fide_plugins.types import Float64, Posterior, Solution
+from fide_plugins.types import Float32, Float64, Posterior, Solution
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views import Views
 from fide_plugins.views.loss import loss_of
@@ -109,7 +109,50 @@ class Readings(Saved):
         image = self.views.restored(self.views.unpacked(best.solution.image))
         estimate = self.state.estimate_of(best.solution.x)
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
-        return found.copy()
+        return replace(found.copy(), photometric=self._light_of(best.solution))
+
+    def _light_of(self, solution: Solution) -> Any:
+        """Light in which the image of a solution is compared, a list for a list of targets."""
+        comparison = self.evaluator.comparison
+        if comparison is None or solution.image is None:
+            return None
+        light = comparison.compare(self._with_coverage(solution)[None]).light
+        return None if light is None else light[0] if self.views.listed else light[0][0]
+
+    def _with_coverage(self, solution: Solution) -> Float32:
+        """Image (H, W, 3) of a solution, with its coverage as fourth channel where it has one."""
+        assert solution.image is not None
+        kept = self.state.kept
+        coverage = None if kept is None else kept.coverage_of(solution.x)
+        if coverage is None:
+            return solution.image
+        return np.concatenate([solution.image, coverage], axis=-1)
+
+    @one_at_a_time
+    def adjust(self, images: object) -> Any:
+        """Images as they are compared with the target: in its light, at the present blur, robust.
+
+        images: as `tell` takes them.  Without `photometric`, `robust`, `background` and `photo`
+        they stay as they are.
+
+        Returns (n, H, W, 3), for a list of targets a list of these; values may leave [0, 1], or the
+        range of values.  Raises ImageError.
+        """
+        return self.evaluator.adjusted(images)
+
+    @property
+    @one_at_a_time
+    def residual(self) -> Any:
+        """What is left, (H, W) in [0, 1], a list for a list of targets; None without an image.
+
+        Absolute difference of the best image, in the light of the target, and the target: mean of
+        the channels, 0 where a mask has zeros or where the image does not cover the target.
+        """
+        best = self.state.best
+        if best is None or best.solution.image is None:
+            return None
+        left = self.evaluator.residual(self._with_coverage(best.solution))
+        return left if self.views.listed else left[0]
 
     @property
     @one_at_a_time
@@ -256,7 +299,10 @@ class Readings(Saved):
     @one_thread
     def state_dict(self) -> dict[str, Any]:
         """The state, and the versions of encoder and loss."""
-        return {**self.state.state_dict(), "versions": self.evaluator.versions}
+        comparison = self.evaluator.comparison
+        how = None if comparison is None else comparison.state_dict()
+        versions = self.evaluator.versions
+        return {**self.state.state_dict(), "versions": versions, "comparison": how}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
@@ -264,12 +310,25 @@ class Readings(Saved):
             raise ValueError("this is no state of FIDE: it lacks 'versions'")
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
+        evaluator, self.evaluator = (
+            self.evaluator,
+            self.evaluator.comparing(state.pop("comparison", None)),
+        )
+        try:
+            fresh = self._restored(state)
+        except BaseException:
+            self.evaluator = evaluator
+            raise
+        self.state = fresh
+        self.same_images.forget()
+
+    def _restored(self, state: Mapping[str, Any]) -> State:
+        """State that `State.state_dict` gave."""
         (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
         sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
         fresh = self._initial_state()
         fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
-        self.state = fresh
-        self.same_images.forget()
+        return fresh
 
     @abstractmethod
     def _initial_state(self, posterior: Posterior | None = None) -> State:

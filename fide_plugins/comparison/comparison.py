@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.comparison.auto import MOST, changed_light, light_between
-from fide_plugins.comparison.light import NONE, Light, robust_factor, robust_light
+from fide_plugins.comparison.light import (
+    EXPOSURE,
+    NONE,
+    SHADING,
+    Light,
+    robust_factor,
+    robust_light,
+)
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.view import View
 from fide_plugins.views.views import Views
@@ -73,6 +81,10 @@ class Comparison:
         names = ("light", "scale", "background", "blur")
         return {name: getattr(self, name) for name in names}
 
+    def state_dict(self) -> dict[str, Any]:
+        """What changes."""
+        return {"light": self.light, "blur": self.blur}
+
     def at(self, blur: float | None = None) -> _Level:
         """The target at a blur, with its loss."""
         blur = self.blur if blur is None else blur
@@ -98,10 +110,7 @@ class Comparison:
             parts = self.views.split(image[None])
             adjusted, light = [], []
             for one, part in zip(level.each, parts, strict=True):
-                covered = None
-                if part.shape[-1] == 4:
-                    covered = np.ascontiguousarray(part[0, ..., 3])
-                x, found, free = one.adjusted(np.ascontiguousarray(part[0, ..., :3]), covered)
+                x, found, free = one.adjusted(*_taken(part[0]))
                 adjusted.append(x)
                 light.append(found)
                 hidden[i] += free / len(parts)
@@ -113,16 +122,20 @@ class Comparison:
             losses = losses + hidden * level.free
         return Compared(made, losses, lights or None)
 
+    def residual(self, image: Float32) -> list[Float32]:
+        """Absolute difference (H, W) of each view, mean of the channels; image: (H, W, C)."""
+        parts = self.views.split(image[None])
+        each = zip(self.at().each, parts, strict=True)
+        return [one.residual(*_taken(part[0])) for one, part in each]
+
     def light_that_explains(self, images: Float32) -> str:
         """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""
         level, found = self.at(), []
         for i, view in enumerate(level.each):
             parts = [self.views.split(image[None])[i][0] for image in images[:MOST]]
-            small = [_small(np.ascontiguousarray(part[..., :3])) for part in parts]
-            covers = [
-                _small(np.ascontiguousarray(part[..., 3])) if part.shape[-1] == 4 else None
-                for part in parts
-            ]
+            taken = [_taken(part) for part in parts]
+            small = [_small(render) for render, _ in taken]
+            covers = [None if cover is None else _small(cover) for _, cover in taken]
             found.append(light_between(view.small, small, covers, view.small_weights, view.scale))
         return changed_light(self.light, np.mean(found, axis=0))
 
@@ -196,6 +209,17 @@ class _OneView:
         apart += self.shown
         return apart, light, free
 
+    def residual(self, image: Float32, coverage: Float32 | None) -> Float32:
+        """What is left of a render (H, W, 3) in its light, (H, W)."""
+        light = self._light(image, coverage)
+        y = image if light is None else light.applied(image)
+        left = np.abs(blurred(y, self._blur) - self.target).mean(axis=-1)
+        if coverage is not None:
+            left *= blurred(coverage, self._blur)
+        if self._view.weights is not None:
+            left *= np.sqrt(self._view.weights)
+        return np.clip(left, 0, 1, dtype=np.float32)
+
     def _light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
         if kind == NONE:
@@ -222,6 +246,21 @@ def _times(image: Float32, factor: Float32) -> Float32:
 
     made: Float32 = cv2.multiply(image, cv2.merge([factor, factor, factor]))
     return made
+
+
+def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The state of a comparison; ValueError if it is none."""
+    check(state, {"light": text, "blur": real(0.0)}, {}, "comparison")
+    if state["light"] not in (NONE, EXPOSURE, SHADING):
+        raise ValueError(f"{state['light']!r} is no light")
+    return state
+
+
+def _taken(image: Float32) -> tuple[Float32, Float32 | None]:
+    """Colors (H, W, 3) and coverage (H, W) of an image (H, W, C)."""
+    if image.shape[-1] == 3:
+        return image, None
+    return np.ascontiguousarray(image[..., :3]), np.ascontiguousarray(image[..., 3])
 
 
 def _small(image: Float32) -> Float32:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe
+from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
 from fide_plugins.types import Float32, Float64
 
 __all__ = ["Kept"]
@@ -20,6 +20,7 @@ _SCHEMA: Schema = {
     "evaluations": array("n", kind="i", low=0),
     "given": array("n", kind="b"),
     "images": maybe(array("n", "H", "W", "channels")),
+    "considered": whole(),
 }
 
 
@@ -30,6 +31,7 @@ class Kept:
     given: (n,), whether the loss was told by the user.
     images: (n, H, W, C), packed if there are several views, the fourth channel is the coverage;
         None before the first.
+    considered: generations of the run when the light was considered last.
     """
 
     def __init__(self, dim: int) -> None:
@@ -38,6 +40,7 @@ class Kept:
         self.evaluations = np.empty(0, np.int64)
         self.given = np.empty(0, np.bool_)
         self.images: Float32 | None = None
+        self.considered = 0
 
     def __len__(self) -> int:
         return len(self.x)
