@@ -29,7 +29,7 @@ def adapt_light(optimizer: FIDE) -> None:
     """
     evaluator, kept = optimizer.evaluator, optimizer.state.kept
     generations = optimizer.state.population.generations
-    if kept is None or not len(kept) or not evaluator.adapts_light:
+    if kept is None or not len(kept) or not evaluator.adapts_light or kept.given.any():
         return
     if generations == kept.considered or generations & (generations - 1):
         return

@@ -146,6 +146,11 @@ class Evaluator:
         parts = self.views.split(batch)
         return self.views.restored(parts if self.views.listed else parts[0])
 
+    def light_of(self, image: Float32) -> Any:
+        """Light in which an image (H, W, C) is compared; a list for a list of targets."""
+        light = None if self.comparison is None else self.comparison.compare(image[None]).light
+        return None if light is None else light[0] if self.views.listed else light[0][0]
+
     def residual(self, image: Float32) -> list[Float32]:
         """What is left of each view, (H, W) in [0, 1]; image: (H, W, C), with its coverage."""
         comparison = self.comparison or self._compared_by()

@@ -67,7 +67,7 @@ def _elsewhere(
         raise RenderError(f"the first render failed: {_shown(first)}")
     at_once = max(1, workers)
     for begun in range(0, _PLACES, at_once):
-        X = np.array([optimizer.anywhere(begun + i) for i in range(at_once)])
+        X = np.array([optimizer.random_point(begun + i) for i in range(at_once)])
         for x, outcome in zip(X, outcomes(render, optimizer, X, workers, timeout), strict=True):
             if isinstance(outcome, Rendered):
                 return x, outcome

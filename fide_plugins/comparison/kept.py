@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
-from fide_plugins.types import Float32, Float64
+from fide_plugins.types import Float32, Float64, Solution
 
 __all__ = ["Kept"]
 
@@ -66,12 +66,13 @@ class Kept:
         old = images[:0] if self.images is None else self.images
         self.images = np.concatenate([old, images[new]])[order]
 
-    def coverage_of(self, x: Float64) -> Float32 | None:
-        """Coverage (H, W, 1) of the render at x (d,); None if it is not kept, or has none."""
-        found = np.flatnonzero((self.x == x).all(axis=1))
+    def image_of(self, solution: Solution) -> Float32:
+        """Image (H, W, C) of a solution, which has one, with its coverage where that is known."""
+        assert solution.image is not None
+        found = np.flatnonzero((self.x == solution.x).all(axis=1))
         if not len(found) or self.images is None or self.images.shape[3] < 4:
-            return None
-        return self.images[found[0], ..., 3:]
+            return solution.image
+        return np.concatenate([solution.image, self.images[found[0], ..., 3:]], axis=-1)
 
     def rank(self, losses: Float64) -> None:
         """Sort them by other losses (n,)."""

@@ -105,7 +105,7 @@ def next_candidates(
     other = copy.deepcopy(opt)
     tell(other, told)
     X = other.ask()
-    proposed = sum(candidate.proposed for candidate in other.state.population._pending)
+    proposed = sum(candidate.proposed for candidate in other.state.population._pending.values())
     return (other.state.stage, proposed), X
 
 

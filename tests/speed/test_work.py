@@ -23,7 +23,7 @@ from torch.utils.flop_counter import FlopCounterMode
 import fide_tasks
 from fide_plugins import asking, fide
 from fide_plugins.fide import FIDE
-from fide_plugins.population.training_sample import columns
+from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.diffusion import DiffusionProposer
 
 Counted: TypeAlias = Callable[[Counter[str]], AbstractContextManager[None]]
