@@ -224,11 +224,15 @@ class _OneView:
         kind = self._comparison.light
         if kind == NONE:
             return None
-        weights = self.small_weights
+        weights = self._view.weights
         if coverage is not None:
-            covered = _small(coverage)
+            covered = coverage
             weights = covered if weights is None else weights * covered
-        return robust_light(_small(image), self.small, weights, kind, self.scale)
+        if weights is None:
+            return robust_light(_small(image), self.small, None, kind, self.scale)
+        small = _small(weights)
+        render, target = (_weighted(one, weights, small) for one in (image, self._view.target))
+        return robust_light(render, target, small, kind, self.scale)
 
     def shuffled(self) -> Float32:
         """Target with its pixels in another order, as a render that is compared."""
@@ -261,6 +265,11 @@ def _taken(image: Float32) -> tuple[Float32, Float32 | None]:
     if image.shape[-1] == 3:
         return image, None
     return np.ascontiguousarray(image[..., :3]), np.ascontiguousarray(image[..., 3])
+
+
+def _weighted(image: Float32, weights: Float32, small: Float32) -> Float32:
+    """As `_small`, the weighted mean of an image (H, W, 3); weights: (H, W), and (h, w)."""
+    return _times(_small(_times(image, weights)), 1 / np.maximum(small, 1e-6))
 
 
 def _small(image: Float32) -> Float32:

@@ -27,7 +27,8 @@ __all__ = [
 
 NONE, EXPOSURE, SHADING = "none", "exposure", "shading"
 _NODES = 3  # of the field of gains, in each direction
-_RIDGE = 1.0  # on 28 x 28 pixels: sum of squared values that says that the light is the same
+_RIDGE = 0.006  # of the target's variance, summed over the pixels: what says that nothing changed
+_LEAST_VARIANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,8 @@ def fit_light(render: Float32, target: Float32, weights: Float32 | None, kind: s
     apart = target.reshape(-1, 3).T - y
     weighted = terms if weights is None else terms * weights.reshape(-1)
     normal = (weighted @ terms.transpose(0, 2, 1)).astype(np.float64)  # (3, p, p)
-    normal[:, np.arange(p), np.arange(p)] += _RIDGE * (h * w / 784)
+    variance = max(float(target.reshape(-1, 3).var(axis=0).mean()), _LEAST_VARIANCE)
+    normal[:, np.arange(p), np.arange(p)] += _RIDGE * variance * h * w
     change = np.linalg.solve(normal, (weighted @ apart[..., None]).astype(np.float64))[..., 0]
     gain = 1 + change[:, : k * k].T.reshape(k, k, 3)
     return Light(gain, change[:, -2].copy(), change[:, -1].copy())
