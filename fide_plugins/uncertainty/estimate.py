@@ -22,7 +22,7 @@ from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.threads import one_thread
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Estimated, Float64, Indices, Mask
 from fide_plugins.uncertainty.as_good import explain_as_well, limits, misses_of
 from fide_plugins.uncertainty.covariance import deviations

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fide_plugins.population.candidate import TrainingSample, in_order
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.basin import of_twins
 from fide_plugins.uncertainty.features import compressed, features_of, floored

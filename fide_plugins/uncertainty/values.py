@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices
 from fide_plugins.uncertainty.covariance import scale_of, unexplained
 from fide_plugins.uncertainty.local_fit import FitToTarget

@@ -16,7 +16,7 @@ from fide_plugins.learning.judging.seen import are_shown, of_any_block, scores
 from fide_plugins.learning.networks.network import Network, as_input
 from fide_plugins.learning.renders.renderer import Pixels
 from fide_plugins.learning.training.one_training import HELD_OUT
-from fide_plugins.search.boundary import distance
+from fide_plugins.search.mixed import distance
 from fide_plugins.types import Float64, Mask
 
 __all__ = ["Distance", "Report", "against_prior", "judge"]

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from fide_plugins.search.boundary import distance
+from fide_plugins.search.mixed import distance
 from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["are_shown", "of_any_block", "scores"]
