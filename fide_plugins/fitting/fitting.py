@@ -32,7 +32,7 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.learning.rounds import Rounds
+    from fide_plugins.learning.hypotheses import Rounds
     from fide_plugins.types import Float64, Solution
 
 __all__ = ["FitInterrupted", "Fitting"]

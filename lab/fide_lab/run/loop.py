@@ -30,7 +30,7 @@ from fide_lab.run.fidelity import Fidelity
 from fide_lab.run.judge import judge
 from fide_lab.run.task import Task, TaskInfo
 from fide_plugins.errors import FideError, PointsError, RenderError
-from fide_plugins.learning.rounds import Rounds
+from fide_plugins.learning.hypotheses import Rounds
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
 from fide_plugins.recording.directory import RunDirectory

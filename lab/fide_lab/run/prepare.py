@@ -18,8 +18,7 @@ from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
-from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.learning.hypotheses import Rounds, rounds_of, search_options, with_model
 from fide_plugins.losses.base import ImageLoss
 from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import RunDirectory

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fide_lab import optimizers, run as harness
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_plugins import losses
 from fide_plugins.errors import (
     CheckpointError,

@@ -98,10 +98,7 @@ def test_a_model_of_another_version_is_refused(
     [("1", "1", False), ("1", None, True), (None, "1", True), (None, None, True)],
 )
 def test_a_changed_source_is_a_warning_where_no_version_vouches_for_it(
-    search: Callable[[Gradient, object], None],
-    learned: str | None,
-    here: str | None,
-    warned: bool,
+    search: Callable[[Gradient, object], None], learned: str | None, here: str | None, warned: bool
 ) -> None:
     model = learn(Gradient(learned), 2, **ARGUMENTS)
     with warnings.catch_warnings(record=True) as caught:
