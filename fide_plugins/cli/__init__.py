@@ -28,9 +28,9 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from fide_plugins import __version__
-from fide_plugins.cli.messages import complain
-from fide_plugins.cli.streams import OutputError, lose, standard_streams
-from fide_plugins.cli.suggestions import suggestion
+from fide_plugins.cli.terminal import complain
+from fide_plugins.cli.terminal import OutputError, lose, standard_streams
+from fide_plugins.cli import suggestion
 from fide_plugins.errors import DependencyError
 from fide_plugins.runtime import laboratory
 
@@ -42,6 +42,7 @@ COMMANDS = {
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
     "watch": "show a run in the browser while it goes on",
+    "mcp": "serve agents, by the Model Context Protocol",
     "list": "list tasks, optimizers, encoders, losses",
     "doctor": "check what can be used on this machine",
 }
