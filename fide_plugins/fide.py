@@ -6,19 +6,19 @@ Algorithm 1                            here
 line 1, mu and Sigma                   `search.cma_es.CMAES`
 line 2, the denoiser                   a `Proposer`: `proposers.linear`, `.forward`, `.diffusion`
 line 4, sample                         `FIDE._draw_samples`
-line 5, denoise                        `FIDE._propose`, of some of these samples
-line 6, render                         the user, between `ask` (`asking`) and `tell`
+line 5, denoise                        `FIDE.make_proposals`, of some of these samples
+line 6, render                         the user, between `ask` and `tell`
 line 7, features                       `FIDE.tell`, by an encoder
-line 8, train                          `FIDE._train`; before a proposal, `Asking._train_early`
+line 8, train                          `FIDE._train`; before a proposal, `FIDE._train_early`
 line 9, costs                          `FIDE.tell`, by a loss or the user
 line 10, mu and Sigma                  `FIDE._update_search`
 line 12, return mu                     `FIDE.recommend`
-between two generations, steps         `Asking._make_steps`: a forward model trains, proposes
-after a search, begin again            `State.finish_search`, `search.moves`
+between two generations, steps         `FIDE._make_steps`: a forward model trains, proposes
+after a search, restart                `State.finish_search`, `search.moves`
 =====================================  ======================================================
 
-The last two are beyond Algorithm 1.  The forward model of the steps (`proposers.steps`) is not the
-forward proposer: that one trains in line 8 and proposes in line 5.
+The last two are beyond Algorithm 1.  The forward model of the steps is not the forward proposer:
+that one trains in line 8 and proposes in line 5 (`proposers.forward`).
 
 What other methods are, in these terms: CMA-ES is FIDE with nothing proposed
 (``proposer="none"``); the published method is ``preset="paper"``; a direct inverse predictor is a
@@ -30,44 +30,73 @@ All that changes while an optimizer runs is its `state` (`fide_plugins.state`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import partial
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from torch import Tensor
 
 from fide_plugins import encoders
-from fide_plugins.asking import Asking
-from fide_plugins.evaluation import Evaluator, Result
-from fide_plugins.options import make_options
-from fide_plugins.population import Candidate, Population
-from fide_plugins.population.training_sample import TrainingSample, columns, in_order
+from fide_plugins.encoders.base import PatchEncoder
+from fide_plugins.evaluation import Evaluation, Evaluator, Result
+from fide_plugins.options import Options, flat, make_options
+from fide_plugins.population import Candidate, CandidateRole, Population
+from fide_plugins.population.candidate import TrainingSample, columns, in_order
 from fide_plugins.proposers import channel_subsets, make_proposer, make_steps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.machine import timed
+from fide_plugins.runtime.schema import array, check, maybe
 from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
+from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
 from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.search.one_search import Search, Setting
+from fide_plugins.search.scene.optima import APART
 from fide_plugins.search.validity import validity_of
 from fide_plugins.space import Space
+from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
-from fide_plugins.types import Float64, Posterior
+from fide_plugins.status import Facts, Status, status_of
+from fide_plugins.types import Float64, Posterior, Solution
 from fide_plugins.validation.points import (
     as_points,
     new_seed,
     number_of_parameters,
     standard_deviations,
     starting_point,
+    whole_number,
 )
+from fide_plugins.views import Views
 from fide_plugins.views.grain import Grain
+from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
+from fide_plugins.views.solved import is_solved
 
-__all__ = ["FIDE"]
+if TYPE_CHECKING:
+    from fide_plugins.learning.model import Model
+
+__all__ = ["FIDE", "Decision"]
+
+_ARGUMENTS = ("dim", "weights", "value_range", "x0", "sigma0", "seed")
+_STALLED = 20  # generations without improvement; or a quarter of all evaluations, if that is more
 
 
-class FIDE(Asking):
+class Decision(NamedTuple):
+    """What others have decided about the end of a generation (`distributed`).
+
+    over: whether the present search is over.  guided: whether images say where the next one
+    begins.  None: the optimizer decides.
+    """
+
+    over: bool | None = None
+    guided: bool | None = None
+
+
+_UNDECIDED = Decision()
+
+
+class FIDE(Saved):
     """Find parameters in [0, 1]^dim whose image is the target.
 
     Parameters
@@ -173,10 +202,10 @@ class FIDE(Asking):
         )
         self.same_images = SameImages(self.popsize)
         self._lock = Lock()
-        self._decision: tuple[bool | None, bool | None] = None, None
+        self._model: Model | None = None
         self.begin_with(learned)
 
-    # -- Algorithm 1 -------------------------------------------------------------------------------
+    # -- line 1, and line 2 ------------------------------------------------------------------------
 
     def _initial_state(self, posterior: Posterior | None = None) -> State:
         """Lines 1 and 2; posterior: of a learned model, where the search begins."""
@@ -205,10 +234,98 @@ class FIDE(Asking):
             grain=Grain(self.views),
         )
 
+    # -- ask: lines 4 and 5 ------------------------------------------------------------------------
+
+    @one_at_a_time
+    @one_thread
+    def ask(self, n: int | None = None) -> Float64:
+        """Candidates to render, float64 (n, dim) in [0, 1].
+
+        None: what is left of the present generation, or, if all of it is pending, as many again,
+        for users with more workers than that.  As soon as what is pending will complete the
+        generation, candidates are drawn for the next one (`State.preview_search`).
+        Generations have `popsize` candidates; after a search has stalled there may be others, see
+        `search.moves`.
+        Who asks for a number may get Gauss-Newton steps before a generation (`proposers.steps`).
+        """
+        n = None if n is None else whole_number("n", n, 1)
+        with timed(self.times, "search"):
+            if n is None:
+                return self._ask(None)
+            self.state.population.expect(n)
+            steps = self._make_steps(n)
+            rest = n - len(steps)
+            X = np.concatenate([steps, self._ask(rest)]) if rest else steps
+            self._hand_out_steps(steps)  # last: asking for the rest may fail
+            return X
+
+    @one_at_a_time
+    @one_thread
+    def ask_ready(self) -> Float64:
+        """As `ask`, but for proposals that wait for training: those come with the next call.
+
+        While these are rendered the network trains, see `proposers.background`.  Between two
+        generations: one step.
+        """
+        with timed(self.times, "search"):
+            if len(step := self._make_steps(1)):
+                self._hand_out_steps(step)
+                return step
+            state, population = self.state, self.state.population
+            if not population.remaining:
+                self.draw_generation()
+        waits = state.proposer is not None and not state.proposer.lazy
+        return self.ask(population.queued if waits and population.queued else population.remaining)
+
+    def _ask(self, n: int | None) -> Float64:
+        """Candidates (n, dim) of this generation and of those that follow; None: what is left."""
+        population = self.state.population
+        if not population.remaining:
+            self.draw_generation()
+        n = n or population.remaining
+        population.expect(n)
+        if n > population.queued:
+            self._train_early()
+        self._make_next(n)  # which may fail, before anything is handed out
+        X = np.empty((n, self.dim))
+        for i in range(n):
+            if not population.remaining:
+                self.draw_generation()
+                self._make_next(n - i)
+            X[i] = population.hand_out().x
+        return X
+
+    def draw_generation(self, first: Float64 | None = None) -> None:
+        """Queue a generation; spare candidates where the present one needs exactly its own.
+
+        first: (m, d), points that are asked first.  None: the user's guess, before all else.
+        """
+        state, population = self.state, self.state.population
+        if first is None and not population.size and self.guess is not None:
+            first = self.guess[None]
+        if state.generation_is_fixed and population.has_begun:
+            # as many as it has, or, if nothing is pending, as many as it lacks
+            n = population.size if population.pending else max(1, population.missing)
+            x, _ = state.search.sample(n, state.rng)
+            population.draw(x, x, spare=True)
+        elif first is None or state.stage is Stage.SEARCH:
+            self.draw(population, state.rng)
+        else:  # hypotheses of a model, which all are asked, too
+            x = np.concatenate([state.search.clipped(first), state.draw_moves(state.rng)])
+            population.draw(x, x)
+        if state.steps is not None:
+            state.steps.end()  # they come before a generation, not in it
+        proposer = state.proposer
+        if proposer is not None and not proposer.background and not proposer.lazy:
+            self.make_proposals(population, state.rng)
+        if first is not None and state.stage is Stage.SEARCH:  # in the place of its first samples
+            x = state.search.clipped(first)[: population.remaining]
+            population.replace(0, x, state.search.closest(x), proposed=np.zeros(len(x), bool))
+
     def draw(self, population: Population, rng: np.random.Generator) -> None:
         """Draw a generation of the present stage, by `rng`, into a population; only these change.
 
-        It is the optimizer's own population, or another one (`distributed.replica`).
+        It is the optimizer's own population, or another one (`distributed`).
         """
         state = self.state
         if state.stage is Stage.SEARCH:
@@ -218,32 +335,95 @@ class FIDE(Asking):
             population.draw(x, x)
 
     def _draw_samples(self, population: Population, rng: np.random.Generator) -> None:
-        """Lines 4 and 5: sample, and leave the last samples to the proposer, if it is ready."""
+        """Line 4: sample, and reserve the last samples for the proposer, if it is ready."""
         state = self.state
         k = state.search.popsize
-        x, z = state.search.sample(k, rng)  # line 4: (k, d), z ~ N(m, Sigma)
+        x, z = state.search.sample(k, rng)  # (k, d), z ~ N(m, Sigma)
         ready = state.proposer is not None and state.proposer.ready
         n = k - state.gate.number(k, rng) if ready else k
         population.draw(x[:n], z[:n], z[n:], pair=state.search.distribution.draws_pair)
-        self._propose_with(population, rng)  # line 5, of z[n:], when these are asked for
 
-    def _propose_with(self, population: Population, rng: np.random.Generator) -> None:
-        """Say how the population makes proposals."""
-        proposer = self.state.proposer
-        if proposer is not None:
-            propose = partial(self._propose, search=self.state.search, rng=rng)
-            population.propose_by(propose, singly=proposer.singly)
+    def make_proposals(
+        self, population: Population, rng: np.random.Generator, n: int | None = None
+    ) -> None:
+        """Line 5: denoise reserved samples, until n candidates are queued; None: all of them.
+
+        Those that are asked for together are made by one call of the proposer; of one that is not
+        `lazy`, all of them.  If that raises, the next call tries again.
+        """
+        m, proposer = len(population.reserved), self.state.proposer
+        if proposer is None or not m or (n is not None and n <= population.queued):
+            return
+        if n is not None and proposer.lazy:
+            m = n - population.queued
+        population.add_proposals(*self._propose(population.reserved[:m], self.state.search, rng))
 
     def _propose(
         self, z: Float64, search: Search, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
-        """Line 5: proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
+        """Proposals x and their z, (m, d) each, from samples of N(m, Sigma)."""
         proposer, target = self.state.proposer, self.target_tokens
         assert proposer is not None
         with timed(self.times, "train"):
             made = proposer.propose(search.stretched(z), target, search.mean, search.std, rng)
         x = search.place_proposals(made, z)
-        return x, search.near(x)
+        return x, search.closest(x)
+
+    def _make_next(self, n: int) -> None:
+        """Make the next n candidates of those that remain, each for the generation that needs it.
+
+        What the present one does not need any more is drawn again, for the next one, as many of
+        them proposals as before.  A proposer that is asked for all of a generation at once is left
+        to do that.
+        """
+        state, population = self.state, self.state.population
+        needed = max(0, population.size - population.evaluated - population.awaited)
+        m = min(n, population.remaining) - needed
+        if m > 0 and (state.proposer is None or state.proposer.lazy):
+            search = state.preview_search()
+            if search is not None:
+                self.make_proposals(population, state.rng, needed)
+                x, z = search.sample(m, state.rng)  # (m, d)
+                proposed = population.proposed(needed, m)
+                if proposed.any():
+                    x[proposed], z[proposed] = self._propose(z[proposed], search, state.rng)
+                population.replace(needed, x, z, proposed)
+        self.make_proposals(population, state.rng, n)
+
+    def _make_steps(self, n: int) -> Float64:
+        """Steps (m, dim) that come before the next generation, at most n."""
+        state, search, target = self.state, self.state.search, self.target_tokens
+        if not state.has_steps:
+            return np.empty((0, self.dim))
+        assert state.steps is not None
+        with timed(self.times, "train"):
+            left = state.steps.left(search.popsize, target, search.std)
+            if not left:
+                return np.empty((0, self.dim))
+            _, z = search.sample(min(n, left), state.rng)
+            v = search.stretched(z)
+            x = state.steps.propose(v, target, search.mean, search.std, state.rng)
+        return state.steps.new_ones(search.place_proposals(x, z), state.population.is_pending)
+
+    def _hand_out_steps(self, x: Float64) -> None:
+        """Count steps (m, dim) as asked."""
+        state = self.state
+        if len(x):
+            assert state.steps is not None
+            state.steps.taken(len(x))
+        for row in zip(x, state.search.closest(x), strict=True):
+            state.population.adopt(*row, CandidateRole.STEP)
+
+    @one_at_a_time
+    def withdraw(self, X: object) -> None:
+        """Say that candidates X (n, dim) that were asked will not be told: nobody waits for them.
+
+        Others count in their place.  Points that are not pending are ignored.  Raises PointsError.
+        """
+        for x in as_points(X, self.dim):
+            self.state.population.withdraw(x)
+
+    # -- tell: lines 7 to 10 -----------------------------------------------------------------------
 
     @one_at_a_time
     @one_thread
@@ -292,27 +472,32 @@ class FIDE(Asking):
         n, evaluator = len(points), self.evaluator
         clipping = self.state.clipping.copy()
         batch = evaluator.as_batch(n, images, losses, features, clipping)
-        with timed(self.times, "encode"):
+        with timed(self.times, "encode"):  # lines 7 and 9
             encode = self.state.proposer is not None
             results = evaluator.evaluate(n, batch, losses, features, version=version, encode=encode)
         self.state.clipping = clipping
-        self.same_images.note(points, batch, results.losses)
-        with timed(self.times, "search"):
-            self._enter(results.of(points))
+        self.enter(points, results)
         return results.losses
 
-    def _enter(self, results: Iterator[Result]) -> None:
-        """Enter results; each generation that becomes complete is finished."""
+    @one_at_a_time
+    @one_thread
+    def enter(self, points: Float64, results: Evaluation, decision: Decision = _UNDECIDED) -> None:
+        """Enter results of points (n, dim); each generation that becomes complete is finished."""
+        self.same_images.note(points, results.images, results.losses)
+        with timed(self.times, "search"):
+            self._enter_all(results.of(points), decision)
+
+    def _enter_all(self, results: Iterator[Result], decision: Decision) -> None:
         for result in results:
             self.state.record(*result)
             if self.state.population.complete:
                 try:
-                    self._finish_generation()
+                    self._finish_generation(decision)
                 except BaseException:  # of training; all else goes on as if it had trained
-                    self._enter(results)
+                    self._enter_all(results, decision)
                     raise
 
-    def _finish_generation(self) -> None:
+    def _finish_generation(self, decision: Decision) -> None:
         """Train (line 8) and update the search distribution (line 10)."""
         state = self.state
         members, losses = state.population.close_generation()
@@ -324,7 +509,7 @@ class FIDE(Asking):
             with timed(self.times, "train"):
                 self._train(samples)  # line 8
         finally:  # a generation that taught nothing is not lost
-            self._update_search(members, losses)  # line 10
+            self._update_search(members, losses, decision)  # line 10
 
     def _train(self, samples: list[TrainingSample]) -> None:
         """Line 8: the proposer learns from what was evaluated since the last time."""
@@ -332,21 +517,28 @@ class FIDE(Asking):
         learned, state.learned = state.learned, []
         if state.proposer is None or not (samples or learned):
             return
-        if learned:  # the gate judges the generation as a whole
-            self._note_images(in_order(samples + learned))
+        if learned and state.gate.guarded:  # the gate judges the generation as a whole
+            _, tokens, losses = columns(in_order(samples + learned))
+            state.gate.note_images(tokens, self.target_tokens, losses)
+            del tokens
         if samples:
             x, tokens, losses = columns(samples)  # (n, d), (n, T, C), (n,)
             if not learned:
                 state.gate.note_images(tokens, self.target_tokens, losses)
             state.proposer.update(x, tokens, losses, state.search.std)
 
-    def _note_images(self, samples: list[TrainingSample]) -> None:
-        """Let the gate judge samples.  Their stacked tokens are gone when it has."""
-        if self.state.gate.guarded:
-            _, tokens, losses = columns(samples)
-            self.state.gate.note_images(tokens, self.target_tokens, losses)
+    def _train_early(self) -> None:
+        """Line 8, before the generation is complete, where each proposal is made when asked for."""
+        state, proposer = self.state, self.state.proposer
+        if proposer is None or not proposer.lazy:
+            return
+        if len(state.population.reserved) and state.samples:
+            samples = state.take_samples()
+            state.learned += samples
+            with timed(self.times, "train"):
+                proposer.update(*columns(samples), state.search.std)
 
-    def _update_search(self, members: list[Candidate], losses: Float64) -> None:
+    def _update_search(self, members: list[Candidate], losses: Float64, decision: Decision) -> None:
         """Line 10."""
         state = self.state
         state.gate.note_ranks(losses, np.array([candidate.proposed for candidate in members]))
@@ -354,26 +546,13 @@ class FIDE(Asking):
         state.note_mean()
         if state.steps is not None:
             state.steps.after_generation()
-        over, guided = self._decision
+        over, guided = decision
         if guided is None:
             guided = state.gate.guided
         if over is None:
             over = self.options.restarts != "none" and state.search.is_over(guided=guided)
         if over:
             state.finish_search(guided=self.options.restarts == "moves" and guided)
-
-    @contextmanager
-    def decided(self, *, over: bool | None, guided: bool | None) -> Iterator[None]:
-        """Within it, others have decided what follows a generation (`distributed`).
-
-        over: whether the present search is over.  guided: whether images say where the next one
-        begins.  None: the optimizer decides.
-        """
-        self._decision = over, guided
-        try:
-            yield
-        finally:
-            self._decision = None, None
 
     def recommend(self) -> Float64:
         """Mean (dim,) of the search distribution that found the best point (line 12).
@@ -389,10 +568,333 @@ class FIDE(Asking):
             return recommended
         return best.solution.x.copy()
 
+    # -- what is known -----------------------------------------------------------------------------
+
+    @property
+    @one_at_a_time  # an estimate reads what another thread may be training
+    def best(self) -> Solution | None:
+        """Best point told so far; None before the first with a finite loss.
+
+        Its `params` are named where the optimizer was made with a `Space`.  Its `std` is what is
+        known now, and computed when it is read (`fide_plugins.uncertainty`): None where too few
+        images near the point are remembered.
+        """
+        best = self.state.best
+        if best is None:
+            return None
+        image = self.views.restored(self.views.unpacked(best.solution.image))
+        estimate = self.state.estimate_of(best.solution.x)
+        found = replace(best.solution, image=image, space=self.space, estimate=estimate)
+        return found.copy()
+
+    @property
+    @one_at_a_time
+    def status(self) -> Status:
+        """What is known of the run so far: a code, and a sentence (see `fide_plugins.status`)."""
+        state, best = self.state, self.state.best
+        since = state.evaluations - state.retargeted_at
+        known = state.moves.known
+        others, apart = known.optima.others(known.exchangeability.distance)
+        image = None if best is None else best.solution.image
+        facts = Facts(
+            evaluations=state.evaluations,
+            best=None if best is None else best.solution.loss,
+            improved_at=state.improved_at,
+            horizon=max(_STALLED * state.search.popsize, since // 4),
+            ended=state.moves.ended,
+            forgotten=known.optima.forgotten,
+            others=others,
+            apart=apart,
+            solved=image is not None and is_solved(self.views, image),
+            grain=None if image is None else state.grain.left(image, self.views.target),
+            same=self.same_images.number,
+            clipped=state.clipping.images,
+            low=state.clipping.low,
+            high=state.clipping.high,
+        )
+        return status_of(facts)
+
+    @one_at_a_time
+    def solutions(self, k: int = 5) -> list[Solution]:
+        """Up to k distinct candidates, best first: where searches have ended.
+
+        The later ones may be far worse than the best; a loss near its loss is as good an answer.
+        Exchangeable blocks are matched first, so that no order of the same things counts twice.
+        Each has its own `std`, as `best` has.
+        `probability` is that among those found, by a learned model and by their losses (see
+        `search.scene.modes`); None where no model knows the picture.
+
+        Raises OptionError (a ValueError) unless k is a whole number of at least 1.
+        """
+        k = whole_number("k", k, 1)
+        best, known = self.best, self.state.moves.known
+        found = [] if best is None else [best]
+        for sample in (optimum.sample for optimum in known.optima.all):
+            distances = [known.exchangeability.distance(sample.x, one.x) for one in found]
+            if min(distances, default=np.inf) >= APART:
+                one = Solution(sample.x.copy(), sample.loss, sample.evaluation)
+                estimate = self.state.estimate_of(sample.x)
+                found.append(replace(one, space=self.space, estimate=estimate))
+        points = np.array([one.x for one in found]).reshape(len(found), self.dim)
+        probability = self.state.moves.probabilities([one.loss for one in found], points)
+        if probability is not None:
+            found = [
+                replace(one, probability=p)
+                for one, p in zip(found, probability.tolist(), strict=True)
+            ]
+        return found[:k]
+
+    @one_at_a_time
+    def elsewhere(self, solutions: Sequence[Solution]) -> float | None:
+        """Share of a model's hypotheses that are far from all these solutions of this optimizer.
+
+        Probabilities of `solutions` are relative to each other: one alone has 1.  A large share
+        here says that the model takes other answers for possible, which no search has reached, or
+        which were rendered and excluded.  None where no model knows the picture.
+        """
+        points = np.array([one.x for one in solutions]).reshape(len(solutions), self.dim)
+        return self.state.moves.elsewhere(points)
+
+    @property
+    def evaluations(self) -> int:
+        """Points told so far, and renders of the same run that were learned from before."""
+        return self.state.evaluations
+
+    @property
+    def not_finite(self) -> int:
+        """Points told so far whose loss was NaN or infinite."""
+        return self.state.not_finite
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Seconds spent so far in "encode" (features and losses), "train" and "search"."""
+        return self.state.times
+
+    @property
+    def training(self) -> bool:
+        """Whether the network learns in the background; saving and proposals would wait for it."""
+        return self.state.proposer is not None and self.state.proposer.busy
+
+    @property
+    def target(self) -> Any:
+        """Target (H, W, 3), or a list of them, one for each view, in the values of the user."""
+        return self.views.restored(self.views.targets)
+
+    @property
+    def encoder(self) -> PatchEncoder:
+        """What makes tokens of images."""
+        return self.evaluator.encoder
+
+    @property
+    def target_tokens(self) -> Tensor:
+        """Tokens (T, C) of the target."""
+        return self.evaluator.target_tokens
+
+    @property
+    def views(self) -> Views:
+        """Targets and weights of the views; one view for a single target."""
+        return self.evaluator.views
+
+    @property
+    def weights(self) -> Any:
+        """Which pixels count, mask times weights: (H, W), None for all; a list for a list."""
+        return self.views.weights
+
+    @property
+    def value_range(self) -> tuple[float, float] | None:
+        """Values of target and renders that are black and white; None: 0 and 1."""
+        return self.views.value_range
+
+    @property
+    def clipped(self) -> int:
+        """Images told so far whose values went beyond black or white, and were clipped."""
+        return self.state.clipping.images
+
+    @property
+    def features_shape(self) -> tuple[int, int]:
+        """(T, C) of the features of an image, see `tell`."""
+        return self.evaluator.features_shape
+
+    # -- where searches begin, and the next picture ------------------------------------------------
+
+    def begin_with(self, learned: Any, renders: int = 0) -> None:
+        """Begin with hypotheses of a learned model, or without; what was told is forgotten.
+
+        learned: argument of `FIDE`; raises and warns as that does, before anything changes.
+        renders: of the same run, from which it was learned.  They count as evaluations.
+        """
+        model, posterior = self._model_of(learned, self.views.targets)
+        self.state = self._initial_state(posterior)
+        self.state.begin_after(renders)
+        self._model = model  # of the renderer, so of the next picture, too; it is never saved
+
+    def _model_of(self, learned: Any, target: Any) -> tuple[Model | None, Posterior | None]:
+        """A learned model, or that of a file, and what it says of a target, as the seed draws it.
+
+        Raises and warns as `learned` of the constructor.
+        """
+        if learned is None:
+            return None, None
+        from fide_plugins.learning.hypotheses import as_model, posterior_of
+
+        model = as_model(learned)
+        return model, posterior_of(model, self.space or self.dim, target, self.seed)
+
+    def random_point(self, number: int) -> Float64:
+        """Random point (dim,) that may be rendered; the same for the same number, from 0."""
+        rng = np.random.default_rng((self.seed, 3, number))
+        x: Float64 = self.state.search.clipped(rng.random((1, self.dim)))[0]
+        return x if self.validity is None else self.validity.start(x, number + 2)
+
+    @one_at_a_time
+    def begin_at(self, x: Float64) -> None:
+        """Begin the first search at x (dim,), which may have been told; candidates are forgotten.
+
+        Where something else comes first, such as hypotheses of a learned model, nothing happens.
+        """
+        state = self.state
+        if state.stage is Stage.SEARCH and not state.population.generations:
+            state.begin_at(x)
+
+    @one_at_a_time
+    @one_thread
+    def retarget(
+        self,
+        picture: object,
+        *,
+        loss: str | Callable[..., object] | None = None,
+        learned: Any = None,
+    ) -> None:
+        """Find the parameters of the next picture, with what was learned from earlier ones.
+
+        Parameters
+        ----------
+        picture
+            as `target` of the constructor, of the same size; the range of values stays that of the
+            first one, also if that was "auto".
+        loss
+            None keeps a loss that was given by its name.  A callable, which may know the old
+            picture only, must be given again.
+        learned
+            model of the renderer, or its file, as `learned` of the constructor.  None keeps that
+            model, which is not saved: after `load` there is none.
+
+        The search begins at the candidate whose image, of all that are remembered, is nearest to
+        the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
+        asked first.  Proposers know the remembered images from the first generation on.  `best`,
+        `solutions`, `status` and the local optima begin anew; `evaluations` goes on, and what is
+        known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
+        still out may be told, with images or with the loss to the new picture: they count as points
+        that were never asked.  Told with the loss to the old picture, one may become a false
+        `best`.
+
+        With a model its hypotheses of the picture are rendered after the remembered candidates, and
+        the best of all is where the search begins.  The run goes on as one that began with a model:
+        without steps between the generations.  Where the remembered candidates say more exactly
+        than the model where the parameters are, as those of a slow video do, there are none.
+
+        Without tokens (``proposer="none"``, or losses only) the search begins at the best point so
+        far, as wide as the first one, and this point is asked first.
+
+        Raises ImageError, LossError, UnknownNameError or OptionError (ValueErrors), OSError or
+        CheckpointError for a file that is no model, before anything changes.
+        """
+        evaluator = self.evaluator.retargeted(picture, loss)
+        learned = self._model if learned is None else learned
+        model, posterior = self._model_of(learned, evaluator.views.targets)
+        state = self.state
+        with timed(self.times, "search"):
+            recalled = state.recall(evaluator.target_tokens, self.guess, self.popsize)
+            moves, known = state.moves, bool(recalled.samples)
+            if posterior is not None and known and moves.is_wider(posterior, recalled.start):
+                posterior = None  # the memory says more exactly where the answer is
+            self.evaluator, self._model = evaluator, model
+            state.retarget(evaluator.target_tokens, recalled.start, posterior)
+            if posterior is None:
+                state.teach(recalled.samples, recalled.start.std, self.popsize)
+            else:
+                self._use_model_only()
+            self.draw_generation(recalled.hypotheses)
+
+    def _use_model_only(self) -> None:
+        """Go on as a run that began with a model: a search begins after its hypotheses.
+
+        Nothing is taught: proposers forget what was before that search.
+        """
+        state = self.state
+        state.gate.note_known()
+        state.steps = None
+        if not self.options.has_network:  # which keeps its weights
+            o, k = self.options, self.popsize
+            state.proposer = make_proposer(o, self.dim, k, self.seed, self.encoder, learned=True)
+
     # -- saving ------------------------------------------------------------------------------------
+
+    @property
+    def pretrained(self) -> tuple[str, str] | None:
+        """Name of the encoder and digest of its pretrained weights; None if it has none."""
+        digest = self.encoder.weights_digest
+        return None if digest is None else (self.options.encoder, digest)
+
+    def settings(self) -> dict[str, Any]:
+        """Arguments of the constructor, by name, but for `loss` and `device`, as plain values.
+
+        The target is in [0, 1], whatever the user's values are.
+        """
+        given = {name: getattr(self, name) for name in _ARGUMENTS}
+        given |= {"target": self.views.targets, "x0": self.guess}
+        space = None if self.space is None else self.space.to_dict()
+        own = {"popsize": self.popsize, "space": space, "constraints": self.has_own_constraints}
+        return given | flat(self.options) | own
+
+    @classmethod
+    def arguments(cls, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Arguments of the constructor, by name, of what `settings` gave."""
+        given = dict(settings) | {"target": Views.from_settings(settings)}
+        for name in ("weights", "value_range"):  # which the views have
+            given.pop(name, None)
+        space = given.pop("space")
+        given["constraints"] = constraints_not_stored if given.get("constraints") else None
+        return given if space is None else given | {"dim": Space.from_dict(space)}
+
+    @classmethod
+    def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
+        """Loss that a user gave for an optimizer of these settings; raises as `loss_of`."""
+        return loss_of(Views.from_settings(settings), loss, device=device)
+
+    @property
+    def loss_name(self) -> str | None:
+        """Name by which the loss can be made again; None for a user's own."""
+        return self.evaluator.loss_name
+
+    @one_at_a_time
+    @one_thread
+    def state_dict(self) -> dict[str, Any]:
+        """The state, and the versions of encoder and loss."""
+        return {**self.state.state_dict(), "versions": self.evaluator.versions}
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` gave `state`; ValueError if it is none, and nothing changes."""
-        super().load_state_dict(state)
-        self._propose_with(self.state.population, self.state.rng)
+        """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
+        if not isinstance(state, Mapping) or "versions" not in state:
+            raise ValueError("this is no state of FIDE: it lacks 'versions'")
+        state = dict(state)
+        self.evaluator.check_versions(state.pop("versions"))
+        (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
+        sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
+        fresh = self._initial_state()
+        fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
+        self.state = fresh
+        self.same_images.forget()
+
+    @classmethod
+    def check_settings(cls, settings: Mapping[str, Any]) -> None:
+        """Raise ValueError unless all settings are there, and can be those of an optimizer."""
+        super().check_settings(settings)
+        own = {"target", "popsize", "space", "constraints"}
+        expected = {*_ARGUMENTS, *own, *flat(Options())}
+        odd = sorted(set(settings) ^ expected)
+        if odd:
+            raise ValueError(f"settings lack or have too much: {', '.join(map(repr, odd))}")
+        check(settings["x0"], maybe(array("d")), {"d": settings["dim"]}, "x0")
+        Views.check_settings(settings)

@@ -15,15 +15,17 @@ from fide_plugins.errors import CheckpointError, UnknownNameError
 from fide_plugins.losses.own import loss_not_stored
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import IMPOSSIBLE, check, whole
-from fide_plugins.runtime.threads import Locked, one_at_a_time, one_thread
+from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 
 __all__ = ["Saved", "as_arrays"]
 
 _MOST = 2**20  # parameters, and candidates of a generation
 
 
-class Saved(Locked, ABC):
+class Saved(ABC):
     """An optimizer that is saved as its constructor arguments and its state."""
+
+    _lock: Lock
 
     name: ClassVar[str]
 
@@ -64,10 +66,6 @@ class Saved(Locked, ABC):
             check(settings[name], whole(1, _MOST), {}, name)
         if "target" not in settings:
             raise ValueError("settings lack 'target'")
-
-    def settings_there(self, settings: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Settings of a checkpoint as this version would have saved them."""
-        return settings
 
     @classmethod
     def resolve_loss(cls, loss: Any, settings: Mapping[str, Any], device: str) -> Any:
@@ -156,7 +154,7 @@ class Saved(Locked, ABC):
         """
         saved = checkpoint.read(path, self.name)
         with _possible(path):
-            there, here = self.settings_there(saved["settings"]), self.settings()
+            there, here = saved["settings"], self.settings()
             other = [name for name in here if not _same(there.get(name), here[name])]
             if other:
                 raise CheckpointError(

@@ -9,31 +9,31 @@ no part.  Whoever copies, previews or replicates an optimizer reads these fields
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
-from fide_plugins.population.best import SCHEMA as BEST, Best
-from fide_plugins.population.training_sample import SCHEMA as SAMPLE, TrainingSample, in_order
+from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
+from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.proposers.steps import GaussNewtonSteps
 from fide_plugins.runtime.schema import (
     GENERATOR,
-    Rule,
-    Schema,
     Sides,
     anything,
     array,
     check,
     each,
+    form,
     maybe,
     real,
     row,
+    saved,
     whole,
 )
 from fide_plugins.search.memory import Memory
@@ -44,10 +44,14 @@ from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
+if TYPE_CHECKING:
+    from fide_plugins.search.recall import Recalled
+
 __all__ = ["State"]
 
 _GAIN = 0.1  # of the loss, below which an improvement does not count
 _MOST_INJECTED = 1000  # points never asked that are remembered until a generation is complete
+_ENOUGH, _FEWEST = 1 / 2, 4  # of the results of a generation, and results, for a preview
 
 
 @dataclass
@@ -76,30 +80,33 @@ class State:
     times: seconds in "encode", "train" and "search".
     """
 
-    rng: np.random.Generator
-    population: Population
-    search: Search
-    moves: MovePolicy
-    gate: ImageGate
-    proposer: Proposer | None
-    grain: Grain
-    steps: GaussNewtonSteps | None = None
-    searches: int = 1
-    evaluations: int = 0
-    not_finite: int = 0
-    best: Best | None = None
-    improved_at: int = 0
-    improved_to: float = np.inf
-    samples: list[TrainingSample] = field(default_factory=list)
-    learned: list[TrainingSample] = field(default_factory=list)
-    injected: tuple[Float64, float] | None = None
-    search_best: TrainingSample | None = None
-    over_at: int = 0
-    memory: Memory = field(default_factory=lambda: Memory(0.0))
-    retargeted_at: int = 0
-    clipping: Clipping = field(default_factory=Clipping)
-    times: dict[str, float] = field(
-        default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0}
+    rng: np.random.Generator = saved(GENERATOR)
+    population: Population = saved(anything)
+    search: Search = saved(anything)
+    moves: MovePolicy = saved(anything)
+    gate: ImageGate = saved(anything)
+    proposer: Proposer | None = saved(anything)
+    grain: Grain = saved(anything)
+    memory: Memory = saved(anything)
+    steps: GaussNewtonSteps | None = saved(anything, default=None)
+    searches: int = saved(whole(), default=1)
+    evaluations: int = saved(whole(), default=0)
+    not_finite: int = saved(whole(), default=0)
+    best: Best | None = saved(maybe(Best.schema()), default=None)
+    improved_at: int = saved(whole(), default=0)
+    improved_to: float = saved(real(high=np.inf), default=np.inf)
+    samples: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
+    learned: list[TrainingSample] = saved(each(form(TrainingSample)), default_factory=list)
+    injected: tuple[Float64, float] | None = saved(
+        maybe(row(array("d", low=0.0, high=1.0), real())), default=None
+    )
+    search_best: TrainingSample | None = saved(maybe(form(TrainingSample)), default=None)
+    over_at: int = saved(whole(), default=0)
+    retargeted_at: int = saved(whole(), default=0)
+    clipping: Clipping = saved(anything, default_factory=Clipping)
+    times: dict[str, float] = saved(
+        {"encode": real(), "train": real(), "search": real()},
+        default_factory=lambda: {"encode": 0.0, "train": 0.0, "search": 0.0},
     )
 
     @property
@@ -108,8 +115,8 @@ class State:
         return self.moves.stage
 
     @property
-    def needs_its_own(self) -> bool:
-        """Whether the present generation needs just the candidates that were drawn for it.
+    def generation_is_fixed(self) -> bool:
+        """Whether the present generation needs exactly the candidates that were drawn for it.
 
         That is so of tests.  Of a search, and of most restarts, any candidates will do.
         """
@@ -120,6 +127,22 @@ class State:
         """Whether steps may come now: between two generations of a search that images guide."""
         between = self.stage is Stage.SEARCH and not self.population.remaining
         return self.steps is not None and between and self.gate.strength > 0
+
+    def preview_search(self) -> Search | None:
+        """Return the search as it would be updated now; nothing else changes.
+
+        Who asks when those told and those awaited are a whole generation renders for the next one,
+        and most results are known by then.  So a copy of the search is updated with these (line 10
+        of Algorithm 1), as if they were all there will be: it is much nearer to the next generation
+        than to the present one, and yet not of its distribution.
+
+        None where too few results of the generation are known, or it is not of a search.
+        """
+        population = self.population
+        enough = max(_FEWEST, _ENOUGH * population.size)
+        if self.stage is not Stage.SEARCH or population.evaluated < enough:
+            return None
+        return self.search.preview(*population.members())
 
     def record(
         self, x: Float64, loss: float, image: Images | None, tokens: torch.Tensor | None
@@ -250,6 +273,36 @@ class State:
         self.moves.retarget(target, start, posterior)
         self._begin_search()
 
+    def recall(self, new: torch.Tensor, guess: Float64 | None, popsize: int) -> Recalled:
+        """What is remembered that says where the search for a new picture (T, C) begins.
+
+        guess: of the user's, (d,).
+        """
+        from fide_plugins.search.recall import Recalled, recall
+
+        known, samples, d = self.moves.known, self.remembered, len(self.search.mean)
+        if not samples:  # nothing is known but where the last search came to
+            last = guess if self.best is None else self.best.solution.x
+            x = known.x0 if last is None else last.copy()
+            first = np.empty((0, d)) if last is None else x[None]
+            return Recalled(Start(x, known.sigma0), first, [], np.empty(0))
+        learned = min(max(4 * popsize, for_jacobian(d)), MOST)
+        recalled = recall(samples, known, new, popsize, learned)
+        self.memory.set_losses(recalled.losses[: len(self.memory.samples)].tolist())
+        return recalled
+
+    def teach(self, samples: list[TrainingSample], std: Float64, popsize: int) -> None:
+        """Let proposer and steps learn from samples as if they came in generations, the best last.
+
+        std: (d,), of the search that begins.
+        """
+        if self.proposer is not None:
+            for i in range(0, len(samples), popsize):
+                self.proposer.update(*columns(samples[i : i + popsize]), std)
+        if self.steps is not None:
+            for i, sample in enumerate(samples):
+                self.steps.add(replace(sample, index=i))
+
     def _begin_search(self) -> None:
         """Begin where the moves say; what proposers and steps learned was of the last search."""
         self.searches += 1
@@ -304,38 +357,22 @@ class State:
 
     def state_dict(self) -> dict[str, Any]:
         """All of it as nested dicts of arrays, tensors and numbers, those in use, not copies."""
-        self.population.settle()  # which may change the proposer
-        best, found = self.best, self.search_best
-        return {
-            "rng": self.rng.bit_generator.state,
-            "population": self.population.state_dict(),
-            "search": self.search.state_dict(),
-            "moves": self.moves.state_dict(),
-            "gate": self.gate.state_dict(),
-            "proposer": None if self.proposer is None else self.proposer.state_dict(),
-            "steps": None if self.steps is None else self.steps.state_dict(),
-            "best": None if best is None else best.state_dict(),
-            "samples": [sample.state_dict() for sample in self.samples],
-            "learned": [sample.state_dict() for sample in self.learned],
-            "injected": None if self.injected is None else list(self.injected),
-            "search_best": None if found is None else found.state_dict(),
-            "memory": self.memory.state_dict(),
-            "grain": self.grain.state_dict(),
-            "clipping": self.clipping.state_dict(),
-            **{name: getattr(self, name) for name in _PLAIN},
-            "times": dict(self.times),
-        }
+        state = {name: _packed(getattr(self, name)) for name in form(State)}
+        return state | {"rng": self.rng.bit_generator.state, "times": dict(self.times)}
 
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: torch.device) -> None:
         """Put back what `state_dict` gave, tokens on the device.
 
         sides: d, T, C, H, W, by these names.  Raises ValueError if `state` is none of these.
         """
-        if "clip_warned" in state:  # of an earlier version, which counted no images
-            warned = bool(state["clip_warned"])
-            state = {name: value for name, value in state.items() if name != "clip_warned"}
-            state["clipping"] = Clipping(warned=warned).state_dict()
-        check(state, _SCHEMA, dict(sides))
+
+        def sample(one: Any) -> TrainingSample:
+            return TrainingSample.from_state(one, device)
+
+        check(state, dict(form(State)), dict(sides))
+        for name, value in state.items():  # numbers; parts follow
+            if isinstance(value, int | float):
+                setattr(self, name, value)
         self.rng.bit_generator.state = state["rng"]
         self.population = Population.from_state(state["population"], sides["d"])
         self.moves.load_state_dict(state["moves"], device)
@@ -344,22 +381,28 @@ class State:
         self.gate.load_state_dict(state["gate"])
         if self.proposer is not None:
             self.proposer.load_state_dict(state["proposer"], sides)
+        elif len(self.population.reserved):
+            raise ValueError("candidates are reserved for proposals, and nothing is proposed")
         if state["steps"] is None:
             self.steps = None  # it was saved where there are none, as in a replica
         elif self.steps is not None:
             self.steps.load_state_dict(state["steps"], sides, device)
         self.best = None if state["best"] is None else Best.from_state(state["best"])
-        self.samples = [TrainingSample.from_state(sample, device) for sample in state["samples"]]
-        self.learned = [TrainingSample.from_state(sample, device) for sample in state["learned"]]
+        self.samples = [sample(one) for one in state["samples"]]
+        self.learned = [sample(one) for one in state["learned"]]
         self.injected = None if state["injected"] is None else tuple(state["injected"])
-        found = state["search_best"]
-        self.search_best = None if found is None else TrainingSample.from_state(found, device)
+        self.search_best = None if state["search_best"] is None else sample(state["search_best"])
         self.memory.load_state_dict(state["memory"], sides, device)
         self.grain.load_state_dict(state["grain"], sides)
         self.clipping = Clipping.from_state(state["clipping"])
-        for name in _PLAIN:
-            setattr(self, name, state[name])
         self.times = dict(state["times"])
+
+
+def _packed(value: Any) -> Any:
+    """A part, a list of parts or a tuple as plain values; anything else as it is."""
+    if isinstance(value, list | tuple):
+        return [_packed(each) for each in value]
+    return value.state_dict() if hasattr(value, "state_dict") else value
 
 
 def _copied(image: Images) -> Float32:
@@ -367,30 +410,3 @@ def _copied(image: Images) -> Float32:
     if isinstance(image, torch.Tensor):
         image = image.cpu().numpy()
     return image.copy()
-
-
-_UNIT: Rule = array("d", low=0.0, high=1.0)
-_PLAIN: dict[str, Schema] = {
-    "searches": whole(),
-    "evaluations": whole(),
-    "not_finite": whole(),
-    "improved_at": whole(),
-    "improved_to": real(high=np.inf),
-    "over_at": whole(),
-    "retargeted_at": whole(),
-}
-_SCHEMA: dict[str, Schema] = {
-    "rng": GENERATOR,
-    "times": {"encode": real(), "train": real(), "search": real()},
-    # the parts check their own
-    **dict.fromkeys(
-        ("population", "search", "moves", "gate", "proposer", "steps", "memory"), anything
-    ),
-    **dict.fromkeys(("grain", "clipping"), anything),
-    "best": maybe(BEST),
-    "samples": each(SAMPLE),
-    "learned": each(SAMPLE),
-    "injected": maybe(row(_UNIT, real())),
-    "search_best": maybe(SAMPLE),
-    **_PLAIN,
-}

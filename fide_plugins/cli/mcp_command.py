@@ -1,10 +1,10 @@
-"""A server of the Model Context Protocol, on standard input and output: agents check and fit renderers.
+"""A server of the Model Context Protocol: agents check renderers, and fit them.
 
     fide mcp
 
-An agent that writes a scene starts this command, and has its numbers found: it calls `check` with the
-scene, `fit` with a picture, `status` until the fit has ended, and looks at `picture`.  Needs the
-extra mcp.  The agent's programs run with your rights, as in a shell of yours.
+An agent that writes a scene starts this command, which uses standard input and output.  The agent
+calls `check` with the scene, `fit` with a picture, `status` until the fit has ended, and looks at
+`picture`.  Needs the extra mcp.  The agent's programs run with your rights, as in a shell of yours.
 """
 
 from __future__ import annotations
@@ -77,7 +77,10 @@ class Fits:
         try:
             run = json.loads((out / "run.json").read_text("utf-8"))
             found |= {key: run[key] for key in ("state", "status") if key in run}
-            found |= {"totals": run.get("totals"), "params": (run.get("totals") or {}).get("params")}
+            found |= {
+                "totals": run.get("totals"),
+                "params": (run.get("totals") or {}).get("params"),
+            }
         except (OSError, ValueError):
             found["state"] = "starting"
         process, log = self._started.get(out.resolve(), (None, None))

@@ -13,8 +13,8 @@ import argparse
 import threading
 
 from fide_plugins.cli.arguments import path
-from fide_plugins.cli.live import open_page
-from fide_plugins.cli.messages import complain, plain
+from fide_plugins.cli.progress import open_page
+from fide_plugins.cli.terminal import complain, plain
 
 __all__ = ["add_arguments", "execute"]
 

@@ -45,9 +45,11 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.distributed.preview import preview_candidate
-from fide_plugins.fide import FIDE
+from fide_plugins.evaluation import Evaluation
+from fide_plugins.fide import FIDE, Decision
 from fide_plugins.population import Candidate, CandidateRole, Population
+from fide_plugins.population.candidate import columns
+from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
 from fide_plugins.search.moves.policy import Stage
 from fide_plugins.types import Float64
@@ -103,14 +105,14 @@ class Replica:
         batch, row = divmod(self._own(slot), self.size)
         if batch not in self._batches:
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=(self.generation, batch))
-            more = Population()
-            self.optimizer.draw(more, np.random.default_rng(seed))
-            self._batches[batch] = more.hand_out_all()
+            more, rng = Population(), np.random.default_rng(seed)
+            self.optimizer.draw(more, rng)
+            self._batches[batch] = self._hand_out(more, rng)
         return self._batches[batch][row]
 
     def _own(self, slot: int) -> int:
         """Slot within the generation of the same candidate, if it needs just its own."""
-        return slot % self.size if self.optimizer.state.needs_its_own else slot
+        return slot % self.size if self.optimizer.state.generation_is_fixed else slot
 
     def newest(self, slot: int, out: int) -> Candidate:
         """Better one than the candidate in that slot, if the generation does not need that.
@@ -118,16 +120,38 @@ class Replica:
         out: entries that are still to be told; with these and those told the generation may be
             complete, and then what is asked now is for the next one.
 
-        It is drawn from what is known when it is asked (see `preview`), so it differs from worker
-        to worker, and from one moment to the next.
+        It is drawn from what is known when it is asked (`State.preview_search`), so it differs from
+        worker to worker, and from one moment to the next.
         """
         if slot >= self.size <= self._population.evaluated + out:
             key = (self.generation, slot, 1)  # never that of `candidate`
             seed = np.random.SeedSequence(self.optimizer.seed, spawn_key=key)
-            preview = preview_candidate(self.optimizer, np.random.default_rng(seed))
+            preview = self._preview(np.random.default_rng(seed))
             if preview is not None:
                 return preview
         return self.candidate(slot)
+
+    def _preview(self, rng: np.random.Generator) -> Candidate | None:
+        """Draw one candidate, from the search and the proposer as they would be updated now.
+
+        None where too few results of the generation are known, or it is not of a search.
+        Changes nothing: proposers, too, are updated in a copy (line 8 of Algorithm 1).  A network
+        is not trained for this: it proposes as it is.
+        """
+        state = self.optimizer.state
+        search, proposer = state.preview_search(), state.proposer
+        if search is None:
+            return None
+        if proposer is not None and state.samples:
+            proposer = proposer.preview(*columns(state.samples), state.search.std)
+        x, z = search.sample(1, rng)  # (1, d)
+        index, proposed = state.population.drawn, False
+        if proposer is not None and proposer.ready and rng.random() < state.gate.proposed:
+            v, target = search.stretched(z), self.optimizer.target_tokens
+            made = proposer.propose(v, target, search.mean, search.std, rng)
+            x, proposed = search.place_proposals(made, z), True
+            z = search.closest(x)
+        return Candidate(index, x[0], z[0], proposed=proposed, off_distribution=True)
 
     def is_candidate(self, slot: int, x: Float64) -> bool:
         """Whether x (d,) is what becomes of the candidate in that slot."""
@@ -157,13 +181,11 @@ class Replica:
         """
         self._open()
         optimizer = self.optimizer
-        self._check(x, loss, tokens)
+        results = self._evaluate(x, loss, tokens)
         role, x = self._register(x, generation, slot, proposed)
         stage, completed = self._stage_of_search(), self._population.generations
-        features = None if tokens is None else tokens[None]
         try:
-            with optimizer.decided(over=over, guided=guided):
-                optimizer.tell(x[None], losses=np.array([loss]), features=features)
+            optimizer.enter(as_points(x[None], optimizer.dim), results, Decision(over, guided))
         finally:  # what training raises comes after the generation was completed
             if self._population.generations != completed:
                 self.generation += 1
@@ -173,11 +195,14 @@ class Replica:
                     self.guided = optimizer.state.moves.guided
         return role
 
-    def _check(self, x: Float64, loss: float, tokens: Tensor | None) -> None:
-        """Raise what `FIDE.tell` raises, before anything changes."""
-        as_points(x[None], self.optimizer.dim)
+    def _evaluate(self, x: Float64, loss: float, tokens: Tensor | None) -> Evaluation:
+        """One entry; raises what `FIDE.tell` raises, before anything changes."""
+        optimizer = self.optimizer
+        as_points(x[None], optimizer.dim)
         features = None if tokens is None else tokens[None]
-        self.optimizer.evaluator.evaluate(1, None, np.array([loss]), features)
+        with timed(optimizer.times, "encode"):
+            encode = optimizer.state.proposer is not None
+            return optimizer.evaluator.evaluate(1, None, np.array([loss]), features, encode=encode)
 
     def _open(self) -> None:
         """Draw the candidates of the generation; what is still out of others is forgotten."""
@@ -185,7 +210,13 @@ class Replica:
             if not self._population.remaining:  # else it is drawn, and making proposals failed
                 self._population.forget_pending()
                 self.optimizer.draw_generation()
-            self._batches[0] = self._population.hand_out_all()
+            self._batches[0] = self._hand_out(self._population, self.optimizer.state.rng)
+
+    def _hand_out(self, population: Population, rng: np.random.Generator) -> list[Candidate]:
+        """All candidates of a generation that remain."""
+        population.expect(population.remaining)
+        self.optimizer.make_proposals(population, rng)
+        return [population.hand_out() for _ in range(population.remaining)]
 
     def _register(
         self, x: Float64, generation: int | None, slot: int, proposed: bool
@@ -218,13 +249,13 @@ class Replica:
         slot: of the present generation, in which it was asked; None: it was asked in another one.
         """
         state, role = self.optimizer.state, CandidateRole.MEMBER
-        if state.needs_its_own:
+        if state.generation_is_fixed:
             if slot is None or slot in self._taken:
                 role = CandidateRole.SPARE
             else:  # it counts in the place of that slot's candidate
                 self._taken.add(slot)
                 self._population.take(self.candidate(slot).x)
-        z = state.search.near(x[None])[0]
+        z = state.search.closest(x[None])[0]
         self._population.adopt(x, z, role, proposed=proposed, off_distribution=True)
         return role
 

@@ -160,7 +160,7 @@ class Loop:
             x: Float64 = self.optimizer.ask(1)[0]
             return x
         number = self.failures.count + len(self._running)
-        return self.optimizer.anywhere(number)
+        return self.optimizer.random_point(number)
 
     @property
     def _is_lost(self) -> bool:

@@ -52,7 +52,6 @@ def fit(
     constraints: Callable[[Any], object] | None = None,
     max_failures: float = 1.0,
     until: str = "solved",
-    until_stalled: bool = False,
     timeout: float | str | None = None,
     resume: bool = False,
     progress: object = None,
@@ -117,8 +116,6 @@ def fit(
         searches ended at the same answer, or the loss has not improved by a tenth for 150
         generations (1,200 renders of four parameters, 2,250 of 40) and half of all evaluations.
         "budget": none of these.
-    until_stalled
-        True: the former name of ``until="stalled"``.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.
@@ -163,7 +160,7 @@ def fit(
         render,
         _with_views(target, views),
         space,
-        stopping=Stopping.of(budget, time, stop_at, until, until_stalled),
+        stopping=Stopping.of(budget, time, stop_at, until),
         workers=workers,
         executor=executor,
         callbacks=callbacks,

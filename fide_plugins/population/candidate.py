@@ -1,18 +1,30 @@
-"""A candidate, what it counts for, and how a list of them is saved."""
+"""A candidate, what it counts for, and what is remembered of it once it is evaluated."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
+from torch import Tensor, as_tensor, device
 
-from fide_plugins.runtime.schema import Schema, array
-from fide_plugins.types import Float64
+from fide_plugins.runtime.devices import stack
+from fide_plugins.runtime.schema import Schema, array, form, maybe, real, saved, values, whole
+from fide_plugins.types import Float64, Solution
 
-__all__ = ["Candidate", "CandidateRole", "form_of", "pack", "unpack"]
+__all__ = [
+    "Best",
+    "Candidate",
+    "CandidateRole",
+    "TrainingSample",
+    "columns",
+    "form_of",
+    "in_order",
+    "pack",
+    "unpack",
+]
 
 
 class CandidateRole(IntEnum):
@@ -26,8 +38,8 @@ class CandidateRole(IntEnum):
     STEP    no                                    no           nothing happens
     ======  ====================================  ===========  ===============================
 
-    A spare one is asked beyond a generation that needs just its own candidates, such as a test.  A
-    step comes between two generations (`proposers.steps`).  A point that is told and was not
+    A spare one is asked beyond a generation that needs exactly its own candidates, such as a test.
+    A step comes between two generations (`proposers.forward`).  A point that is told and was not
     pending is no candidate: it is *injected*.
     """
 
@@ -47,7 +59,7 @@ class Candidate:
     proposed: whether a proposer made it, and not a search distribution.
     off_distribution: whether it is of another distribution than the generation in which it counts:
         of an earlier one, drawn ahead for the next one, or changed by somebody.
-    mirrored: whether it is one of the pair that measures the step size, see `search.step_size`.
+    mirrored: whether it is one of the pair that measures the step size, see `search.cma_es`.
     """
 
     index: int
@@ -63,19 +75,19 @@ _FLAGS = ("proposed", "off_distribution", "mirrored")
 
 
 def pack(candidates: list[Candidate]) -> dict[str, Any]:
-    """Arrays of all fields, each (n, ...); roles are "kind", as in earlier checkpoints."""
+    """Arrays of all fields, each (n, ...)."""
     return {
         "index": np.array([c.index for c in candidates], np.int64),
         "x": np.array([c.x for c in candidates]),
         "z": np.array([c.z for c in candidates]),
-        "kind": np.array([c.role for c in candidates], np.int64),
+        "role": np.array([c.role for c in candidates], np.int64),
         **{name: np.array([getattr(c, name) for c in candidates], bool) for name in _FLAGS},
     }
 
 
 def unpack(packed: Mapping[str, Any]) -> list[Candidate]:
     """Candidates that `pack` was given."""
-    roles = [CandidateRole(role) for role in packed["kind"].tolist()]
+    roles = [CandidateRole(role) for role in packed["role"].tolist()]
     flags = [packed[name].tolist() for name in _FLAGS]
     columns = (packed["index"].tolist(), packed["x"], packed["z"], roles, *flags)
     return [Candidate(i, x.copy(), z.copy(), *f) for i, x, z, *f in zip(*columns, strict=True)]
@@ -87,6 +99,84 @@ def form_of(n: str) -> Schema:
         "index": array(n, kind="i"),
         "x": array(n, "d", low=0.0, high=1.0),
         "z": array(n, "d", low=-1e60, high=1e60),
-        "kind": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
+        "role": array(n, kind="i", low=min(CandidateRole), high=max(CandidateRole)),
         **{name: array(n, kind="b") for name in _FLAGS},
     }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingSample:
+    """An evaluation whose image is known: what proposers and moves learn from.
+
+    index: order of asking.
+    x: (d,), parameters.
+    tokens: (T, C), features of the image.
+    loss: finite.
+    evaluation: number of the evaluation, from 0, in the order of telling.
+    """
+
+    index: int = saved(whole())
+    x: Float64 = saved(array("d", low=0.0, high=1.0))
+    tokens: Tensor = saved(array("T", "C"))
+    loss: float = saved(real())
+    evaluation: int = saved(whole())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it; tokens are those in use, not a copy."""
+        return values(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any], device: device | None = None) -> TrainingSample:
+        """Undo `state_dict`; arrays serve as tensors, which go to the device."""
+        return cls(**{**state, "tokens": as_tensor(state["tokens"], device=device)})
+
+
+def columns(samples: Sequence[TrainingSample]) -> tuple[Float64, Tensor, Float64]:
+    """Of samples, at least one: x (n, d), tokens (n, T, C), losses (n,)."""
+    x = np.array([sample.x for sample in samples])
+    losses = np.array([sample.loss for sample in samples])
+    return x, stack([sample.tokens for sample in samples]), losses
+
+
+def in_order(samples: Iterable[TrainingSample]) -> list[TrainingSample]:
+    """Samples in the order in which they were asked, whatever that in which they were told."""
+    return sorted(samples, key=lambda sample: sample.index)
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """The best point told so far.
+
+    solution: the point.
+    index: number of its candidate.
+    mean: (d,), mean of the search that asked it; the point itself if none did.
+    search_number: of the search that asked it; 0 for none.
+    """
+
+    solution: Solution
+    index: int = saved(whole())
+    mean: Float64 = saved(array("d", low=-1e60, high=1e60))
+    search_number: int = saved(whole())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it but what is computed when it is read; arrays are those in use, not copies."""
+        return values(self) | {name: getattr(self.solution, name) for name in _SOLUTION}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Best:
+        """Undo `state_dict`."""
+        solution = Solution(**{name: state[name] for name in _SOLUTION})
+        return cls(solution, **{name: state[name] for name in form(cls)})
+
+    @classmethod
+    def schema(cls) -> Schema:
+        """Return the form of what `state_dict` gives."""
+        return form(cls) | _SOLUTION
+
+
+_SOLUTION: dict[str, Schema] = {
+    "x": array("d", low=0.0, high=1.0),
+    "loss": real(),
+    "evaluation": whole(),
+    "image": maybe(array("H", "W", 3, low=0.0, high=1.0)),
+}

@@ -1,14 +1,14 @@
 """The record of candidates: which were drawn, which are pending, which were evaluated.
 
-FIDE and all baselines keep one.  A candidate is drawn (`queue`), handed out (`pending`) and told;
-users tell in whatever order and pieces.
+FIDE and all baselines keep one.  A candidate is drawn, handed out and told; users tell in whatever
+order and pieces.
 
 *What counts.*  A `CandidateRole` says what a candidate counts for.  Asking for more than is left of
 a generation draws more members from the same distribution, and any of them complete it.  Those that
 are told after that count in the next one, in which they are `off_distribution`.  Where a generation
-needs just its own candidates, for a test, asking for more draws spare ones.  A point that was asked
-before a restart, told twice, or never asked at all is *injected*: it tells about the renderer, not
-about the search distribution.
+needs exactly its own candidates, for a test, asking for more draws spare ones.  A point that was
+asked before a restart, told twice, or never asked at all is *injected*: it tells about the
+renderer, not about the search distribution.
 
 *When a generation is complete.*  It lacks
 
@@ -24,6 +24,7 @@ on the order of telling.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -32,28 +33,54 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.population.candidate import Candidate, CandidateRole, form_of, pack, unpack
-from fide_plugins.population.pending import SCHEMA as PENDING, Pending
-from fide_plugins.population.queue import SCHEMA as QUEUE, Propose, Queue
-from fide_plugins.runtime.schema import Schema, array, check, whole
+from fide_plugins.runtime.schema import Schema, array, check, row, whole
 from fide_plugins.types import Float64, Mask
 
 __all__ = ["Population", "mirrored_pair", "search_columns"]
 
 _LOST = 2  # generations' worth of spare candidates told, after which members count as lost
+_MOST_PENDING = 20_000  # candidates; or twice as many as were asked at once, if that is more
+_LATE = 3  # times as late as the latest result of late, from which on no result is expected
+_ZERO = np.float32(0.0)
+_SCHEMA: Schema = {
+    "size": whole(),
+    "drawn": whole(),
+    "generations": whole(),
+    "generation_from": whole(),
+    "withdrawn": whole(),
+    "queue": form_of("queued"),
+    "reserved": array("reserved", "d", low=-1e60, high=1e60),
+    "reserved_from": whole(),
+    "pending": form_of("pending"),
+    "most_pending": whole(),
+    "newest": whole(),
+    "delays": row(whole(), whole()),
+    "members": form_of("members"),
+    "losses": array("members", high=np.inf),
+    "spare": form_of("spare"),
+    "spare_losses": array("spare", high=np.inf),
+}
 
 
 class Population:
-    """Candidates drawn, pending and evaluated."""
+    """Candidates drawn, pending and evaluated.
+
+    size: members of the present generation.
+    drawn: candidates ever drawn.
+    generations: generations completed.
+    reserved: (m, d), samples at the end of the queue from which proposals are to be made.
+    """
 
     def __init__(self) -> None:
-        self.size = 0
-        """Members of the present generation."""
-        self.drawn = 0
-        """Candidates ever drawn."""
-        self.generations = 0
-        """Generations completed."""
-        self._queue = Queue()  # drawn, not handed out
-        self._pending = Pending()  # handed out, not told
+        self.size = self.drawn = self.generations = 0
+        self.reserved: Float64 = np.empty((0, 0))
+        self._reserved_from = 0  # index of the first of these
+        self._queue: deque[Candidate] = deque()  # drawn, not handed out
+        self._pending: dict[int, Candidate] = {}  # handed out, not told, by index
+        self._by_point: dict[bytes, list[Candidate]] = {}  # the same, by their points
+        self._most_pending = _MOST_PENDING
+        self._newest = 0  # highest index handed out
+        self._delays = (0, 0)  # by how much more than a generation a result was late: now, before
         self._members: list[tuple[Candidate, float]] = []  # told in the present generation
         self._spare: list[tuple[Candidate, float]] = []  # told, too, and not needed by it
         self._withdrawn = 0  # of its own candidates, in whose place spare ones count
@@ -62,19 +89,14 @@ class Population:
     # -- asking ------------------------------------------------------------------------------------
 
     @property
-    def remaining(self) -> int:
-        """Candidates of this generation that were drawn and not yet handed out."""
+    def queued(self) -> int:
+        """Candidates of this generation that can be handed out."""
         return len(self._queue)
 
     @property
-    def ready(self) -> int:
-        """How many of these wait for nothing; all that remain if none is made."""
-        return self._queue.ready
-
-    @property
-    def unmade(self) -> int:
-        """How many of these are proposals that are not made yet."""
-        return self._queue.unmade
+    def remaining(self) -> int:
+        """Candidates of this generation that are not yet handed out, reserved ones too."""
+        return len(self._queue) + len(self.reserved)
 
     @property
     def has_begun(self) -> bool:
@@ -85,71 +107,68 @@ class Population:
         self,
         x: Float64,
         z: Float64,
-        unmade: Float64 | None = None,
+        reserved: Float64 | None = None,
         *,
         pair: bool = False,
         spare: bool = False,
     ) -> None:
         """Queue candidates x (n, d) with their z (n, d) as a generation.
 
-        unmade: samples (m, d), from which the proposals that follow are made, see `propose_by`.
+        reserved: samples (m, d), in whose place proposals follow, see `add_proposals`.
         pair: whether the first two are a mirrored pair.
         spare: whether the present generation needs none of x.
         """
-        unmade = np.empty((0, 0)) if unmade is None else unmade
-        n = len(x) + len(unmade)
+        reserved = np.empty((0, 0)) if reserved is None else reserved
+        n = len(x) + len(reserved)
         if not spare:
             self.size, self._withdrawn = n, 0
         role = CandidateRole.SPARE if spare else CandidateRole.MEMBER
-        self._queue.draw(self.drawn, x, z, unmade, role, pair=pair)
+        pair = pair and len(x) >= 2
+        for i, (point, drawn) in enumerate(zip(x, z, strict=True)):
+            mirrored = pair and i < 2
+            self._queue.append(Candidate(self.drawn + i, point, drawn, role, mirrored=mirrored))
+        self.reserved, self._reserved_from = reserved, self.drawn + len(x)
         self.drawn += n
 
-    def propose_by(self, propose: Propose, *, singly: bool) -> None:
-        """Say what makes the proposals; a checkpoint cannot hold it.
+    def add_proposals(self, x: Float64, z: Float64) -> None:
+        """Queue proposals x (m, d) with their z (m, d), made from the first reserved samples."""
+        for point, near in zip(x, z, strict=True):
+            self._queue.append(Candidate(self._take_reserved(), point, near, proposed=True))
 
-        singly: each proposal when it is asked for, otherwise all when the first one is.  Those that
-            are asked for together are made by one call of `propose`.
-        """
-        self._queue.propose_by(propose, singly=singly)
-
-    def make_proposals(self, n: int | None = None) -> None:
-        """Make proposals until n candidates are queued; all if n is None, or if not `singly`.
-
-        If that raises, the next call tries again.
-        """
-        self._queue.make(n)
-
-    def settle(self) -> None:
-        """Make the proposals that no further result can change."""
-        self._queue.settle()
+    def _take_reserved(self) -> int:
+        """Index of the next reserved candidate, which is reserved no more."""
+        self.reserved, self._reserved_from = self.reserved[1:], self._reserved_from + 1
+        return self._reserved_from - 1
 
     def proposed(self, first: int, n: int) -> Mask:
         """Which of n candidates of those that remain are proposals, (n,), from the first on."""
-        return self._queue.proposed(first, n)
+        flags = [candidate.proposed for candidate in self._queue] + [True] * len(self.reserved)
+        return np.array(flags[first : first + n], bool)
 
     def replace(self, first: int, x: Float64, z: Float64, proposed: Mask) -> None:
         """Put points x (m, d) of another distribution, with their z (m, d), in candidates' place.
 
-        first: of those that remain, which is queued, or the next proposal.
+        first: of those that remain, which is queued, or the first reserved one.
         proposed: (m,), whether each is a proposal.
         """
-        self._queue.replace(first, x, z, proposed)
+        for i, (point, drawn, made) in enumerate(zip(x, z, proposed, strict=True), first):
+            queued = i < len(self._queue)
+            index = self._queue[i].index if queued else self._take_reserved()
+            other = Candidate(index, point, drawn, proposed=bool(made), off_distribution=True)
+            if queued:
+                self._queue[i] = other
+            else:
+                self._queue.append(other)
 
     def expect(self, n: int) -> None:
         """Prepare for n candidates that are asked at once: all of them may be pending."""
-        self._pending.expect(max(n, self.size))
+        self._most_pending = max(self._most_pending, 2 * max(n, self.size))
 
     def hand_out(self) -> Candidate:
-        """Next candidate of the generation."""
-        candidate = self._queue.pop()
-        self._pending.add(candidate)
+        """Next candidate of the queue."""
+        candidate = self._queue.popleft()
+        self._add_pending(candidate)
         return candidate
-
-    def hand_out_all(self) -> list[Candidate]:
-        """All candidates of the generation that remain."""
-        self.expect(self.remaining)
-        self.make_proposals()
-        return [self.hand_out() for _ in range(self.remaining)]
 
     def adopt(
         self,
@@ -161,8 +180,7 @@ class Population:
         off_distribution: bool = False,
     ) -> None:
         """Take x (d,), which was drawn elsewhere, for a candidate that was handed out."""
-        index = self.new_index()
-        self._pending.add(Candidate(index, x, z, role, proposed, off_distribution))
+        self._add_pending(Candidate(self.new_index(), x, z, role, proposed, off_distribution))
 
     def new_index(self) -> int:
         """New index, of a candidate that was never drawn: no other has it."""
@@ -173,21 +191,61 @@ class Population:
 
     @property
     def pending(self) -> int:
-        """Candidates that were handed out and not yet told."""
+        """Candidates that were handed out and not yet told.
+
+        One that is never told stays here until so many others are pending that memory would grow;
+        after that it counts as injected.  Long before, nothing waits for it, see `awaited`.
+        """
         return len(self._pending)
 
     @property
     def awaited(self) -> int:
-        """Those of the pending for which a generation waits, see `Pending.awaited`."""
-        return self._pending.awaited(self.size)
+        """How many of the pending are not much later than all others.
+
+        A lost one never comes.  For steps no generation waits.
+        """
+        oldest = self._newest - _LATE * (self.size + max(self._delays))
+        n = 0
+        for candidate in reversed(self._pending.values()):  # the last handed out come first
+            if candidate.index < oldest:
+                break
+            n += candidate.role is not CandidateRole.STEP
+        return n
 
     def is_pending(self, x: Float64) -> bool:
         """Whether x (d,) was handed out and not yet told."""
-        return x in self._pending
+        return bool(self._by_point.get(_key(x)))
+
+    def _add_pending(self, candidate: Candidate) -> None:
+        self._note_pending(candidate)
+        self._newest = max(self._newest, candidate.index)
+        if len(self._pending) > self._most_pending:  # the oldest is given up
+            self._pop_pending(_key(next(iter(self._pending.values())).x), 0)
+
+    def _note_pending(self, candidate: Candidate) -> None:
+        self._pending[candidate.index] = candidate
+        self._by_point.setdefault(_key(candidate.x), []).append(candidate)
 
     def take(self, x: Float64) -> Candidate | None:
-        """Take x (d,) from the pending candidates; returns it, or None if it is not pending."""
-        return self._pending.take(x)
+        """Take x (d,) from the pending candidates; returns it, or None if it is not pending.
+
+        Of several with nearly the same point that with just this one; of these a spare one.
+        """
+        key = _key(x)
+        waiting = self._by_point.get(key)
+        if not waiting:
+            return None
+        if len(waiting) == 1:
+            return self._pop_pending(key, 0)
+        unlike = [(not np.array_equal(c.x, x), c.role is not CandidateRole.SPARE) for c in waiting]
+        return self._pop_pending(key, unlike.index(min(unlike)))
+
+    def _pop_pending(self, key: bytes, which: int) -> Candidate:
+        candidate = self._by_point[key].pop(which)
+        del self._pending[candidate.index]
+        if not self._by_point[key]:
+            del self._by_point[key]
+        return candidate
 
     def withdraw(self, x: Float64) -> None:
         """Say that x (d,) will not be told; if it is not pending, nothing happens."""
@@ -198,6 +256,7 @@ class Population:
     def forget_pending(self) -> None:
         """A restart: what is still pending counts as injected if it is told."""
         self._pending.clear()
+        self._by_point.clear()
 
     # -- telling -----------------------------------------------------------------------------------
 
@@ -206,7 +265,8 @@ class Population:
         candidate = self.take(x)
         if candidate is None:
             return None
-        self._pending.note_result(candidate, self.size)
+        delay = self._newest - candidate.index - self.size
+        self._delays = max(self._delays[0], delay), self._delays[1]
         if candidate.index < self._generation_from:
             candidate = replace(candidate, off_distribution=True)
         if candidate.role is CandidateRole.MEMBER:
@@ -228,13 +288,10 @@ class Population:
     @property
     def complete(self) -> bool:
         """Whether a whole generation has been told, or what is missing is lost."""
-        return self.size > 0 and (self.missing <= 0 or self._is_lost)
-
-    @property
-    def _is_lost(self) -> bool:
-        """Whether so many spare ones were told that what is missing will not come any more."""
+        if self.size > 0 and self.missing <= 0:
+            return True
         told = len(self._spare)
-        return told >= _LOST * self.size and told >= _LOST * self.awaited
+        return self.size > 0 and told >= _LOST * self.size and told >= _LOST * self.awaited
 
     def members(self) -> tuple[list[Candidate], Float64]:
         """Those told in the order in which they were asked, and their losses (n,).
@@ -253,7 +310,8 @@ class Population:
         members, losses = self.members()
         self._members, self._spare, self._withdrawn = [], [], 0
         self._queue.clear()
-        self._pending.begin_generation()
+        self.reserved = np.empty((0, 0))
+        self._delays = (0, self._delays[0])
         self._generation_from = self.drawn
         self.generations += 1
         return members, losses
@@ -261,15 +319,20 @@ class Population:
     # -- saving ------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything, as arrays, but what makes proposals."""
+        """Everything, as arrays."""
         return {
             "size": self.size,
             "drawn": self.drawn,
             "generations": self.generations,
             "generation_from": self._generation_from,
             "withdrawn": self._withdrawn,
-            "queue": self._queue.state_dict(),
-            "pending": self._pending.state_dict(),
+            "queue": pack(list(self._queue)),
+            "reserved": self.reserved,
+            "reserved_from": self._reserved_from,
+            "pending": pack(sorted(self._pending.values(), key=lambda c: c.index)),
+            "most_pending": self._most_pending,
+            "newest": self._newest,
+            "delays": list(self._delays),
             "members": pack([c for c, _ in self._members]),
             "losses": np.array([loss for _, loss in self._members], np.float64),
             "spare": pack([c for c, _ in self._spare]),
@@ -281,14 +344,17 @@ class Population:
         """Population of points (dim,) as it was when `state_dict` was taken; ValueError if none."""
         check(state, _SCHEMA, {"d": dim}, "population")
         population = cls()
-        population.size, population.drawn = state["size"], state["drawn"]
-        population.generations = state["generations"]
-        population._generation_from = state["generation_from"]
-        population._withdrawn = state["withdrawn"]
-        population._queue = Queue.from_state(state["queue"])
-        population._pending = Pending.from_state(state["pending"])
-        population._members = _told(state["members"], state["losses"])
-        population._spare = _told(state["spare"], state["spare_losses"])
+        for name in ("size", "drawn", "generations", "reserved"):
+            setattr(population, name, state[name])
+        for name in ("generation_from", "withdrawn", "reserved_from", "most_pending", "newest"):
+            setattr(population, f"_{name}", state[name])
+        population._queue.extend(unpack(state["queue"]))
+        for candidate in unpack(state["pending"]):
+            population._note_pending(candidate)
+        population._delays = (*state["delays"],)
+        members, spare = unpack(state["members"]), unpack(state["spare"])
+        population._members = list(zip(members, state["losses"].tolist(), strict=True))
+        population._spare = list(zip(spare, state["spare_losses"].tolist(), strict=True))
         return population
 
 
@@ -310,20 +376,6 @@ def mirrored_pair(members: list[Candidate]) -> tuple[int, int] | None:
     return None
 
 
-def _told(packed: Mapping[str, Any], losses: Float64) -> list[tuple[Candidate, float]]:
-    return list(zip(unpack(packed), losses.tolist(), strict=True))
-
-
-_SCHEMA: Schema = {
-    "size": whole(),
-    "drawn": whole(),
-    "generations": whole(),
-    "generation_from": whole(),
-    "withdrawn": whole(),
-    "queue": QUEUE,
-    "pending": PENDING,
-    "members": form_of("members"),
-    "losses": array("members", high=np.inf),
-    "spare": form_of("spare"),
-    "spare_losses": array("spare", high=np.inf),
-}
+def _key(x: Float64) -> bytes:
+    """Name of a point, the same after a way through a renderer in single precision."""
+    return (x.astype(np.float32) + _ZERO).tobytes()  # 0 and -0 are one number

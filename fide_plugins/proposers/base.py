@@ -23,7 +23,7 @@ class Proposer(Protocol):
         """Whether it learns while the user renders, and should be asked late."""
 
     @property
-    def singly(self) -> bool:
+    def lazy(self) -> bool:
         """Whether each proposal is made when it is asked for, from all that was told by then."""
 
     @property
@@ -73,7 +73,7 @@ class ProposerDefaults(ABC):
     """What most proposers have in common."""
 
     background = False
-    singly = False
+    lazy = False
 
     @property
     def busy(self) -> bool:

@@ -91,7 +91,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
     select : whether tokens that do not vary are left out, see `proposers.feature_buffer`.
     """
 
-    singly = True
+    lazy = True
 
     def __init__(
         self,

@@ -141,7 +141,7 @@ class LinearProposer(Previewed, ProposerDefaults):
         self.r2_threshold = r2_threshold
         self.forget()
 
-    singly = True
+    lazy = True
 
     def forget(self) -> None:
         """Begin with an empty buffer: the ranks of another search say nothing about this one."""

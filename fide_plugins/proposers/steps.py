@@ -20,21 +20,25 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.training_sample import (
-    SCHEMA as SAMPLE,
+from fide_plugins.population.candidate import (
     TrainingSample,
     columns,
     in_order,
 )
 from fide_plugins.proposers.forward import ForwardProposer, best_and_latest
-from fide_plugins.runtime.schema import Schema, Sides, anything, check, each, flag, whole
+from fide_plugins.runtime.schema import Schema, Sides, anything, check, each, flag, form, whole
 from fide_plugins.types import Float64
 
 __all__ = ["GaussNewtonSteps"]
 
 _MOST = 3  # generations' worth of steps between two of them, where all of the residual is promised
 
-_SCHEMA: Schema = {"forward": anything, "new": each(SAMPLE), "due": flag, "left": whole()}
+_SCHEMA: Schema = {
+    "forward": anything,
+    "new": each(form(TrainingSample)),
+    "due": flag,
+    "left": whole(),
+}
 
 
 class GaussNewtonSteps:

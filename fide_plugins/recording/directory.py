@@ -32,7 +32,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from fide_plugins.errors import CheckpointError
+from fide_plugins.errors import CheckpointError, DependencyError
 from fide_plugins.recording import kept_target, sources as sources_module, tables
 from fide_plugins.recording.checkpointing import try_each
 from fide_plugins.recording.json_record import (
@@ -296,10 +296,18 @@ class RunDirectory:
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
     ) -> None:
-        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts."""
+        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts.
+
+        Without matplotlib, which is an extra, a warning says so: the run is worth more.
+        """
         from fide_plugins.recording.figures import summary
 
-        files.write_bytes(self.path / "summary.png", summary(result, target, counts))
+        try:
+            drawn = summary(result, target, counts)
+        except DependencyError as error:
+            warn_user(f"summary.png is left out: {error}")
+        else:
+            files.write_bytes(self.path / "summary.png", drawn)
 
     def write_run(
         self,

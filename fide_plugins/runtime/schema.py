@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import field, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,13 +32,16 @@ __all__ = [
     "check",
     "each",
     "flag",
+    "form",
     "maybe",
     "numbers",
     "real",
     "row",
+    "saved",
     "side",
     "table",
     "text",
+    "values",
     "whole",
 ]
 
@@ -68,6 +72,21 @@ def check(state: Any, schema: Schema, sides: Sides, place: str = "state") -> Non
     _demand(not odd, place, f"has missing or unknown entries: {', '.join(map(repr, odd))}")
     for name, part in schema.items():
         check(state[name], part, sides, f"{place}[{name!r}]")
+
+
+def saved(rule: Schema, **arguments: Any) -> Any:
+    """Field of a dataclass that is saved, and what it must be like; arguments: of `field`."""
+    return field(metadata={"saved": rule}, **arguments)
+
+
+def form(kind: type) -> dict[str, Schema]:
+    """Return the schema of the `saved` fields of a dataclass, by name."""
+    return {f.name: f.metadata["saved"] for f in fields(kind) if "saved" in f.metadata}
+
+
+def values(instance: Any) -> dict[str, Any]:
+    """Those fields of an instance, by name; not copies."""
+    return {name: getattr(instance, name) for name in form(type(instance))}
 
 
 def whole(low: int = 0, high: int = 2**63) -> Rule:

@@ -11,7 +11,7 @@ redrawn or moved, and the covariance is as unbiased as without bounds.  (Telling
 instead would shrink the covariance across a nearby wall.)
 
 A candidate that comes from elsewhere, a proposal or a user's guess, is a point x of the cube and
-has many z; `near` takes the one closest to the mean.
+has many z; `closest` takes the one closest to the mean.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["distance", "inside", "into", "near"]
+__all__ = ["closest", "distance", "inside", "into"]
 
 
 def into(z: Float64, periodic: Mask | None = None) -> Float64:
@@ -45,7 +45,7 @@ def distance(x: Float64, y: Float64, periodic: Mask | None = None) -> Float64:
     return apart if periodic is None else np.where(periodic, np.minimum(apart, 1.0 - apart), apart)
 
 
-def near(x: Float64, mean: Float64, periodic: Mask | None = None) -> Float64:
+def closest(x: Float64, mean: Float64, periodic: Mask | None = None) -> Float64:
     """Return the z (n, d) with into(z) = x (n, d) that is closest to `mean` (d,)."""
     turn = 2.0 * np.round((mean - x) / 2.0)
     mirrored = -x + 2.0 * np.round((mean + x) / 2.0)

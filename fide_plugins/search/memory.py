@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, as_tensor, device
 
-from fide_plugins.population.training_sample import TrainingSample, columns
+from fide_plugins.population.candidate import TrainingSample, columns
 from fide_plugins.runtime.schema import Schema, Sides, array, check, maybe, whole
 
 __all__ = ["Memory"]

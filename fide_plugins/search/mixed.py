@@ -107,9 +107,9 @@ class Mixed:
         x = boundary.inside(proposed, self._periodic)
         return x if self._discrete is None or self.layout is None else self.layout.snap(x)
 
-    def near(self, x: Float64, mean: Float64) -> Float64:
+    def closest(self, x: Float64, mean: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean (d,)."""
-        v = boundary.near(x, mean, self._periodic)
+        v = boundary.closest(x, mean, self._periodic)
         if self._discrete is None:
             return v
         return mean + (np.where(self._discrete, x, v) - mean) / self.A

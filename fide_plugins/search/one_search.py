@@ -108,7 +108,7 @@ class Search:
         x, z, invalid = validity.sample(lambda m: self._sample(m, rng), n)
         if invalid.any():
             x = validity.at_nearest(x, invalid, self._start.mean)
-            z[invalid] = self.distribution.shortened(self.near(x[invalid]))
+            z[invalid] = self.distribution.shortened(self.closest(x[invalid]))
         return x, z
 
     def _sample(self, n: int, rng: np.random.Generator) -> tuple[Float64, Float64]:
@@ -144,9 +144,9 @@ class Search:
         held = self._start.held
         return x if held is None else np.where(held, self._start.mean, x)
 
-    def near(self, x: Float64) -> Float64:
+    def closest(self, x: Float64) -> Float64:
         """Return the z (n, d) of points x (n, d) that is closest to the mean."""
-        return self._mixed.near(x, self.mean)
+        return self._mixed.closest(x, self.mean)
 
     def tell(
         self, members: list[Candidate], losses: Float64, point: tuple[Float64, float] | None
@@ -161,7 +161,8 @@ class Search:
         worst = int(np.argmax(losses))
         if point is not None and point[1] < losses[worst]:
             losses = losses.copy()  # those given are the caller's
-            z[worst], losses[worst], injected[worst] = self.near(point[0][None])[0], point[1], True
+            z[worst], losses[worst] = self.closest(point[0][None])[0], point[1]
+            injected[worst] = True
         pair = mirrored_pair(members)
         if pair is not None and injected[list(pair)].any():
             pair = None

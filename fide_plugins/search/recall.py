@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.moves.base import Known, Start
 from fide_plugins.search.scene.optima import APART
 from fide_plugins.types import Float64

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Estimated, Float64, Indices, Mask

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fide_plugins.population.training_sample import TrainingSample, in_order
+from fide_plugins.population.candidate import TrainingSample, in_order
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.basin import of_twins

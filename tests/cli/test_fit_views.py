@@ -11,9 +11,8 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE
-from fide_plugins.cli.extra_renders import check_first
-from fide_plugins.cli.fit_pictures import pictures
-from fide_plugins.cli.fit_renderer import _keep_pictures
+from fide_plugins.cli.fit_command import _keep_pictures
+from fide_plugins.cli.fit_inputs import check_first, pictures
 from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer

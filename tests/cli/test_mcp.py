@@ -18,7 +18,7 @@ pytest.importorskip("mcp")
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-RENDERER = '''
+RENDERER = """
 import numpy as np
 from fide_plugins import Float, Space
 
@@ -27,7 +27,7 @@ yy, xx = np.mgrid[0:24, 0:24] / 23
 
 def render(p):
     return 1 / (1 + np.exp(30 * (np.hypot(xx - p["x"], yy - 0.5) - p["radius"])))
-'''
+"""
 
 
 async def _call(client: Any, tool: str, **arguments: Any) -> Any:

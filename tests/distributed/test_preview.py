@@ -9,10 +9,9 @@ import numpy as np
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.distributed.preview import preview_candidate
 from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
-from fide_plugins.population.training_sample import columns
+from fide_plugins.population.candidate import columns
 from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float32, Float64
@@ -89,7 +88,6 @@ def test_with_few_results_or_within_the_generation_it_is_the_candidate_of_that_n
     replica = replica_in_the_midst(3)
     for slot in (0, 7, 8, 100):
         assert replica.newest(slot, 5) is replica.candidate(slot)
-    assert preview_candidate(FIDE(DIM, TARGET), np.random.default_rng(0)) is None
 
 
 def test_what_the_generation_still_needs_is_a_member_of_it() -> None:

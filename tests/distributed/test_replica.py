@@ -13,8 +13,6 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.distributed.replica import Replica, Role
 from fide_plugins.fide import FIDE
-from fide_plugins.population import Population
-from fide_plugins.population.candidate import Candidate
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.types import Float32, Float64
 
@@ -141,14 +139,14 @@ def test_who_asks_what_changes_nothing(bench: Bench) -> None:
 def test_an_interrupt_while_a_generation_is_made_leaves_it_as_it_would_be(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stopped(_: Population) -> list[Candidate]:
+    def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
     replica, other = Replica(bench.optimizer()), Replica(bench.optimizer())
     run(bench, replica, 24)
     run(bench, other, 24)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Population, "hand_out_all", stopped)
+        patch.setattr(FIDE, "make_proposals", stopped)
         replica.candidate(0)
     assert replica.size == other.size
     for slot in range(other.size):
@@ -250,7 +248,6 @@ def test_what_is_refused_changes_nothing(bench: Bench) -> None:
     assert replica.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
     assert other.tell(x, loss, tokens, generation=0, slot=0) is Role.MEMBER
     assert replica.optimizer.state.population.pending == other.optimizer.state.population.pending
-    assert replica.optimizer._decision == (None, None)
 
 
 class Blind(ImageGate):

@@ -64,7 +64,7 @@ def replace(
         "the mean": np.tile(search.mean, (n, 1)),
         "a corner": np.zeros((n, d)),
     }.get(what, rng.random((n, d)))
-    z[injected] = boundary.near(points, search.mean) if what != "far" else points
+    z[injected] = boundary.closest(points, search.mean) if what != "far" else points
     return z, injected
 
 

@@ -15,7 +15,6 @@ def state_of(tmp_path: Path) -> Callable[[FIDE], bytes]:
     """All that a checkpoint holds, but for the times."""
 
     def state_of(opt: FIDE) -> bytes:
-        opt.state.population.settle()  # which takes time
         times, path = opt.times, tmp_path / "state"
         opt.state.times = dict.fromkeys(times, 0.0)
         opt.save(path)

@@ -48,7 +48,7 @@ def test_asked_one_by_one_each_proposal_knows_all_that_was_told(
     monkeypatch.setattr(model, "update", update)
     for _ in range(8):
         X = opt.ask(1)
-        waiting = next(iter(opt.state.population._pending))
+        waiting = next(iter(opt.state.population._pending.values()))
         if waiting.proposed:
             assert len(opt.state.samples) == 0 and len(known) == len(opt.state.learned)
         opt.tell(X, render(X))
@@ -88,7 +88,7 @@ def test_saving_in_the_middle_makes_no_proposal_before_its_time(
     saved, other = (FIDE(6, target, proposer=proposer, **SETTINGS) for _ in range(2))
     one_by_one(saved, render, 28)
     one_by_one(other, render, 28)
-    while not saved.state.population.unmade:
+    while not len(saved.state.population.reserved):
         np.testing.assert_array_equal(one_by_one(saved, render, 1), one_by_one(other, render, 1))
     for _ in range(6):
         saved.save(tmp_path / "c")
@@ -117,6 +117,6 @@ def test_proposals_asked_together_are_made_by_one_call_a_generation(
     for _ in range(3):
         calls.clear()
         X = opt.ask(n)
-        made = sum(one.proposed for one in opt.state.population._pending)
+        made = sum(one.proposed for one in opt.state.population._pending.values())
         assert sum(calls) == made and len(calls) <= -(-n // 8) + 1
         opt.tell(X, render(X))

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import fide_tasks
-from fide_plugins import Choice, Float, Space, retargeting
+from fide_plugins import Choice, Float, Space
 from fide_plugins.errors import ImageError, LossError, UnknownNameError
 from fide_plugins.fide import FIDE
-from fide_plugins.search.recall import Recalled, recall
+from fide_plugins.search.recall import Recalled
+from fide_plugins.state import State
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render, StateOf
@@ -195,11 +196,12 @@ def test_all_hypotheses_are_asked_first_however_few_samples_a_generation_has(
     """Of a generation of six, nearly all are proposals, which are made when they are asked for."""
     recalled: list[Recalled] = []
 
-    def noted(*of: Any) -> Recalled:
-        recalled.append(recall(*of))
+    def noted(state: State, *of: Any) -> Recalled:
+        recalled.append(recall(state, *of))
         return recalled[-1]
 
-    monkeypatch.setattr(retargeting, "recall", noted)
+    recall = State.recall
+    monkeypatch.setattr(State, "recall", noted)
     most = 0
     for seed in range(6):
         opt = FIDE(6, target, popsize=6, seed=seed, smallest_fraction=0.8)

@@ -190,27 +190,6 @@ def test_going_on_asks_for_the_same_arguments(target: Float32, tmp_path: Path) -
     assert other.best is None
 
 
-@pytest.mark.parametrize("guess", [None, 0.5, 0.7])
-def test_a_checkpoint_that_has_the_middle_of_the_space_as_x0_goes_on(
-    guess: float | None, target: Float32, render: Render, tmp_path: Path
-) -> None:
-    """Earlier versions stored x0 where none was given, and had no constraints, nor a range."""
-    arguments: dict[str, Any] = {"popsize": 8, "seed": 0}
-    saved = FIDE(6, target, **arguments)
-    go_on(saved, render, 12)
-    snapshot = saved.snapshot()
-    settings = {**snapshot["settings"], "x0": np.full(6, 0.5)}
-    del settings["constraints"], settings["value_range"]
-    checkpoint.write(tmp_path / "a", FIDE.name, {**snapshot, "settings": settings})
-    other = FIDE(6, target, x0=None if guess is None else np.full(6, guess), **arguments)
-    if guess == 0.7:
-        with pytest.raises(CheckpointError, match="with another x0; give"):
-            other.continue_from(tmp_path / "a")
-        return
-    other.continue_from(tmp_path / "a")
-    np.testing.assert_array_equal(go_on(saved, render, 12), go_on(other, render, 12))
-
-
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.999])
 def test_cut_short(share: float, target: Float32, render: Render, tmp_path: Path) -> None:
     begun(target, render, {"popsize": 8}).save(tmp_path / "c")

@@ -19,7 +19,9 @@ SETTINGS: dict[str, Any] = {"popsize": 8, "seed": 3}
 
 
 def steps_pending(opt: FIDE) -> int:
-    return sum(candidate.role is CandidateRole.STEP for candidate in opt.state.population._pending)
+    return sum(
+        candidate.role is CandidateRole.STEP for candidate in opt.state.population._pending.values()
+    )
 
 
 def one_by_one(opt: FIDE, render: Render, n: int) -> tuple[Float64, list[bool]]:
@@ -165,7 +167,7 @@ def test_what_fails_after_the_steps_hands_out_none(
         raise ArithmeticError
 
     with monkeypatch.context() as patched:
-        patched.setattr("fide_plugins.asking.make_next", broken)
+        patched.setattr(FIDE, "_make_next", broken)
         with pytest.raises(ArithmeticError):
             opt.ask(20)
     assert opt.state.population.pending == 0

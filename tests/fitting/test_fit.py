@@ -366,7 +366,6 @@ def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"executor": "ship"}, "executor must be 'processes', 'threads'"),
         ({"resume": True}, "resume=True needs the run directory"),
         ({"resume": "runs/first", "out": "x"}, "resume must be True or False, not 'runs/first'"),
-        ({"until_stalled": "no"}, "until_stalled must be True or False, not 'no'"),
         ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
         ({"progress": 3, "workers": 0}, "progress must be True, False, None or a function"),
         ({"popsiz": 3}, "fit has no option 'popsiz' .did you mean 'popsize'"),

@@ -173,7 +173,7 @@ def test_more_parameters_than_candidates_are_predicted_from_the_tokens_that_show
     there = Posterior(np.random.default_rng(0).random((512, 6)))
     opt = FIDE(6, FIRST, seed=1, popsize=4)
     assert isinstance(opt.state.proposer, LinearProposer) and not opt.state.proposer.screening
-    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", lambda *_: there)
+    monkeypatch.setattr(FIDE, "_model_of", lambda *_: (None, there))
     opt.retarget(NEXT, learned=model)
     opt.save(tmp_path / "run")
     monkeypatch.undo()

@@ -106,7 +106,7 @@ def test_hypotheses_are_made_only_where_no_state_is_saved(
         asked.append(learned is not None)
         return posterior_of(learned, *about)
 
-    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", noted)
+    monkeypatch.setattr("fide_plugins.learning.hypotheses.posterior_of", noted)
     whole = run(learned, 120, None)
     assert any(asked)
     asked.clear()

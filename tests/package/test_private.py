@@ -61,7 +61,7 @@ class State:
         return self._read_only.x
 """
     assert private_names(source, "State") == {"_field", "_method", "_written"}
-    assert {"_enter", "_train", "_go_on", "_lock", "_keep"} <= PRIVATE
+    assert {"_enter_all", "_train", "_go_on", "_lock", "_keep"} <= PRIVATE
 
 
 def test_an_access_is_found() -> None:

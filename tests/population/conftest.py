@@ -15,7 +15,6 @@ def drawn(popsize: int, seed: int = 0, population: Population | None = None) -> 
     x = np.random.default_rng(seed).random((popsize, 2))
     n = popsize - PROPOSED
     population.draw(x[:n], x[:n] + 2.0, x[n:])
-    population.propose_by(lambda samples: made_of(samples, samples + 2.0), singly=False)
     return population
 
 
@@ -25,9 +24,9 @@ def index_of(population: Population, x: Float64, loss: float) -> int | None:
     return None if candidate is None else candidate.index
 
 
-def made_of(x: Float64, z: Float64) -> tuple[Float64, Float64]:
-    return x, z
-
-
 def hand_out(population: Population, n: int) -> list[Float64]:
+    """The next n candidates; proposals are made when the first of them is asked for."""
+    if n > population.queued and len(population.reserved):
+        population.add_proposals(population.reserved, population.reserved + 2.0)
+    population.expect(n)
     return [population.hand_out().x for _ in range(n)]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.population import Population, mirrored_pair, pending
-from fide_plugins.population.candidate import Candidate, CandidateRole
+from fide_plugins.population import Population, mirrored_pair, population as record
+from fide_plugins.population.candidate import CandidateRole
 from fide_plugins.types import Float64
 
-from .conftest import drawn, hand_out, index_of, made_of
+from .conftest import drawn, hand_out, index_of
 
 
 def test_members_are_in_the_order_of_asking_whatever_that_of_telling() -> None:
@@ -41,80 +41,26 @@ def test_remaining_and_pending_count() -> None:
     assert (population.remaining, population.pending) == (2, 2)
 
 
-def test_proposals_are_made_when_the_first_of_them_is_asked_for_and_only_then() -> None:
-    population, made = Population(), []
-    x = np.linspace(0, 1, 5)[:, None]
-
-    def propose(samples: Float64) -> tuple[Float64, Float64]:
-        made.append(population.remaining)
-        return made_of(samples, samples)
-
-    population.propose_by(propose, singly=False)
-    population.draw(x[:3], x[:3], x[3:])
-    assert population.size == population.remaining == population.drawn == 5
-    assert population.ready == 3
-    hand_out(population, 3)
-    assert (population.remaining, population.ready, made) == (2, 2, [])
-    assert hand_out(population, 2) == [x[3], x[4]] and made == [2]
-    assert [index_of(population, row, 0.0) for row in x] == [0, 1, 2, 3, 4]
-    population.draw(x[:3], x[:3], x[3:])
-    population.close_generation()
-    assert (population.remaining, made) == (0, [2])  # thrown away, and so never made
-
-
 @pytest.mark.parametrize("saved", [False, True])
-def test_single_proposals_are_made_one_by_one(saved: bool) -> None:
-    """The third of a generation still waits when the second is asked for, and when it is saved."""
-    population, made = Population(), []
+def test_proposals_take_the_places_of_the_samples_that_are_reserved_for_them(saved: bool) -> None:
+    population = Population()
     x = np.linspace(0, 1, 5)[:, None]
-
-    def propose(samples: Float64) -> tuple[Float64, Float64]:
-        made.append(samples.tolist())
-        return made_of(samples, samples)
-
-    population.propose_by(propose, singly=True)
     population.draw(x[:2], x[:2], x[2:])
-    assert (population.ready, population.unmade) == (5, 3)  # none waits for training
-    population.settle()
-    assert made == []
-    hand_out(population, 3)
-    assert (made, population.unmade) == ([[x[2].tolist()]], 2)
+    assert population.size == population.remaining == population.drawn == 5
+    assert (population.queued, len(population.reserved)) == (2, 3)
+    population.add_proposals(*2 * [population.reserved[:1]])
     if saved:
         population = Population.from_state(population.state_dict(), 1)
-        population.propose_by(propose, singly=True)
-    assert (population.remaining, population.unmade, len(made)) == (2, 2, 1)
-    assert hand_out(population, 2) == [x[3], x[4]]
-    assert made == [[row.tolist()] for row in x[2:]]
-    assert [index_of(population, row, 0.0) for row in x] == [0, 1, 2, 3, 4]
-
-
-def test_single_proposals_that_are_asked_for_at_once_are_made_before_any_is_handed_out() -> None:
-    population = Population()
-    x = np.linspace(0, 1, 6)[:, None]
-    population.propose_by(lambda samples: made_of(samples, samples), singly=True)
-    population.draw(x[:2], x[:2], x[2:])
-    population.make_proposals(4)
-    assert (population.remaining, population.unmade, population.pending) == (6, 2, 0)
-    population.make_proposals()
-    assert (population.remaining, population.unmade) == (6, 0)
-
-
-def test_proposals_that_fail_are_tried_again() -> None:
-    population, answers = Population(), iter([ArithmeticError, None])
-
-    def propose(samples: Float64) -> tuple[Float64, Float64]:
-        error = next(answers)
-        if error is not None:
-            raise error
-        return made_of(np.ones((1, 2)), np.ones((1, 2)))
-
-    population.propose_by(propose, singly=False)
-    population.draw(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
-    hand_out(population, 1)
-    with pytest.raises(ArithmeticError):
-        population.hand_out()
-    assert (population.remaining, population.pending) == (1, 1)
-    np.testing.assert_array_equal(population.hand_out().x, [1.0, 1.0])
+    np.testing.assert_array_equal(population.reserved, x[3:])
+    assert population.proposed(1, 4).tolist() == [False, True, True, True]
+    population.replace(3, x[3:4] / 2, x[3:4], np.array([True]))
+    population.add_proposals(*2 * [population.reserved])
+    expected = [x[0], x[1], x[2], x[3] / 2, x[4]]
+    assert hand_out(population, 5) == expected
+    assert [index_of(population, row, 0.0) for row in expected] == [0, 1, 2, 3, 4]
+    population.draw(x[:3], x[:3], x[3:])
+    population.close_generation()
+    assert population.remaining == 0  # thrown away
 
 
 def test_what_was_never_asked_or_told_twice_is_injected() -> None:
@@ -219,48 +165,48 @@ def test_generations_may_differ_in_size() -> None:
 def test_what_never_comes_back_is_given_up_the_oldest_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(pending, "_MOST", 10)
+    monkeypatch.setattr(record, "_MOST_PENDING", 10)
     population = Population()
     x = np.linspace(0, 1, 25)[:, None]
     for rows in np.split(x, 5):
         population.draw(rows, rows)
         for _ in rows:
             population.hand_out()
-    saved = population.state_dict()["pending"]["candidates"]
+    saved = population.state_dict()["pending"]
     assert population.pending == len(saved["index"]) == 10
     assert index_of(population, x[14], 0.0) is None
     assert index_of(population, x[15], 0.0) == 15
     assert population.pending == Population.from_state(population.state_dict(), 1).pending == 9
 
 
+def awaited(population: Population, size: int) -> int:
+    """How many are awaited in a generation of that size, also after saving."""
+    population.size = size
+    copy = Population.from_state(population.state_dict(), 1)
+    assert copy.awaited == population.awaited and copy.pending == population.pending
+    return population.awaited
+
+
 def test_of_a_point_that_is_out_twice_the_later_one_is_awaited() -> None:
     """With integers and choices points come again."""
-    waiting, x = pending.Pending(), np.array([[0.1], [0.2]])
-
-    def add(row: int, index: int) -> None:
-        waiting.add(Candidate(index, x[row], x[row]))
-
-    add(0, 1)
-    add(1, 2)
-    add(0, 100)
-    add(0, 101)
-    assert waiting.take(x[0]) is not None and len(waiting) == 3
-    for same in (waiting, pending.Pending.from_state(waiting.state_dict())):
-        assert same.awaited(4) == 2
-        assert same.awaited(100) == 3
-    assert waiting.take(x[0]) is not None and waiting.take(x[0]) is not None
-    for same in (waiting, pending.Pending.from_state(waiting.state_dict())):
-        assert (same.awaited(4), same.awaited(100), len(same)) == (0, 1, 1)
+    population, x = Population(), np.array([[0.1], [0.2]])
+    for row, index in ((0, 1), (1, 2), (0, 100), (0, 101)):
+        population.drawn = index
+        population.adopt(x[row], x[row])
+    assert population.take(x[0]) is not None and population.pending == 3
+    assert (awaited(population, 4), awaited(population, 100)) == (2, 3)
+    assert population.take(x[0]) is not None and population.take(x[0]) is not None
+    assert (awaited(population, 4), awaited(population, 100), population.pending) == (0, 1, 1)
 
 
 def test_a_spare_one_that_comes_back_leaves_the_others_awaited() -> None:
-    waiting, points = pending.Pending(), np.linspace(0, 1, 12)[:, None]
+    population, points = Population(), np.linspace(0, 1, 12)[:, None]
     for index, point in enumerate([*points, points[0]]):
         role = CandidateRole.MEMBER if index < 3 else CandidateRole.SPARE
-        waiting.add(Candidate(index, point, point, role))
-    taken = waiting.take(points[0])
+        population.adopt(point, point, role)
+    taken = population.take(points[0])
     assert taken is not None and taken.index == 12
-    assert waiting.awaited(3) == pending.Pending.from_state(waiting.state_dict()).awaited(3) == 9
+    assert awaited(population, 3) == 9
 
 
 def test_what_comes_back_rounded_is_the_candidate_that_was_asked() -> None:
@@ -290,7 +236,7 @@ def test_no_candidate_of_the_present_generation_is_given_up(asked: str) -> None:
         population.expect(n)
     for some in rows:
         population.draw(some, some)
-        population.hand_out_all()
+        hand_out(population, population.remaining)
     assert population.pending == n
     assert [index_of(population, row, 0.0) for row in x] == list(range(n))
     assert population.evaluated == n and population.complete
@@ -300,7 +246,7 @@ def drawn_with_pair(population: Population, n: int) -> list[Float64]:
     """A generation of n candidates of two parameters, of which the first two are a pair."""
     x = np.random.default_rng(population.drawn).random((n, 2))
     population.draw(x, x, pair=True)
-    return [candidate.x for candidate in population.hand_out_all()]
+    return hand_out(population, n)
 
 
 @pytest.mark.parametrize(

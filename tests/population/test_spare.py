@@ -181,8 +181,8 @@ def test_a_step_counts_in_no_generation() -> None:
 def test_a_saved_candidate_is_of_a_known_kind() -> None:
     population, _ = drawn_for_a_test(2, 1)
     state = population.state_dict()
-    state["pending"]["candidates"]["kind"][0] = 3
-    with pytest.raises(ValueError, match="kind"):
+    state["pending"]["role"][0] = 3
+    with pytest.raises(ValueError, match="role"):
         Population.from_state(state, 2)
 
 
@@ -192,5 +192,5 @@ def test_roles_are_saved_by_numbers_that_never_change() -> None:
     assert [(role.name, int(role)) for role in roles] == [("MEMBER", 0), ("SPARE", 1), ("STEP", 2)]
     x = np.array([0.5, 0.5])
     packed = pack([Candidate(i, x, x, role) for i, role in enumerate(roles)])
-    assert packed["kind"].tolist() == [0, 1, 2]
+    assert packed["role"].tolist() == [0, 1, 2]
     assert [candidate.role for candidate in unpack(packed)] == roles

@@ -45,7 +45,7 @@ def test_a_step_over_the_wall_comes_back_by_as_much() -> None:
 
 @given(inside, means)
 def test_near_stands_for_the_point(x: Float64, mean: Float64) -> None:
-    np.testing.assert_allclose(boundary.into(boundary.near(x, mean)), x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(boundary.into(boundary.closest(x, mean)), x, rtol=0, atol=1e-12)
 
 
 @given(inside, means)
@@ -53,14 +53,14 @@ def test_near_is_the_closest_of_all_images(x: Float64, mean: Float64) -> None:
     turns = 2.0 * np.arange(-30, 31)[:, None, None]
     images = np.concatenate([x + turns, -x + turns])
     closest = np.abs(images - mean).min(axis=0)
-    distance = np.abs(boundary.near(x, mean) - mean)
+    distance = np.abs(boundary.closest(x, mean) - mean)
     np.testing.assert_allclose(distance, closest, rtol=0, atol=1e-12)
     assert (distance <= 1.0 + 1e-12).all()
 
 
 @given(inside, hnp.arrays(np.float64, 3, elements=st.floats(1e-9, 1 - 1e-9)))
 def test_from_inside_the_cube_the_point_itself_is_nearest(x: Float64, mean: Float64) -> None:
-    np.testing.assert_array_equal(boundary.near(x, mean), x)
+    np.testing.assert_array_equal(boundary.closest(x, mean), x)
 
 
 def test_samples_near_a_wall_keep_their_covariance() -> None:
@@ -69,7 +69,7 @@ def test_samples_near_a_wall_keep_their_covariance() -> None:
     z = 0.1 * rng.standard_normal((10_000, 1))
     x = boundary.into(z)
     assert x.std() < 0.065  # telling the repaired points would lose a third of the spread
-    np.testing.assert_allclose(np.abs(boundary.near(x, np.zeros(1))), np.abs(z), atol=1e-12)
+    np.testing.assert_allclose(np.abs(boundary.closest(x, np.zeros(1))), np.abs(z), atol=1e-12)
 
 
 turning = np.array([True, False, True])
@@ -86,8 +86,8 @@ def test_a_periodic_coordinate_wraps(z: Float64) -> None:
 
 @given(inside, means)
 def test_near_takes_the_nearest_turn(x: Float64, mean: Float64) -> None:
-    z = boundary.near(x, mean, turning)
-    np.testing.assert_array_equal(z[:, 1], boundary.near(x, mean)[:, 1])
+    z = boundary.closest(x, mean, turning)
+    np.testing.assert_array_equal(z[:, 1], boundary.closest(x, mean)[:, 1])
     assert (np.abs(z - mean)[:, [0, 2]] <= 0.5 + 1e-12).all()
     difference = np.abs(boundary.into(z, turning) - x)
     np.testing.assert_allclose(np.minimum(difference, 1 - difference)[:, [0, 2]], 0, atol=1e-12)
@@ -98,7 +98,7 @@ def test_without_periodic_coordinates_nothing_changes(z: Float64, mean: Float64)
     none = np.zeros(3, bool)
     x = boundary.into(z)
     np.testing.assert_array_equal(boundary.into(z, none), x)
-    np.testing.assert_array_equal(boundary.near(x, mean, none), boundary.near(x, mean))
+    np.testing.assert_array_equal(boundary.closest(x, mean, none), boundary.closest(x, mean))
 
 
 @given(inside)

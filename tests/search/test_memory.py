@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.memory import Memory
 
 TOKENS = torch.zeros(16, 80)  # 5,120 bytes

@@ -29,7 +29,7 @@ def test_without_cells_it_is_the_boundary_to_the_bit(layout: object) -> None:
     mixed = Mixed(None if layout is None else NUMBERS.layout)
     np.testing.assert_array_equal(mixed.into(z, mean), x)
     np.testing.assert_array_equal(mixed.reflected(z), x)
-    np.testing.assert_array_equal(mixed.near(x, mean), boundary.near(x, mean))
+    np.testing.assert_array_equal(mixed.closest(x, mean), boundary.closest(x, mean))
     np.testing.assert_array_equal(mixed.clipped(z), np.clip(z, 0, 1))
     std = np.array([1 / 6, 0.01])
     assert mixed.widened(std) is std
@@ -44,7 +44,7 @@ def test_what_comes_from_elsewhere_stands_for_itself() -> None:
     mixed.A = np.where(SPACE.layout.discrete, 7.0, 1.0)
     x = SPACE.snap(rng.random((50, SPACE.dim)))
     for mean in rng.normal(0.5, 1.0, (20, SPACE.dim)):
-        np.testing.assert_allclose(mixed.into(mixed.near(x, mean), mean), x, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(mixed.into(mixed.closest(x, mean), mean), x, rtol=0, atol=1e-9)
 
 
 def test_samples_are_snapped_and_ends_reach_to_infinity() -> None:

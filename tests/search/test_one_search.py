@@ -35,7 +35,7 @@ def test_a_point_takes_the_place_of_the_worst_member_if_it_is_better(loss: float
     members, losses = generation(told)
     told.tell(members, losses, (POINT, loss))
     if loss < 9.0:
-        z = other.near(POINT[None])[0]
+        z = other.closest(POINT[None])[0]
         members[3] = replace(members[3], x=POINT, z=z, off_distribution=True)  # not drawn now
     other.tell(members, losses, None)
     assert repr(told.state_dict()["distribution"]) == repr(other.state_dict()["distribution"])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fide_plugins import FIDE, Float, Space
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, device
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.mixed import AxisLayout, Mixed
 from fide_plugins.search.moves.base import Known, Move, Stage, Start
 from fide_plugins.search.moves.change_value import ChangeValue
@@ -150,6 +150,10 @@ class MovePolicy:
             return None
         known = self.known
         return elsewhere(X, self.hypotheses.x, known.exchangeability, known.axes)
+
+    def is_wider(self, posterior: Posterior, start: Start) -> bool:
+        """Whether hypotheses of a model say less exactly than a start where the answer is."""
+        return self.hypotheses.is_wider(posterior, self.known, start)
 
     # -- after a search ----------------------------------------------------------------------------
 

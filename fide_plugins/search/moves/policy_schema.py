@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from fide_plugins.population.training_sample import SCHEMA as SAMPLE
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import (
     Schema,
     Sides,
@@ -13,6 +13,7 @@ from fide_plugins.runtime.schema import (
     check,
     each,
     flag,
+    form,
     maybe,
     real,
     row,
@@ -40,9 +41,9 @@ _SCHEMA: dict[str, Schema] = {
     "loss_only_searches": whole(),
     "guided": flag,
     "noise": maybe(real(0.0)),
-    "incumbent": maybe(SAMPLE),
+    "incumbent": maybe(form(TrainingSample)),
     "optima": {
-        "samples": each(SAMPLE),
+        "samples": each(form(TrainingSample)),
         "counts": each(row(whole(), whole(), whole(high=1))),
         "descents": whole(),
         "forgotten": whole(),
@@ -57,8 +58,8 @@ def check_policy(state: Mapping[str, Any], known: Known, moves: Mapping[str, Mov
     """
     tokens, channels = known.target.shape
     sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
-    for name, form in _SCHEMA.items():
-        check(state[name], form, sides, f"moves[{name!r}]")
+    for name, schema in _SCHEMA.items():
+        check(state[name], schema, sides, f"moves[{name!r}]")
     stage = Stage(state["stage"])
     if state["move"] is not None and state["move"] not in moves:
         raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")

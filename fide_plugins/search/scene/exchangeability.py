@@ -28,7 +28,7 @@ import numpy.typing as npt
 from scipy.optimize import linear_sum_assignment
 
 from fide_plugins.errors import OptionError
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
 from fide_plugins.search import boundary
 from fide_plugins.search.scene.axes import Axes

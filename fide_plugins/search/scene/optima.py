@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from torch import device
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.types import Float64
 
 __all__ = ["APART", "Optima", "Optimum"]

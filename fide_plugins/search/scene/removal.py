@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import array, check
 from fide_plugins.types import Float64, Indices
 

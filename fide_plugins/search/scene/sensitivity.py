@@ -31,7 +31,7 @@ import numpy as np
 from scipy.cluster.hierarchy import linkage
 from scipy.spatial.distance import squareform
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import array, check, whole
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.removal import changed

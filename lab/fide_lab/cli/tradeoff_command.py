@@ -18,10 +18,10 @@ import argparse
 import json
 from typing import Any
 
-from fide_lab.cli.grid_arguments import add_grid_arguments
+from fide_lab.cli.arguments import add_grid_arguments
 from fide_lab.cli.running import execute_comparisons, execute_each
 from fide_plugins.cli.arguments import names, whole
-from fide_plugins.cli.messages import note, plain
+from fide_plugins.cli.terminal import note, plain
 
 __all__ = ["add_arguments", "execute"]
 

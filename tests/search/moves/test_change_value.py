@@ -12,7 +12,7 @@ import torch
 
 from fide_plugins import FIDE, Choice, Float, Int, Space
 from fide_plugins.options import Options
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.change_value import ChangeValue
 from fide_plugins.search.moves.policy import MovePolicy

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.moves.base import Known, Stage
 from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
 from fide_plugins.search.moves.restarts import BeginAnew, Refine

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.scene.optima import Optima
 from fide_plugins.types import Float64

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.population.training_sample import TrainingSample
+from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.moves.base import Known
 from fide_plugins.search.moves.groups import RelocateGroup
 from fide_plugins.search.moves.restarts import BeginAnew, Refine

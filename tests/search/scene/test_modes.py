@@ -131,7 +131,7 @@ def searched(opt: FIDE, renders: int) -> FIDE:
 
 def test_both_answers_of_two_cells_are_as_probable(monkeypatch: pytest.MonkeyPatch) -> None:
     there = Posterior(posterior(256, 256))
-    monkeypatch.setattr("fide_plugins.retargeting.posterior_of", lambda *_: there)
+    monkeypatch.setattr(FIDE, "_model_of", lambda *_: (None, there))
     opt = searched(FIDE(4, two_cells(A), seed=0, groups=[]), 1200)
     found = opt.solutions()
     likely = [one for one in found if one.probability is not None and one.probability > 0.1]

@@ -1,4 +1,4 @@
-"""Text for a terminal: one line per message, without control characters."""
+"""Text for a terminal: one line per message, without control characters; and its streams."""
 
 from __future__ import annotations
 
@@ -9,23 +9,10 @@ import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
 
-from fide_plugins.cli.streams import lose
 from fide_plugins.errors import FideError
-
-__all__ = [
-    "USAGE_ERRORS",
-    "as_typed",
-    "complain",
-    "continuation",
-    "duration",
-    "note",
-    "notices",
-    "number",
-    "paragraph",
-    "plain",
-    "warnings_as_notes",
-]
 
 USAGE_ERRORS = (FideError, ValueError, TypeError, OSError, ImportError)
 """Errors of the arguments or the installation, raised before anything is rendered."""
@@ -70,15 +57,10 @@ def note(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
     except OSError as error:
         if isinstance(error, BrokenPipeError):
-            _lose_output_there()
-        lose(sys.stderr)
-
-
-def _lose_output_there() -> None:
-    """Lose standard output, too, if it is the pipe that nobody reads."""
-    with suppress(OSError, ValueError, AttributeError):
-        if os.path.sameopenfile(sys.stdout.fileno(), sys.stderr.fileno()):
-            lose(sys.stdout)
+            with suppress(OSError, ValueError, AttributeError):
+                if os.path.sameopenfile(sys.stdout.fileno(), sys.stderr.fileno()):
+                    discard(sys.stdout)  # it is the pipe that nobody reads, too
+        discard(sys.stderr)
 
 
 @contextmanager
@@ -110,6 +92,12 @@ def warnings_as_notes(who: str) -> Iterator[None]:
         yield
 
 
+def picture_in(out: Path) -> str:
+    """The picture of a run directory that shows most: summary.png, or best.png without figures."""
+    found = [name for name in ("summary.png", "best.png") if (out / name).exists()]
+    return plain(out / found[0] if found else out)
+
+
 def number(value: float | None) -> str:
     """Format a loss."""
     return "none" if value is None else f"{value:.4g}"
@@ -122,3 +110,71 @@ def duration(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+# -- standard streams: closed by whoever started the command, or leading to a full disk ------------
+
+
+class OutputError(Exception):
+    """Standard output cannot be written; says why."""
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """Within this block, closed streams lead nowhere, and output that is lost is an `OutputError`.
+
+    A file that was opened where standard error is closed would get the messages.  A pipe that
+    nobody reads any longer stays a BrokenPipeError.
+    """
+    _open_closed()
+    before = sys.stdin, sys.stdout, sys.stderr
+    with open(os.devnull) as nothing, open(os.devnull, "w") as nowhere:
+        sys.stdin, sys.stderr = before[0] or nothing, before[2] or nowhere
+        sys.stdout = _Output(before[1] or nowhere)
+        try:
+            yield
+            sys.stdout.flush()
+        finally:
+            sys.stdin, sys.stdout, sys.stderr = before
+
+
+def discard(stream: Any) -> None:
+    """What is printed to a stream is lost from now on, and what it has not written yet."""
+    with suppress(OSError, ValueError, AttributeError), open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), stream.fileno())
+
+
+def _open_closed() -> None:
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest that is free
+
+
+class _Output:
+    """Standard output, whose errors are told from those of the files of a run."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _as_output_error():
+            return int(self._stream.write(text))
+
+    def flush(self) -> None:
+        with _as_output_error():
+            self._stream.flush()
+
+
+@contextmanager
+def _as_output_error() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError(error.strerror or str(error)) from error
