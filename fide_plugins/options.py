@@ -181,7 +181,7 @@ PRESETS: Mapping[str, Options] = {
 }
 
 GLOBAL = "global"
-"""Preset of `fit` and of the run loop, which render before the search, see `learning.rounds`."""
+"""Preset of `fit` and of the run loop, which render before the search."""
 
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
