@@ -30,11 +30,8 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any
 
-from fide_plugins.fitting.rendering import Failed, Outcome, Portable, restored, unpack
-from fide_plugins.fitting.workers.base import Task
-from fide_plugins.renderers import scratch
-
-__all__ = ["Processes"]
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, restored, unpack
+from fide_plugins.renderers.child import use_folder
 
 _START_LIMIT = 60.0  # seconds to start a worker, after which the clock of its render runs
 _STARTING = threading.Lock()
@@ -250,7 +247,7 @@ _PORTABLE: list[Portable] = []
 def _begin(portable: Portable, folder: str) -> None:
     """Prepare the worker."""
     _PORTABLE.append(portable)
-    scratch.use(folder)
+    use_folder(folder)
     if hasattr(os, "setsid"):  # a group of its own
         with suppress(PermissionError):
             os.setsid()
