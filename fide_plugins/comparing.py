@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fide_plugins.search.memory import Memory
-from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves import Start
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
