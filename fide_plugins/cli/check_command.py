@@ -84,7 +84,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _written(path: Path, name: str, facts: Any) -> Path | None:
     """The picture at `path`; None, with a note, without matplotlib, which is an extra."""
-    from fide_plugins.fitting.checking.figure import figure
+    from fide_plugins.fitting.checking.report import figure
     from fide_plugins.runtime.files import write_bytes
 
     try:

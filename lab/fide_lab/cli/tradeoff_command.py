@@ -103,7 +103,7 @@ def _write(args: argparse.Namespace) -> int:
 
 def _summary(combinations: list[Any]) -> dict[str, Any]:
     """Recommended combination and its loss, by task and time."""
-    from fide_lab.sweep.tables import advice
+    from fide_lab.sweep import advice
 
     summary: dict[str, Any] = {}
     for task in dict.fromkeys(each.task for each in combinations):
