@@ -72,6 +72,7 @@ class Loop:
         self._waiting: deque[Float64] = deque([] if record.pending is None else record.pending)
         self._arrived: SimpleQueue[Future[Outcome]] = SimpleQueue()
         self._ahead = workers.number > 1
+        self._comparisons = optimizer.state.comparisons
         self.stopped_by_callback = False
         self._clock = time.perf_counter()
         self.search_began = self.search_ended = self._clock
@@ -284,6 +285,11 @@ class Loop:
         if self.extremes.wanted:
             self.extremes.note(canonical(self.optimizer, image))
         improved = best is not None and math.isfinite(loss) and loss < r.best_loss
+        if best is not None and self.optimizer.state.comparisons != self._comparisons:
+            # this loss, and those before it, are of another comparison; the best was judged anew
+            self._comparisons, found = self.optimizer.state.comparisons, best.solution
+            r.best_loss, r.best_evaluation = found.loss, found.evaluation
+            r.x_best, r.image, improved = found.x.copy(), found.image, False
         if improved:
             assert best is not None
             r.best_loss, r.best_evaluation = loss, r.evaluations

@@ -98,7 +98,12 @@ class OptimizerSettings:
         """Encoder and loss for the target, which must be given."""
         made = make_options(self.preset, self.options)
         return Evaluator(
-            self.target, self.loss, made.encoder, device=self.device, for_network=made.has_network
+            self.target,
+            self.loss,
+            made.encoder,
+            device=self.device,
+            for_network=made.has_network,
+            **made.comparison,
         )
 
     def make(
