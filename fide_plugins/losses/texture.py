@@ -72,7 +72,7 @@ class TextureLoss(LossOfTarget):
 
     Divided by their number: about 1 for another picture of the same texture.
 
-    Raises `ImageError` for a target with a side of less than 16 pixels.
+    Raises `ImageError` for a target with a side of less than 8 pixels.
     """
 
     name = "texture"
