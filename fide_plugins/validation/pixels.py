@@ -29,6 +29,8 @@ from fide_plugins.runtime.schema import (
 from fide_plugins.types import Float32, Mask
 
 Pixels: TypeAlias = npt.NDArray[Any]
+MAX_PIXELS = 2**26
+"""Most pixels an image file may decode to (67 megapixels, 0.8 GB as float32)."""
 
 
 def describe(pixels: Any) -> str:
