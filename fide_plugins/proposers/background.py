@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers.base import Proposer, ProposerDefaults
-from fide_plugins.runtime.devices import as_here
+from fide_plugins.runtime.devices import on_current_stream
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.runtime.threads import Background, user_threads
 from fide_plugins.types import Float64
@@ -54,7 +54,7 @@ class BackgroundProposer(ProposerDefaults):
     def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
         """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
         with user_threads:
-            threads, here = torch.get_num_threads(), as_here(self._device)
+            threads, here = torch.get_num_threads(), on_current_stream(self._device)
 
         def train() -> None:
             torch.set_num_threads(threads)  # sums are the same in as many threads

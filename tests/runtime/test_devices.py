@@ -90,7 +90,7 @@ def test_a_network_is_what_a_gpu_makes_faster(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_on_the_cpu_there_is_no_stream_to_enter() -> None:
-    with devices.as_here(torch.device("cpu"))():
+    with devices.on_current_stream(torch.device("cpu"))():
         pass
 
 
