@@ -145,7 +145,7 @@ def _check_free(args: argparse.Namespace) -> None:
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `learn`."""
-    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     render, space = _renderer(args)
     same = (
@@ -209,7 +209,7 @@ class _Lines:
 
 def _line(progress: Any) -> str:
     """Line about a `LearnProgress`."""
-    from fide_plugins.learning.judging.report import against_prior
+    from fide_plugins.learning.judging import against_prior
 
     done = f"{progress.done}/{progress.total}"
     match progress.stage:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins import encoders, errors, losses
 from fide_plugins.errors import DeviceError, FideError, OptionError, UnknownNameError
 from fide_plugins.renderers import FunctionRenderer
