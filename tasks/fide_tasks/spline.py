@@ -100,8 +100,6 @@ class Spline(Task):
     def _make_target(self) -> Image:
         if self._subject == "random":
             return super()._make_target()
-        from fide_tasks.spline import ampersand
-
         return ampersand(self.size, self.seed)
 
 
