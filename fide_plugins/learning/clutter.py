@@ -19,7 +19,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from fide_plugins.errors import OptionError
-from fide_plugins.learning.augmentation import change_some, in_front, middles, uniform
+from fide_plugins.learning.augmentation import (
+    change_some,
+    check_installed,
+    in_front,
+    middles,
+    uniform,
+)
 from fide_plugins.learning.renders import Pixels, resized
 from fide_plugins.runtime.opencv import cv2
 from fide_plugins.types import Float32, Indices
@@ -107,9 +113,8 @@ class Clutter:
         rng = np.random.default_rng(int(seed))
         height, width = coverage.shape[2:]
         crops = [_crop(self.backgrounds, (height, width), rng) for _ in range(len(coverage))]
-        behind = (
-            torch.from_numpy(np.array(crops)).permute(0, 3, 1, 2).contiguous().to(coverage.device)
-        )
+        behind = torch.from_numpy(np.array(crops)).permute(0, 3, 1, 2).contiguous()
+        behind = behind.to(coverage.device)
         if self.changes:
             change_some(behind, in_front, 1 / 2, generator)
             change_some(behind, in_front, 1 / 2, generator)
@@ -182,7 +187,9 @@ def _out_of_focus(images: Tensor, generator: torch.Generator) -> Tensor:
 
 def _grainy(images: Tensor, generator: torch.Generator) -> Tensor:
     deviation = uniform(len(images), 1, 0.0, _GRAIN, generator)[:, :, None, None]
-    noise = torch.randn(images.shape, generator=generator, device=generator.device)
+    noise = torch.randn(
+        images.shape, generator=generator, device=generator.device, dtype=images.dtype
+    )
     return images + deviation * noise
 
 
@@ -203,6 +210,7 @@ def clutter_of(backgrounds: Any, clutter: object, seed: int) -> Clutter | None:
     if backgrounds is None and not clutter:
         return None
     changes = clutter is not False
+    check_installed("photograph" if changes else "none")
     if backgrounds is None or (isinstance(backgrounds, str) and backgrounds == GENERATED):
         return Clutter(tuple(generated(_NUMBER, _SIDE, seed)), "generated backgrounds", changes)
     pictures = _pictures(backgrounds)
