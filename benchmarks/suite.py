@@ -39,7 +39,7 @@ from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
 from fide_lab import run as harness
 from fide_lab.compare import results
-from fide_lab.compare.configuration import Configuration
+from fide_lab.compare.plan import Configuration
 from fide_lab.report import plots
 from fide_lab.report.tables import markdown
 from fide_lab.suite import Suite, names as suites, read

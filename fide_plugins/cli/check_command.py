@@ -84,7 +84,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _written(path: Path, name: str, facts: Any) -> Path | None:
     """The picture at `path`; None, with a note, without matplotlib, which is an extra."""
-    from fide_plugins.fitting.checking.figure import figure
+    from fide_plugins.fitting.checking.report import figure
     from fide_plugins.runtime.files import write_bytes
 
     try:
@@ -97,7 +97,7 @@ def _written(path: Path, name: str, facts: Any) -> Path | None:
 
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking.advice import duration
+        from fide_plugins.fitting.checking.report import duration
 
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 

@@ -174,7 +174,7 @@ def _by_run(args: argparse.Namespace) -> str:
 
 def _execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
-    from fide_plugins.recording.run_checkpoint import is_saved
+    from fide_plugins.recording.storage import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -223,8 +223,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.fit_inputs import check_first, outcomes, pictures, value_range_of
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
-    from fide_plugins.fitting.workers.choice import default_number
-    from fide_plugins.recording.json_record import read_run
+    from fide_plugins.fitting.workers import default_number
+    from fide_plugins.recording.storage import read_run
     from fide_plugins.watch import LiveFile
 
     render, space, timeout = _renderer(args)
@@ -292,13 +292,13 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
+    from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.solutions import pictures as stored
 
-    known = stored.read(out)
+    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.of(known, x) is None]
+    new = [x for x in points if stored.image_of(known, x) is None]
     if not new:
         return
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
@@ -308,13 +308,13 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
                 known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:
-        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+        stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.recording.json_record import read_run
     from fide_plugins.recording.record import SUMMARY
+    from fide_plugins.recording.storage import read_run
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]

@@ -158,7 +158,7 @@ def _has_renders(folder: Path) -> bool:
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `learn`."""
-    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     render, space = _renderer(args)
     return {

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.validation.options import seconds_of
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views.solved import is_solved
 

@@ -23,7 +23,6 @@ import numpy as np
 import torch
 
 from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
-from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.clutter import Clutter, clutter_of
 from fide_plugins.learning.emulator import Emulator
@@ -52,7 +51,7 @@ from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.options import not_negative
+from fide_plugins.validation.options import not_negative, seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
 
@@ -67,7 +66,7 @@ def kind_of(
     Raises OptionError for groups that are not blocks or not alike, and for the head "set" without
     blocks.
     """
-    from fide_plugins.search.scene.exchangeability import check_groups
+    from fide_plugins.search.exchangeability import check_groups
 
     if groups is None:
         groups = [] if renderer.space is None else renderer.space.largest_family

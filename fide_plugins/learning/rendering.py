@@ -12,10 +12,9 @@ from multiprocessing import current_process
 import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
+from fide_plugins.fitting.processes import Processes
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.fitting.workers.base import Task, Workers
-from fide_plugins.fitting.workers.choice import DAEMON, workers_for
-from fide_plugins.fitting.workers.processes import Processes
+from fide_plugins.fitting.workers import DAEMON, Task, Workers, workers_for
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
 from fide_plugins.types import Float64
 

@@ -26,7 +26,7 @@ from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Familiarity, Report
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks import Network
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
+from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 

@@ -29,7 +29,6 @@ sys.exit(main(sys.argv[1:]))
         ("fide_plugins.experiments.compare", "fide_lab.compare", "Plan"),
         ("fide_plugins.experiments.run.prepare", "fide_lab.run.prepare", "make_task"),
         ("fide_plugins.experiments.solutions", "fide_plugins.solutions", "Found"),
-        ("fide_plugins.experiments.solutions.found", "fide_plugins.solutions.found", "read"),
         ("fide_plugins.optimizers", "fide_lab.optimizers", "make"),
     ],
 )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.fitting.workers.choice import DAEMON
+from fide_plugins.fitting.workers import DAEMON
 from fide_plugins.learning import learn
 from fide_plugins.learning.rendering import fill
 from fide_plugins.learning.renders import RenderStore, as_renderer

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.learning import learn
 from fide_plugins.learning.rendering import fill
