@@ -31,7 +31,6 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from fide_plugins.comparison.coverage import is_pair
 from fide_plugins.errors import CheckpointError, ImageError, OptionError, RenderError
 from fide_plugins.fitting.rendering import Failed, attempt
 from fide_plugins.runtime import checkpoint
@@ -159,7 +158,7 @@ class BatchRenderer:
     def _canonical(self, image: Any) -> Float32:
         """Image (H, W, 3), or (H, W, 4) as `covered` has it, where that is kept."""
         if not self.coverage:
-            return as_target(image[0] if is_pair(image) else image, what=self._what)
+            return as_target(image[0] if _is_pair(image) else image, what=self._what)
         found = covered(image, self._what)
         if found is None:
             raise ImageError(f"{self._what} has no coverage, and the first one had: give all one")
@@ -181,6 +180,11 @@ class BatchRenderer:
         return pixels_of(whole, size)
 
 
+def _is_pair(image: Any) -> bool:
+    """Whether it is an image with its coverage."""
+    return isinstance(image, tuple) and len(image) == 2
+
+
 def covered(image: Any, what: str) -> Float32 | None:
     """Colors times the coverage, and the coverage (H, W, 4) of a render; None if it has none.
 
@@ -188,7 +192,7 @@ def covered(image: Any, what: str) -> Float32 | None:
 
     Raises ImageError, also for a coverage of another size.
     """
-    if is_pair(image):
+    if _is_pair(image):
         colors = as_target(image[0], what=what)
         coverage = as_target(image[1], what=f"the coverage of {what}")[..., :1]
         if coverage.shape[:2] != colors.shape[:2]:
