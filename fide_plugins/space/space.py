@@ -4,39 +4,196 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
-from fide_plugins.space import dictionary, toml_file
-from fide_plugins.space.expressions import Expression
-from fide_plugins.space.group import (
-    Group,
-    Leaf,
-    Member,
-    Repeated,
-    check_members,
-    leaves,
-)
-from fide_plugins.space.kinds import Kind
+from fide_plugins.space.constraints import Expression
+from fide_plugins.space.kinds import Choice, Float, Int, Kind
 from fide_plugins.space.layout import Layout
 from fide_plugins.types import Float64, Mask
-from fide_plugins.validation.points import as_point, as_points
+from fide_plugins.validation.points import as_point, as_points, as_whole
 
-__all__ = ["Space"]
+__all__ = ["Group", "Member", "Params", "Repeated", "Space"]
 
 Params = dict[str, Any]
 
+_MOST_COPIES = 100_000  # of a group
 _CONSTRAINTS = "constraints"
-_RESERVED = (
+_IN_FILES = ("repeat", "type")  # keys of the file form
+_NO_PARAMETER = (
     "no parameter may be called 'constraints', which are conditions on the parameters; call it "
     'otherwise, and write constraints={"wall": "inner < 0.6 * outer"}, in a file [constraints] and '
     'below it wall = "inner < 0.6 * outer"'
 )
 
 
-class Space:
+class _Constant:
+    """What cannot be changed, and is equal where its kind and its `_key` are."""
+
+    _noun: ClassVar[str]
+    _key: Any
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, type(self)) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(
+            f"a {self._noun} cannot be changed; make another one with a new {name}"
+        )
+
+
+class Group(_Constant):
+    """Parameters that belong to one thing: ``Group(x=Float(0, 1), y=Float(0, 1))``.
+
+    ``6 * Group(...)`` are six things of one kind, which may change places: a list of six
+    dictionaries when decoded.  A group may hold groups.
+
+    named: a kind of parameter for each name, as for `Space`.
+    members: the same as one dictionary.
+
+    Raises SpaceError (a ValueError).
+    """
+
+    _noun = "Group"
+    members: dict[str, Member]
+
+    def __init__(self, members: Mapping[str, Member] | None = None, /, **named: Member) -> None:
+        checked = _check_members("Group", members, named)
+        for name in _IN_FILES:
+            if name in checked:
+                raise SpaceError(
+                    f"no member of a Group may be called {name!r}, which has a meaning in files; "
+                    f"call it {name}_"
+                )
+        self.__dict__.update(members=checked, _key=tuple(checked.items()))
+
+    def __mul__(self, times: int) -> Repeated:
+        return Repeated(self, times)
+
+    __rmul__ = __mul__
+
+    def __repr__(self) -> str:
+        return f"Group({', '.join(f'{n}={m!r}' for n, m in self.members.items())})"
+
+
+class Repeated(_Constant):
+    """Several things of one kind, ``times * group``."""
+
+    _noun = "repeated Group"
+    group: Group
+    times: int
+
+    def __init__(self, group: Group, times: int) -> None:
+        number = as_whole(times) or 0
+        if not 1 <= number <= _MOST_COPIES:
+            raise SpaceError(
+                f"a Group may be repeated 1 to {_MOST_COPIES} times, not {times!r}; write "
+                "6 * Group(...), in a file repeat = 6"
+            )
+        if any(leaf.block for leaf in _leaves(group.members)):
+            raise SpaceError(
+                "a repeated Group cannot hold another repeated Group; write the inner ones under "
+                "names of their own"
+            )
+        self.__dict__.update(group=group, times=number, _key=(number, group))
+
+    def __rmul__(self, times: object) -> Repeated:
+        raise SpaceError(
+            f"a repeated Group cannot be repeated, {times!r} * ({self.times} * Group(...)); write "
+            "one number, the product"
+        )
+
+    __mul__ = __rmul__
+
+    def __repr__(self) -> str:
+        return f"{self.times} * {self.group!r}"
+
+
+Member: TypeAlias = Kind | Group | Repeated
+
+
+class Leaf(NamedTuple):
+    """One parameter of a space.
+
+    name: flat, such as "beads[2].x".
+    path: its keys in the nested dictionaries and lists.
+    block: (name of the repeated group, number of the copy), or None.
+    """
+
+    name: str
+    path: tuple[str | int, ...]
+    kind: Kind
+    block: tuple[str, int] | None
+
+
+def _check_members(owner: str, members: object, named: Mapping[str, object]) -> dict[str, Member]:
+    """Members by name; SpaceError if there are none, or names or kinds are wrong."""
+    if members is not None and not isinstance(members, Mapping):
+        raise SpaceError(f"{owner} takes names: {owner}(x=Float(0, 1)), not {members!r}")
+    given = {**(members or {}), **named}
+    if len(given) < len(members or {}) + len(named):
+        twice = next(name for name in named if name in (members or {}))
+        raise SpaceError(f"parameter {twice!r} is given twice to {owner}; drop one")
+    if not given:
+        raise SpaceError(f"{owner} needs at least one parameter: {owner}(x=Float(0, 1))")
+    for name, member in given.items():
+        _check_name(name)
+        if not isinstance(member, Float | Int | Choice | Group | Repeated):
+            raise SpaceError(
+                f"parameter {name!r} must be a Float, Int, Choice or Group, not {member!r}"
+                f"{_remedy(member)}"
+            )
+    return given
+
+
+def _leaves(
+    members: Mapping[str, Member],
+    prefix: str = "",
+    path: tuple[str | int, ...] = (),
+    block: tuple[str, int] | None = None,
+) -> Iterator[Leaf]:
+    """All parameters below, in order."""
+    for key, member in members.items():
+        name, keys = prefix + key, (*path, key)
+        if isinstance(member, Group):
+            yield from _leaves(member.members, f"{name}.", keys, block)
+        elif isinstance(member, Repeated):
+            for i in range(member.times):
+                yield from _leaves(member.group.members, f"{name}[{i}].", (*keys, i), (name, i))
+        else:
+            yield Leaf(name, keys, member, block)
+
+
+def _check_name(name: object) -> None:
+    if not isinstance(name, str):
+        raise SpaceError(
+            f"the name of a parameter must be a text, not {name!r}; write it in quotes"
+        )
+    if not name.isidentifier():
+        shape = "".join(c if c.isalnum() else "_" for c in name) or "x"
+        better = shape if shape.isidentifier() else f"_{shape}"
+        raise SpaceError(
+            f"the name of a parameter must be an identifier (letters, digits, _), not {name!r}; "
+            f"call it {better!r}"
+        )
+
+
+def _remedy(member: object) -> str:
+    if isinstance(member, type) and issubclass(member, Float | Int | Choice | Group):
+        return f"; call it: {member.__name__}(...)"
+    if isinstance(member, tuple | list) and len(member) == 2:
+        return f"; write Float({member[0]!r}, {member[1]!r})"
+    if isinstance(member, Mapping):
+        return "; write Group(...), or Space.from_dict for plain data"
+    return ""
+
+
+class Space(_Constant):
     """Parameters by name, each a `Float`, `Int`, `Choice` or `Group` of such.
 
     >>> from fide_plugins import Choice, Float, Group, Int, Space
@@ -57,9 +214,17 @@ class Space:
     A space cannot be changed; spaces of the same parameters in the same order, with the same
     constraints, are equal.
 
+    layout: where each parameter lies in the cube.
+
     Raises SpaceError (a ValueError) if a name is no identifier, something is none of these kinds,
     a constraint is no condition on the parameters, or nothing is left to search.
     """
+
+    _noun = "Space"
+    layout: Layout
+    _members: dict[str, Member]
+    _expressions: tuple[Expression, ...]
+    _leaves: list[Leaf]
 
     def __init__(
         self,
@@ -71,26 +236,24 @@ class Space:
     ) -> None:
         expressions = _expressions(constraints)
         if isinstance(members, Mapping) and _CONSTRAINTS in members:
-            raise SpaceError(_RESERVED)
-        checked = check_members("Space", members, named)
-        found = list(leaves(checked))
+            raise SpaceError(_NO_PARAMETER)
+        checked = _check_members("Space", members, named)
+        found = list(_leaves(checked))
         layout = Layout([leaf.kind for leaf in found])
         if layout.dim == 0:
             raise SpaceError(
                 "Space needs a parameter that can vary, but each is a Choice of one value; add one"
             )
         self.__dict__.update(
-            _members=checked, _leaves=found, layout=layout, _expressions=expressions
+            _members=checked,
+            _leaves=found,
+            layout=layout,
+            _expressions=expressions,
+            _key=(*checked.items(), expressions),
         )
         kinds = self._nested([leaf.kind for leaf in found])
         for expression in expressions:
             expression.check(kinds)
-
-    _members: dict[str, Member]
-    _expressions: tuple[Expression, ...]
-    _leaves: list[Leaf]
-    layout: Layout
-    """Where each parameter lies in the cube."""
 
     @property
     def dim(self) -> int:
@@ -214,7 +377,9 @@ class Space:
 
         Raises SpaceError if a Choice has values that JSON does not have.
         """
-        data = dictionary.to_dict(self._members)
+        from fide_plugins.space import files
+
+        data = files.to_dict(self._members)
         return data | ({_CONSTRAINTS: self.constraints} if self._expressions else {})
 
     @classmethod
@@ -223,25 +388,33 @@ class Space:
 
         Raises SpaceError, naming table and key.
         """
+        from fide_plugins.space import files
+
         if not isinstance(data, Mapping) or _CONSTRAINTS not in data:
-            return cls(dictionary.from_dict(data))
+            return cls(files.from_dict(data))
         constraints = data[_CONSTRAINTS]
         _expressions(constraints)  # it may be meant as a parameter, perhaps the only one
         members = {key: value for key, value in data.items() if key != _CONSTRAINTS}
-        return cls(dictionary.from_dict(members), constraints=constraints)
+        return cls(files.from_dict(members), constraints=constraints)
 
     def to_toml(self) -> str:
         """Text of a TOML file that `read` reads."""
-        return toml_file.text(self.to_dict())
+        from fide_plugins.space import files
+
+        return files.to_toml(self.to_dict())
 
     @classmethod
     def from_toml(cls, text: str) -> Self:
         """Space of the text of a TOML file; raises as `read`."""
-        return cls.from_dict(toml_file.parse(text))
+        from fide_plugins.space import files
+
+        return cls.from_dict(files.parse_toml(text))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file at `path`; raises OSError if that cannot be done."""
-        toml_file.write(path, self.to_dict())
+        from fide_plugins.runtime.files import write_text
+
+        write_text(path, self.to_toml())
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
@@ -249,35 +422,23 @@ class Space:
 
         Raises SpaceError, naming file, table and key, and OSError if the file cannot be read.
         """
+        from fide_plugins.space import files
+
         try:
-            return cls.from_dict(toml_file.read(path))
+            return cls.from_dict(files.read_toml(path))
         except SpaceError as error:
             raise SpaceError(f"{os.fspath(path)}: {error}") from None
 
     # -- as a value --------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
-        words = [n + (f"[{m.times}]" if isinstance(m, Repeated) else "") for n, m in self._items]
+        words = [
+            name + (f"[{member.times}]" if isinstance(member, Repeated) else "")
+            for name, member in self._members.items()
+        ]
         if len(words) > 8:
             words = [*words[:6], "...", words[-1]]
         return f"Space({', '.join(words)}; dim {self.dim})"
-
-    @property
-    def _items(self) -> list[tuple[str, Member]]:
-        return list(self._members.items())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Space) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    @property
-    def _key(self) -> tuple[Any, ...]:
-        return (*self._items, self._expressions)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"a Space cannot be changed; make another one with a new {name}")
 
 
 def _expressions(given: object) -> tuple[Expression, ...]:
@@ -285,9 +446,9 @@ def _expressions(given: object) -> tuple[Expression, ...]:
     if given is None:
         return ()
     if not isinstance(given, Mapping) or given.get("type") in ("float", "int", "choice"):
-        raise SpaceError(_RESERVED)
+        raise SpaceError(_NO_PARAMETER)
     if any(isinstance(text, Mapping) or not isinstance(name, str) for name, text in given.items()):
-        raise SpaceError(_RESERVED)
+        raise SpaceError(_NO_PARAMETER)
     return tuple(Expression(name, text) for name, text in given.items())
 
 
