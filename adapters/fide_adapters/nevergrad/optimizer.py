@@ -40,8 +40,7 @@ from nevergrad.optimization import base
 
 from fide_adapters.image_loss import Result, read_result
 from fide_adapters.nevergrad.parametrization import Cube, initial_candidate
-from fide_adapters.nevergrad.search import Evaluation, Search
-from fide_adapters.nevergrad.settings import check_options, target_setting
+from fide_adapters.nevergrad.search import Evaluation, Search, check_options, target_setting
 from fide_plugins.errors import ImageError
 from fide_plugins.options import make_options
 from fide_plugins.runtime.messages import warn_user
@@ -52,7 +51,7 @@ from fide_plugins.views import Views
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["IMAGE", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
+__all__ = ["IMAGE", "DaskExecutor", "NoImagesWarning", "Optimizer", "ParametrizedFIDE"]
 
 IMAGE = "fide:image"
 """Key of ``candidate._meta`` for an image that goes through a portfolio."""
@@ -381,3 +380,24 @@ class ParametrizedFIDE(base.ConfiguredOptimizer):  # type: ignore[misc]  # Never
             "options": None if options is None else dict(options),
         }
         super().__init__(Optimizer, settings, as_config=True)
+
+
+class DaskExecutor:
+    """A Dask client as an executor, for parameters of any name and for noisy renderers.
+
+    ``Client.submit`` itself uses some argument names: ``key``, ``workers``, ``retries`` and others
+    never reach the objective.  It also returns an earlier result for a call with equal arguments.
+
+    client: a `distributed.Client`.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Future of ``function(*args, **kwargs)``; the function is called each time."""
+        return self._client.submit(_call, function, args, kwargs, pure=False)
+
+
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    return function(*args, **kwargs)

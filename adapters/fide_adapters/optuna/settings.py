@@ -12,8 +12,7 @@ import numpy as np
 from optuna.distributions import BaseDistribution, CategoricalDistribution, distribution_to_json
 from optuna.samplers import BaseSampler
 
-from fide_adapters.optuna.artifacts import ImageArtifacts
-from fide_adapters.optuna.features import ImageEvaluator
+from fide_adapters.optuna.images import ImageArtifacts, ImageEvaluator
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import OptionError
 from fide_plugins.evaluation import Evaluator
@@ -86,7 +85,7 @@ class OptimizerSettings:
     def digest_of(self, space: Mapping[str, BaseDistribution]) -> str:
         """Eight characters; optimizers of one problem with equal ones and seeds ask the same.
 
-        The problem has a digest of its own, see `features.ImageEvaluator.problem`: records of
+        The problem has a digest of its own, see `images.ImageEvaluator.problem`: records of
         earlier versions lack that one, and count.
         """
         options = asdict(make_options(self.preset, self.options))

@@ -81,16 +81,6 @@ def test_without_a_target_it_says_so_once() -> None:
     assert len(record) == 1
 
 
-def test_without_images_it_says_so_once_after_a_generation() -> None:
-    optimizer = fide()
-    for _ in range(8):
-        optimizer.tell(optimizer.ask(), 1.0)
-    with pytest.warns(NoImagesWarning, match=r"no images.*ImageLoss"):
-        optimizer.tell(optimizer.ask(), 1.0)
-    for _ in range(20):
-        optimizer.tell(optimizer.ask(), 1.0)
-
-
 def never(x: Any) -> bool:
     return False
 

@@ -112,21 +112,6 @@ def test_groups_may_be_of_more_parameters_than_the_first_trial_expects(bench: Be
     assert counts_of(study) == {"member": 8, "image": 8}
 
 
-@pytest.mark.filterwarnings("ignore:.*gets no images")
-@pytest.mark.parametrize("target", [True, False])
-def test_point_4_without_images_it_is_cma_es(bench: Bench, target: bool) -> None:
-    def sphere(trial: Trial) -> float:
-        return float(((np.array(bench.suggest(trial)) - 0.3) ** 2).sum())
-
-    settings: dict[str, Any] = {} if target else {"target": None}
-    study = optuna.create_study(sampler=bench.sampler(search_space=bench.space, **settings))
-    study.optimize(sphere, n_trials=120)
-    core = FIDE(5, bench.target, seed=0, popsize=6, proposer="none")
-    for x in bench.points(study):
-        np.testing.assert_array_equal(core.ask(1)[0], x)
-        core.tell(x[None], losses=[((x - 0.3) ** 2).sum()])
-
-
 def test_point_4_same_seed_same_study(bench: Bench) -> None:
     runs = []
     for seed in (0, 0, 1):
