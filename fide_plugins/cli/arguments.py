@@ -173,9 +173,9 @@ def program_of(
 
     timeout: as --timeout has it; None: 60 seconds.  raw: whether it has a range of values.
     """
-    from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers import CommandRenderer
     from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.validation.options import seconds_of
 
     limit = TIMEOUT if timeout is None else seconds_of("timeout", timeout)
     if space is None:

@@ -174,7 +174,7 @@ def _by_run(args: argparse.Namespace) -> str:
 
 def _execute(args: argparse.Namespace, command: list[str]) -> int:
     from fide_plugins.fitting.fitting import FitInterrupted
-    from fide_plugins.recording.run_checkpoint import is_saved
+    from fide_plugins.recording.storage import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -223,8 +223,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
     from fide_plugins.cli.fit_inputs import check_first, outcomes, pictures, value_range_of
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
-    from fide_plugins.fitting.workers.choice import default_number
-    from fide_plugins.recording.json_record import read_run
+    from fide_plugins.fitting.workers import default_number
+    from fide_plugins.recording.storage import read_run
     from fide_plugins.watch import LiveFile
 
     render, space, timeout = _renderer(args)
@@ -313,8 +313,8 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.recording.json_record import read_run
     from fide_plugins.recording.record import SUMMARY
+    from fide_plugins.recording.storage import read_run
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]

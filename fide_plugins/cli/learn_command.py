@@ -155,7 +155,7 @@ def _has_renders(folder: Path) -> bool:
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `learn`."""
-    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     render, space = _renderer(args)
     return {
@@ -191,7 +191,12 @@ def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
+<<<<<<< HEAD
+    from fide_plugins.renderers.command import TIMEOUT
+=======
+>>>>>>> main
     from fide_plugins.runtime.registry import is_reference
+    from fide_plugins.validation.options import seconds_of
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
@@ -232,7 +237,7 @@ class _Lines:
 
 def _line(progress: Any) -> str:
     """Line about a `LearnProgress`."""
-    from fide_plugins.learning.judging.report import against_prior
+    from fide_plugins.learning.judging import against_prior
 
     done = f"{progress.done}/{progress.total}"
     match progress.stage:

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.recording.json_record import RunDirectoryError
+    from fide_plugins.recording.storage import RunDirectoryError
     from fide_plugins.watch import serve
 
     if not args.directory.is_dir():

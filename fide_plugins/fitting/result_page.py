@@ -30,7 +30,7 @@ def page(result: Result, panels: Sequence[Panel]) -> str:
     )
     pictures = "".join(map(_picture, panels))
     with suppress(DependencyError):  # without matplotlib, which is an extra
-        from fide_plugins.recording.result_figure import curve_figure
+        from fide_plugins.recording.plots import curve_figure
 
         if len(result.losses):
             curve = curve_figure(result.losses, result.loss)._repr_png_()

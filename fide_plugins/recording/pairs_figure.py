@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from fide_plugins.recording.drawn import Drawn, drawn
 from fide_plugins.recording.figures import ACCENT, INK
-from fide_plugins.recording.result_figure import Figure, tidy
+from fide_plugins.recording.plots import Drawn, Figure, drawn, tidy
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 

@@ -9,7 +9,6 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from fide_plugins.recording.drawn import Drawn, drawn
 from fide_plugins.recording.figures import (
     ACCENT,
     INK,
@@ -21,6 +20,7 @@ from fide_plugins.recording.figures import (
     plain,
 )
 from fide_plugins.recording.parameters import rows
+from fide_plugins.recording.plots import Drawn, drawn
 from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import cut
 from fide_plugins.types import Float64, Indices, Solution

@@ -8,7 +8,7 @@ from typing import Any
 from fide_plugins.recording.figures import plain
 from fide_plugins.recording.parameters import Row, rows
 from fide_plugins.runtime.plotting import new_figure
-from fide_plugins.solutions.found import Found
+from fide_plugins.solutions import Found
 from fide_plugins.types import Float32
 
 __all__ = ["figure"]

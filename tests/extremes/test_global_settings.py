@@ -16,7 +16,7 @@ from fide_plugins.fide import FIDE
 from fide_plugins.learning import learn
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import estimate
-from fide_plugins.uncertainty.values import looks_alike
+from fide_plugins.uncertainty.estimate import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
 BLOCKS = [[0, 1], [2, 3]]

@@ -22,12 +22,17 @@ import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import CheckpointError, ImageError, SpaceError
-from fide_plugins.learning.judging.familiarity import Familiarity
-from fide_plugins.learning.judging.report import Report
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.judging import Familiarity, Report
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.network import Network
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
+<<<<<<< HEAD
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.networks import Network
+from fide_plugins.recording.storage import RunDirectoryError, read_run
+=======
+from fide_plugins.learning.networks import Network
+from fide_plugins.recording.storage import RunDirectoryError, read_run
+>>>>>>> main
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 

@@ -24,7 +24,7 @@ from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.rendering import Portable, Rendered, Renderer
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers import workers_for
 from fide_plugins.types import Float64
 
 from .scene import ANSWER, SPACE, disk, target

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from fide_plugins.fitting.checking.facts import Effect, Facts
+from fide_plugins.fitting.checking.measuring import Effect, Facts
 from fide_plugins.fitting.checking.report import change_text
 from fide_plugins.recording.figures import plain
 from fide_plugins.runtime.plotting import new_figure

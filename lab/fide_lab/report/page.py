@@ -16,8 +16,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from fide_lab.compare.configuration import as_file_name
-from fide_lab.compare.plan import target_file
+from fide_lab.compare.plan import as_file_name, target_file
 from fide_lab.compare.results import AXES, AllFailedError, NoResultsError, Results, StoredRun
 from fide_lab.report import plots, sentences, tables
 from fide_lab.report.panel import Panel, check_thresholds, panels

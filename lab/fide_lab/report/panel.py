@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fide_lab.compare.configuration import split
-from fide_lab.compare.plan import RunKey
+from fide_lab.compare.plan import RunKey, split
 from fide_lab.compare.results import Results, StoredRun
 from fide_lab.report import statistics
 from fide_lab.report.statistics import Paired, Success

@@ -13,8 +13,7 @@ import numpy as np
 
 from fide_lab.compare.results import AXES, Results
 from fide_lab.report.panel import SIGNIFICANT, Panel, Row
-from fide_plugins.recording.parallel import WORKERS
-from fide_plugins.recording.record import PARTS
+from fide_plugins.recording.record import PARTS, WORKERS
 
 LARGEST_RATIO = 1000
 """Of two losses, that a table writes out."""

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fide_lab.compare.configuration import as_file_name
+from fide_lab.compare.plan import as_file_name
 from fide_lab.report import plots
-from fide_lab.sweep.front import AXES, Combination, Point, best_within, front
+from fide_lab.sweep import AXES, Combination, Point, best_within, front
 from fide_plugins.runtime import files
 
 __all__ = ["TIMES", "advice", "short_labels", "write"]

@@ -20,7 +20,7 @@ from fide_lab.suite.scores import Scores
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.renderers.template import Template
+from fide_plugins.renderers.command import Template
 
 pytestmark = pytest.mark.figures
 

@@ -1,0 +1,387 @@
+"""Hypotheses that a learned model has of this picture: where a run begins, if there is a model.
+
+So begins the search for the next picture (`retarget`), which renders what it remembers beside them.
+
+The first generation renders some of them. The best distinct ones are the starts of searches, each
+as wide as the hypotheses around it. They follow each other, and each has to beat the best so far
+(`one_search.is_hopeless`). Between two of them `Refine` goes on with what is in the right place,
+and `Resample` draws again what is left open. The other moves come after all of them.
+
+Where blocks are exchangeable, a set of them is a hypothesis that is right in most blocks.  What is
+wrong then is repaired by moves of single blocks (`Split`), not by another set.  So few are
+rendered, one is searched, and narrowly.
+
+Where descents through an emulator have refined some, the best of these come first. Two draws and
+the middle of all are rendered beside them, since the emulator may be wrong of a picture: it has
+learned renders as they are. These three, which are no optima, say what a typical loss is.
+
+*How probable is each of several answers?* A model's hypotheses are draws from its posterior, so the
+share of them that lie around an answer is the answer's probability, as far as the model knows.
+Renders know more: an answer that the model takes for possible may be rendered, and not look like
+the target.  So
+
+    p_m ~ (share of hypotheses that are nearest to m) * exp(-(L_m - L_best) / T),
+
+where L are the losses at the answers, and T is the noise of a loss, or a hundredth of the median
+loss of rendered draws above that of the best answer, if this is larger.  (Hypotheses that were
+refined through an emulator are optima, and no measure.)  Answers that the second factor excludes
+take no hypotheses from the others.
+
+So one answer that was found has probability 1, wherever the other hypotheses are.  `elsewhere` says
+how many of them are near no answer: a mode that no search has reached, perhaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fide_plugins.runtime.schema import Schema, array, check, maybe, real
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.moves import Known, Move, Stage, Start
+from fide_plugins.search.scene import Axes
+from fide_plugins.types import Float64, Indices, Posterior
+
+__all__ = [
+    "Hypotheses",
+    "Resample",
+    "elsewhere",
+    "nearest_shares",
+    "probabilities",
+    "relative_likelihoods",
+]
+
+_TYPICAL = 0.01  # of the median loss above the best: a difference of it divides a likelihood by e
+_EXCLUDED = 0.01  # relative likelihood below which an answer takes no hypotheses
+_MODE_NEAREST = 0.1  # of all hypotheses, whose spread says how far "near" is on each axis
+_MODE_NARROWEST = 1e-3  # standard deviation
+_DECILE = 0.1257  # of the absolute value of a standard normal variable
+_FAR = 4.0  # standard deviations on any axis, of a normal density that hardly a sample exceeds
+
+
+def probabilities(
+    losses: Sequence[float],
+    X: Float64,
+    hypotheses: Float64,
+    typical: float | None,
+    noise: float | None,
+    exchangeability: Exchangeability,
+    axes: Axes,
+) -> Float64:
+    """Probabilities (m,) of answers X (m, d) with these losses; they sum to 1.
+
+    hypotheses: (n, d), draws from the posterior.
+    typical: median loss of draws; None: not known, and the best answer alone is likely.
+    noise: standard deviation of a loss; None: not known.
+    """
+    likelihood = relative_likelihoods(losses, typical, noise)
+    kept = np.flatnonzero(likelihood >= _EXCLUDED)
+    shares = np.ones(1)
+    if len(kept) > 1:
+        shares = nearest_shares(X[kept], hypotheses, exchangeability, axes)
+    mass = np.zeros(len(X))
+    mass[kept] = shares * likelihood[kept]
+    total = float(mass.sum())
+    return mass / total if total > 0 else likelihood / likelihood.sum()
+
+
+def relative_likelihoods(
+    losses: Sequence[float], typical: float | None, noise: float | None
+) -> Float64:
+    """Likelihoods (m,) of answers with these losses; the best one has 1."""
+    best = min(losses)
+    excess = np.asarray(losses, np.float64) - best
+    scale = max(noise or 0.0, 0.0 if typical is None else _TYPICAL * (typical - best))
+    if scale <= 0:
+        return np.asarray(excess == 0, np.float64)
+    return np.asarray(np.exp(-excess / scale), np.float64)
+
+
+def nearest_shares(
+    X: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
+) -> Float64:
+    """Shares (m,) of the hypotheses (n, d) that are nearest to each of the answers X (m, d).
+
+    Axes count by how narrow the hypotheses are around the answers, so that what the picture does
+    not show decides nothing.
+    """
+    apart = np.stack([_squares(x, hypotheses, exchangeability, axes) for x in X])  # (m, n, d)
+    n = max(2, int(_MODE_NEAREST * len(hypotheses)))
+    near = [each[np.argsort(each.sum(axis=1))[:n]].mean(axis=0) for each in apart]
+    variance = np.maximum(np.mean(near, axis=0), _MODE_NARROWEST**2)  # (d,)
+    nearest = (apart / variance).sum(axis=2).argmin(axis=0)
+    return np.bincount(nearest, minlength=len(X)) / len(hypotheses)
+
+
+def elsewhere(
+    X: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
+) -> float:
+    """Share of the hypotheses (n, d) that are far from each of the answers X (m, d).
+
+    Far is more than four standard deviations on any axis, as the tenth of all hypotheses that is
+    nearest to an answer there tells them.  They seem the wider the fewer hypotheses are around an
+    answer: four times as wide with a quarter.  So this may be too little, and 0 for a rare answer.
+    """
+    far = np.ones(len(hypotheses), bool)
+    for x in X:
+        apart = np.sqrt(_squares(x, hypotheses, exchangeability, axes))  # (n, d)
+        std = np.maximum(np.quantile(apart, _MODE_NEAREST, axis=0) / _DECILE, _MODE_NARROWEST)
+        far &= (apart > _FAR * std).any(axis=1)
+    return float(far.mean())
+
+
+def _squares(
+    x: Float64, hypotheses: Float64, exchangeability: Exchangeability, axes: Axes
+) -> Float64:
+    """Squared differences (n, d) of hypotheses from an answer x (d,), blocks matched."""
+    if exchangeability.blocks is not None:
+        hypotheses = np.stack([exchangeability.aligned(one, x) for one in hypotheses])
+    return np.square(axes.difference(hypotheses, x))
+
+
+_RENDERED = 48
+_RENDERED_SETS = 8  # and where some were refined
+_BESIDE_REFINED = 3  # of those: draws, whose median loss one odd draw does not move
+_SEARCHED = 4  # of those rendered
+_APART = 0.15  # of the unit cube, in some parameter: other hypotheses
+_H_NEAREST = 0.1  # of all hypotheses, whose spread says how wide a search begins
+_BETTER = 0.1  # of the typical loss
+_H_NARROWEST, _WIDEST, _WIDEST_SET = 0.02, 1 / 6, 0.06  # standard deviations
+_NARROWEST_REFINED = 0.006  # descents through an emulator end near each other
+_SCHEMA: dict[str, Schema] = {
+    "x": array("n", "d", low=0.0, high=1.0),
+    "refined": array("refined", "d", low=0.0, high=1.0),
+    "waiting": array("waiting", "d", low=0.0, high=1.0),
+    "typical": maybe(real()),
+}
+
+
+class Hypotheses(Move):
+    """Points of the cube that a model takes for possible; none without a model.
+
+    posterior: draws x (n, d), which say how probable an answer is, and refined points.
+    sets: whether they are sets of exchangeable blocks.
+    place: points (n, d) as they are rendered: integers and choices in their cells.
+    """
+
+    name = "learned"
+    from_incumbent = False
+    has_more = False
+
+    def __init__(
+        self,
+        posterior: Posterior | None,
+        dim: int,
+        *,
+        sets: bool = False,
+        place: Callable[[Float64], Float64] = np.copy,
+    ) -> None:
+        self._sets, self._place, self._dim = sets, place, dim
+        self.begin(posterior)
+
+    def begin(self, posterior: Posterior | None) -> None:
+        """Begin with those of a target; None: there are none."""
+        nothing = np.empty((0, self._dim))
+        self.x, refined = posterior or Posterior(nothing)
+        self._refined = nothing if refined is None else refined
+        self._waiting = nothing  # starts that were not searched yet, best first
+        self.typical: float | None = None
+        """Median loss of the draws that were rendered; None before, and where it is not known."""
+
+    @property
+    def available(self) -> bool:
+        """Whether there are any."""
+        return len(self.x) > 0
+
+    @property
+    def first(self) -> tuple[Stage, str | None]:
+        """Stage with which a run begins, and its move: these, if there are any."""
+        return (Stage.RESTART, self.name) if self.available else (Stage.SEARCH, None)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a search can begin at another one."""
+        return len(self._waiting) > 0
+
+    @property
+    def brisk_above(self) -> float | None:
+        """Loss above which a search is no better than a start: a part of the typical one.
+
+        None where that is unknown, or not positive: losses of the user's own may be of any sign.
+        """
+        return None if self.typical is None or self.typical <= 0 else _BETTER * self.typical
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are any."""
+        return self.available
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Those that are rendered first, (m, d): what was refined, the best first, and draws.
+
+        How many does not depend on n, and nothing is drawn at random.
+        """
+        few = self._sets or len(self._refined) > 0
+        refined = self._refined[: _RENDERED_SETS - _BESIDE_REFINED]
+        draws = self.x[: (_RENDERED_SETS if few else _RENDERED) - len(refined)]
+        return np.concatenate([refined, draws])
+
+    def learn(
+        self,
+        found: Sequence[tuple[float, Float64]],
+        best: Float64,
+        distance: Callable[[Float64, Float64], float],
+    ) -> None:
+        """Choose starts: the best distinct ones of those found, as loss and x (d,).
+
+        best: (d,), the best of all, also where no image is known.
+        """
+        chosen = [best]
+        for _, x in sorted(found, key=lambda one: one[0]):
+            if (
+                len(chosen) < (1 if self._sets else _SEARCHED)
+                and min(distance(x, y) for y in chosen) >= _APART
+            ):
+                chosen.append(x)
+        self._waiting = np.array(chosen)
+        losses = [loss for loss, x in found if self._is_among(x, self.x)]
+        typical = float(np.median(losses)) if losses else np.inf
+        self.typical = typical if np.isfinite(typical) else None
+
+    def next(self, known: Known, before: Start) -> Start:
+        """Begin at the next one; there must be one.
+
+        before: what it was before.  Where that is the same place, which `retarget` remembers, the
+            search is no wider.
+        """
+        x, self._waiting = self._waiting[0], self._waiting[1:]
+        start = self.begin_at(known, x)
+        if not np.array_equal(x, before.mean):
+            return start
+        return replace(start, std=np.minimum(start.std, before.std))
+
+    def is_wider(self, posterior: Posterior, known: Known, start: Start) -> bool:
+        """Whether a search from the first one of a target is wider, on the whole, than `start`."""
+        others = copy(self)
+        others.begin(posterior)
+        first = others._refined if len(others._refined) else others.x
+        std = others.begin_at(known, first[0]).std
+        return bool(np.log(start.std).sum() < np.log(std).sum())
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at x (d,), as wide as the hypotheses around it."""
+        return Start(x, self._spread(x, known), brisk_above=self.brisk_above)
+
+    def _spread(self, x: Float64, known: Known) -> Float64:
+        """Standard deviations (d,) around x (d,) of the hypotheses that are nearest to it.
+
+        They are narrow in what the picture shows well, and wide in the rest.  Exchangeable blocks
+        are in the order nearest to x, and periodic axes are differences the shorter way around.
+        """
+        refined = self._is_among(x, self._refined)
+        around = np.concatenate([self._refined, self.x[:1]]) if refined else self.x
+        others = np.stack([known.exchangeability.aligned(one, x) for one in around])
+        squares = np.square(known.axes.difference(others, x))  # (n, d)
+        order = np.argsort(squares.sum(axis=1), kind="stable")
+        nearest = squares[order[: max(2, int(_H_NEAREST * len(others)))]]
+        spread = np.sqrt(nearest.mean(axis=0))
+        low = _NARROWEST_REFINED if refined else _H_NARROWEST
+        return np.asarray(np.clip(spread, low, _WIDEST_SET if self._sets else _WIDEST), np.float64)
+
+    def _is_among(self, x: Float64, points: Float64) -> bool:
+        """Whether a candidate x (d,), as it was rendered, is one of the points (n, d)."""
+        return bool((self._place(points) == x).all(axis=1).any())
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it."""
+        return {
+            "x": self.x,
+            "refined": self._refined,
+            "waiting": self._waiting,
+            "typical": self.typical,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; raises ValueError for what it cannot have given."""
+        dim = self._dim
+        check(state, _SCHEMA, {"d": dim}, "moves['hypotheses']")
+        self.x = state["x"].reshape(-1, dim)
+        self._refined = state["refined"].reshape(-1, dim)
+        self._waiting = state["waiting"].reshape(-1, dim)
+        self.typical = state["typical"]
+
+
+_AGREE = 0.05  # of the unit cube: the same in a parameter
+_AGREEING = 0.25  # of all hypotheses: those that agree with the incumbent elsewhere
+_OPEN_SHARE = 0.25  # of these, at least, differ from the incumbent in a parameter that is open
+_WIDE, _NARROW = 1 / 3, 1 / 16  # of sigma0, in the parameters that were drawn, in all others
+
+
+class Resample(Move):
+    """Parameters of hypotheses in copies of the incumbent.
+
+    What a learned model leaves open, drawn again around the best so far.
+
+    A hypothesis is rarely right in everything, and its render is judged by what is wrong in it: the
+    right hand on an arm that is two pixels off is no better than the wrong one.  After a search the
+    arm is where it should be, and renders say which hand is right.  So restart candidates are
+    copies of the incumbent, with parameters of hypotheses where these differ from it: half of them
+    in a single parameter, spread over what hypotheses that agree with the incumbent elsewhere have
+    there, and the others in several at once, all of one hypothesis.
+    """
+
+    name = "resample"
+    prior_gain = 0.5
+
+    def __init__(self, hypotheses: Hypotheses) -> None:
+        self._hypotheses = hypotheses
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are hypotheses that leave anything open, and no blocks are exchangeable."""
+        if not self._hypotheses.available or known.exchangeability.blocks is not None:
+            return False
+        return len(self._open(known)) > 0
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent; every second one differs in a single parameter."""
+        x, others = known.copies(n), self._hypotheses.x
+        opened = self._open(known)
+        if not opened:
+            return x
+        singles = rng.permutation(np.arange((n + 1) // 2))
+        for i, row in enumerate(x[::2]):
+            axes, values = opened[singles[i] % len(opened)]
+            strata = -(-len(singles) // len(opened))  # draws of this parameter, one from each
+            quantile = (singles[i] // len(opened) + rng.random()) / strata
+            row[axes] = values[min(int(quantile * len(values)), len(values) - 1)]
+        for row in x[1::2]:
+            other = others[rng.integers(len(others))]
+            some = rng.random(len(opened)) < 0.5
+            some[rng.choice(len(opened), min(2, len(opened)), replace=False)] = True
+            for axes, _ in (one for one, taken in zip(opened, some, strict=True) if taken):
+                row[axes] = other[axes]
+        return x
+
+    def _open(self, known: Known) -> list[tuple[Indices, Float64]]:
+        """Parameters that are open: axes, and what (m, axes) hypotheses have there, sorted."""
+        here, x = known.here.x, self._hypotheses.x
+        apart = known.axes.difference(x, here)
+        parameters = known.axes.axes_of
+        agree = np.column_stack([apart[:, axes].max(axis=1) <= _AGREE for axes in parameters])
+        opened = []
+        for i, axes in enumerate(parameters):
+            elsewhere = agree.sum(axis=1) - agree[:, i]
+            nearest = np.argsort(-elsewhere, kind="stable")[: max(1, int(_AGREEING * len(x)))]
+            differ = nearest[~agree[nearest, i]]
+            if len(differ) >= _OPEN_SHARE * len(nearest):
+                values = x[differ][:, axes]
+                opened.append((axes, values[np.lexsort(values.T[::-1])]))
+        return opened
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in what was drawn, narrow in what was found before."""
+        start = known.start_at(x, wide=_WIDE, narrow=_NARROW)
+        return replace(start, brisk_above=self._hypotheses.brisk_above)

@@ -1,0 +1,527 @@
+"""What the next generation is for: the optimizer uses all moves through one `MovePolicy`.
+
+::
+
+    search over ──> after_search ──> which move? ──> does it need to know more?
+                                                        │ EXCHANGE, REMOVAL, SENSITIVITY: learn
+                                                        ▼
+                                                     RESTART: its candidates are rendered
+                                                        │ learn
+                                                        ▼
+                                                     SEARCH, from `start`, at the best of them
+
+The incumbent is the best local optimum, until moves from it have failed often: then another one,
+or a new search (`scene.Optima`).
+
+With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
+the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
+where to go on, the next search begins at once at a random place (`BeginAnew`).
+
+*A bandit chooses among moves.* The gain of a move is the fraction by which it lowered the loss, and
+0 where it failed.  Its rate is the gain per evaluation; old outcomes count less and less.  Moves
+are drawn in proportion to their rates, each with a least probability, so that none is given up:
+what helps at a loss of 0.01 may be useless at 0.001, and the other way round.  A move that was not
+tried yet is taken to be good.  (pyribs schedules its emitters alike:
+`ribs.schedulers.BanditScheduler`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from torch import Tensor, device
+
+from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    array,
+    check,
+    each,
+    flag,
+    form,
+    maybe,
+    real,
+    row,
+    text,
+    whole,
+)
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.hypotheses import Hypotheses, Resample, elsewhere, probabilities
+from fide_plugins.search.mixed import AxisLayout, Mixed
+from fide_plugins.search.moves import (
+    BeginAnew,
+    ChangeValue,
+    Crossover,
+    HalfTurn,
+    Known,
+    Move,
+    Refine,
+    RelocateGroup,
+    RelocateSegment,
+    Split,
+    Stage,
+    Start,
+    Swap,
+)
+from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
+from fide_plugins.types import Float64, Posterior
+
+__all__ = ["Choice", "MovePolicy", "Stage", "Start", "check_policy"]
+
+_KEEP = 0.85  # of what is known, at each outcome of the same move
+_PRIOR_TRIES = 2.0  # that the prior gain is worth
+_FLOOR = 0.3  # of all draws are even
+_LEAST = 1e-300  # gain or cost that can be
+_VAIN = 1e-200  # gain after thousands of vain tries, of which rates can still be compared
+
+
+class Choice:
+    """Gains and costs of the moves.
+
+    priors: of each move by its name, the gain in a try that is expected at first, above 0.
+    cost: evaluations that a try takes, roughly.
+    """
+
+    def __init__(self, priors: Mapping[str, float], cost: float) -> None:
+        self.names = tuple(priors)
+        self._gain = _PRIOR_TRIES * np.array(list(priors.values()))
+        self._cost = np.full(len(priors), _PRIOR_TRIES * cost)
+        self._untried = self._gain.copy(), self._cost.copy()
+
+    def note(self, name: str, gain: float, evaluations: int) -> None:
+        """Note the outcome of a move."""
+        i = self.names.index(name)
+        self._gain[i] = max(_VAIN, _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0))
+        self._cost[i] = _KEEP * self._cost[i] + evaluations
+
+    def probabilities(self, possible: Sequence[str]) -> Float64:
+        """Probabilities of those moves."""
+        which = [self.names.index(name) for name in possible]
+        rates = self._gain[which] / self._cost[which]
+        even = 1.0 / len(which)
+        p: Float64 = _FLOOR * even + (1 - _FLOOR) * rates / rates.sum()
+        return np.asarray(p / p.sum(), np.float64)
+
+    def draw(self, possible: Sequence[str], rng: np.random.Generator) -> str:
+        """Draw one of those moves."""
+        return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes: gain and cost of each move, by its name."""
+        pairs = zip(self._gain.tolist(), self._cost.tolist(), strict=True)
+        return {name: list(pair) for name, pair in zip(self.names, pairs, strict=True)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; a move that it lacks has not been tried.
+
+        Raises ValueError for what it cannot have given.
+        """
+        if not isinstance(state, dict):
+            raise ValueError("choice is no dict")
+        pair = row(real(_LEAST), real(_LEAST))
+        check(state, {name: pair for name in self.names if name in state}, {}, "choice")
+        gain, cost = (untried.copy() for untried in self._untried)
+        for name, values in state.items():
+            i = self.names.index(name)
+            gain[i], cost[i] = values
+        self._gain, self._cost = gain, cost
+
+
+_UNIT = array("d", low=0.0, high=1.0)
+_SCHEMA: dict[str, Schema] = {
+    "stage": text,
+    "move": maybe(text),
+    "start": {
+        "mean": _UNIT,
+        "std": array("d", low=0.0, high=1e6),
+        "population": whole(1, 2**10),
+        "patience": whole(1, 100),
+        "brisk_above": maybe(real()),
+        "widest": real(1.0),
+        "to_the_end": flag,
+        "held": maybe(array("d", kind="b")),
+    },
+    "loss_only_searches": whole(),
+    "guided": flag,
+    "noise": maybe(real(0.0)),
+    "incumbent": maybe(form(TrainingSample)),
+    "optima": {
+        "samples": each(form(TrainingSample)),
+        "counts": each(row(whole(), whole(), whole(high=1))),
+        "descents": whole(),
+        "forgotten": whole(),
+    },
+}
+
+
+def check_policy(state: Mapping[str, Any], known: Known, moves: Mapping[str, Move]) -> None:
+    """Raise ValueError unless this can be the state of a policy for such a scene.
+
+    known: what is known of the scene at first.  moves: all moves by their names.
+    """
+    tokens, channels = known.target.shape
+    sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
+    for name, schema in _SCHEMA.items():
+        check(state[name], schema, sides, f"moves[{name!r}]")
+    stage = Stage(state["stage"])
+    if state["move"] is not None and state["move"] not in moves:
+        raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")
+    if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and state["move"] is None:
+        raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
+    free = stage is Stage.RESTART and not moves[state["move"]].from_incumbent
+    if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
+        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
+    blocks = state["exchangeability"]["blocks"]
+    if stage is Stage.REMOVAL and blocks is None:
+        raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
+
+
+_COST = 12.0  # generations that a move takes, roughly
+_CANDIDATES = 20  # restart candidates, at least
+_TOLERANCE = 3  # failures of an optimum after which the next one is tried, without blocks
+
+
+class MovePolicy:
+    """Moves, and what is known for them.
+
+    x0, sigma0: (d,), mean and standard deviation of the first search.
+    popsize: k; there are at least as many restart candidates.
+    target: (T, C), tokens of the target.
+    channels: leading channels in which images are compared; None: all.
+    seed: of the draws of moves.
+    groups: declared exchangeable groups, see `exchangeability.check_groups`; None: to be found.
+    layout: what is discrete or periodic in the cube; None: nothing.
+    posterior: of a learned model; the run begins with its hypotheses.  None: there is no model.
+
+    Raises OptionError for groups that are declared wrongly.
+    """
+
+    def __init__(
+        self,
+        x0: Float64,
+        sigma0: Float64,
+        popsize: int,
+        target: Tensor,
+        channels: int | None,
+        seed: int,
+        groups: Sequence[Sequence[int]] | None = None,
+        layout: AxisLayout | None = None,
+        posterior: Posterior | None = None,
+    ) -> None:
+        dim = len(x0)
+        axes = Axes(dim, layout)
+        self.known = Known(
+            x0=x0,
+            sigma0=sigma0,
+            target=target,
+            channels=channels,
+            exchangeability=Exchangeability(dim, channels, groups, axes),
+            removal=Removal(),
+            sensitivity=Sensitivity(dim, channels, axes),
+            axes=axes,
+            place=Mixed(layout).clipped,
+            values=Values(axes, layout),
+        )
+        self._candidates = max(_CANDIDATES, popsize)
+        self.hypotheses = Hypotheses(posterior, dim, sets=bool(groups), place=self.known.place)
+        self._refine, self._anew, self._resample = Refine(), BeginAnew(), Resample(self.hypotheses)
+        family: list[Move] = [
+            Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
+            self._refine, self._anew,
+        ]  # fmt: skip
+        if self.known.values.discrete.any():
+            family.append(ChangeValue())
+        family.append(self._resample)
+        self._choice = Choice({move.name: move.prior_gain for move in family}, _COST * popsize)
+        self._moves = {move.name: move for move in (*family, self.hypotheses)}
+        self._rng = np.random.default_rng((seed, 1))
+        self.stage, self.move = self.hypotheses.first
+        """What the present generation is for; the move under way, None in the first search."""
+        self.start = Start(x0, self.known.sigma0)
+        self.noise: float | None = None
+        """Standard deviation of the loss of the first local optimum; None: it was not measured."""
+        self.loss_only_searches = 0
+        """Searches that began anew because losses, not images, said so."""
+        self.guided = True
+        """Whether images said where to go on when the last search was over."""
+
+    @property
+    def goal(self) -> float:
+        """Loss that the search has to beat; +inf for none."""
+        incumbent = self.known.incumbent
+        if incumbent is None or self.move is None or not self._the_move.has_goal:
+            return np.inf
+        return incumbent.loss
+
+    @property
+    def ended(self) -> list[int]:
+        """Searches that ended in each of the distinct places, the best first (`status.Facts`)."""
+        return [optimum.searches for optimum in self.known.optima.all]
+
+    def probabilities(self, losses: Sequence[float], X: Float64) -> Float64 | None:
+        """Probabilities (m,) of answers X (m, d) with these losses; None without hypotheses."""
+        if not self.hypotheses.available or not len(X):
+            return None
+        return probabilities(
+            losses,
+            X,
+            hypotheses=self.hypotheses.x,
+            typical=self.hypotheses.typical,
+            noise=self.noise,
+            exchangeability=self.known.exchangeability,
+            axes=self.known.axes,
+        )
+
+    def elsewhere(self, X: Float64) -> float | None:
+        """Share of hypotheses far from all answers X (m, d); None without hypotheses."""
+        if not self.hypotheses.available or not len(X):
+            return None
+        known = self.known
+        return elsewhere(X, self.hypotheses.x, known.exchangeability, known.axes)
+
+    def is_wider(self, posterior: Posterior, start: Start) -> bool:
+        """Whether hypotheses of a model say less exactly than a start where the answer is."""
+        return self.hypotheses.is_wider(posterior, self.known, start)
+
+    # -- after a search ----------------------------------------------------------------------------
+
+    def after_search(
+        self, found: TrainingSample | None, evaluations: int, *, guided: bool
+    ) -> Stage:
+        """Say what comes after a search that is over.
+
+        found: its best candidate, or that of its restart candidates, whose image is known.
+        evaluations: since the last search was over.
+        guided: whether images say where to go on.
+        """
+        self.guided = guided
+        if self.hypotheses.waiting:
+            before = self.known.incumbent
+            if found is not None:
+                self._settle(found, evaluations)
+            if guided and self._refines():
+                self.move = self._refine.name
+                self._begin_at(self.known.here.x)
+                self.start = replace(self.start, to_the_end=False)  # other hypotheses wait
+                return self._go(Stage.SEARCH)
+            if guided and self._resamples(before):
+                self.move = self._resample.name
+                return self._go(Stage.RESTART)
+            return self._begin_at_hypothesis()
+        if found is None or not guided:
+            self.known.incumbent, self.guided = None, False
+            self.loss_only_searches += 1
+            number = self.loss_only_searches
+            self.start = self._anew.begin_without_images(self.known, number, self._rng)
+            self.move = self._anew.name
+            return self._go(Stage.SEARCH)
+        self._settle(found, evaluations)
+        return self._decide()
+
+    def _settle(self, found: TrainingSample, evaluations: int) -> None:
+        """Note what the move brought, and who is the incumbent."""
+        known, incumbent = self.known, self.known.incumbent
+        left = incumbent if self.move is not None and self._the_move.from_incumbent else None
+        elsewhere = left is None or known.is_elsewhere(self.start.mean, found.x)
+        best = known.optima.note(found, known.exchangeability.distance, from_elsewhere=elsewhere)
+        if left is not None:
+            self._choice.note(self._the_move.name, _gain(left.loss, found.loss), evaluations)
+            if found.loss >= left.loss:
+                known.optima.fail(left)
+        if best:
+            self._leave(found)
+
+    def _leave(self, incumbent: TrainingSample) -> None:
+        """Take this optimum for the incumbent."""
+        if incumbent is not self.known.incumbent:
+            self.known.removal.forget()
+        self.known.incumbent = incumbent
+
+    def _decide(self) -> Stage:
+        """Choose the next move, and the stage that comes first."""
+        known = self.known
+        if not known.exchangeability.settled:
+            if known.incumbent is None:  # the last search began without images, and was no better
+                self._leave(known.optima.all[0].sample)
+            return self._go(Stage.EXCHANGE)
+        blocks = known.exchangeability.blocks
+        following = known.optima.next(_TOLERANCE if blocks is None else len(blocks))
+        if following is None:
+            self.move = self._anew.name
+            return self._go(Stage.RESTART)
+        self._leave(following)
+        moves = self._moves.values()
+        possible = [one.name for one in moves if one.from_incumbent and one.possible(known)]
+        self.move = self._choice.draw(possible or [self._anew.name], self._rng)
+        return self._go(self._the_move.needs(known) or Stage.RESTART)
+
+    def _refines(self) -> bool:
+        """Whether the best so far is in the right place, and not yet at the end of its search."""
+        known, below = self.known, self.hypotheses.brisk_above
+        if known.incumbent is None or below is None or known.incumbent.loss > below:
+            return False
+        optimum = known.optima.of(known.incumbent)
+        return optimum is not None and not optimum.refined
+
+    def _resamples(self, before: TrainingSample | None) -> bool:
+        """Whether to draw again what is open: after a hypothesis, and as long as that helps."""
+        known = self.known
+        if known.incumbent is None or not self._resample.possible(known):
+            return False
+        return self.move == self.hypotheses.name or known.incumbent is not before
+
+    def _begin_at(self, x: Float64) -> None:
+        """Let the next search begin where the move says, given its restart candidate x (d,)."""
+        self.start = self._the_move.begin_at(self.known, x)
+        self._the_move.note_begun(self.known, x)
+
+    def _begin_at_hypothesis(self) -> Stage:
+        self.move = self.hypotheses.name
+        self.start = self.hypotheses.next(self.known, self.start)
+        return self._go(Stage.SEARCH)
+
+    def _go(self, stage: Stage) -> Stage:
+        self.stage = stage
+        return stage
+
+    def retarget(self, target: Tensor, start: Start, posterior: Posterior | None) -> None:
+        """Begin at `start`, or with hypotheses, for another target, tokens (T, C).
+
+        What was found of the scene stays: exchangeable blocks, sensitivity, gains of moves.
+        """
+        known = self.known
+        known.target, known.incumbent, known.optima = target, None, Optima()
+        known.removal.forget()
+        known.values.forget()
+        self.hypotheses.begin(posterior)
+        self.noise = None  # of the loss, which was to another target
+        self.loss_only_searches, self.guided = 0, True
+        self.start, (self.stage, self.move) = start, self.hypotheses.first
+
+    # -- a generation that is no search's ----------------------------------------------------------
+
+    def draw(self, rng: np.random.Generator) -> Float64:
+        """Candidates (n, d) of the present stage, which must not be SEARCH.  Changes nothing."""
+        known = self.known
+        if self.stage is Stage.EXCHANGE:
+            return known.exchangeability.draw(known.here.x)
+        if self.stage is Stage.REMOVAL:
+            assert known.exchangeability.blocks is not None
+            return known.removal.draw(known.here.x, known.exchangeability.blocks, rng)
+        if self.stage is Stage.SENSITIVITY:
+            return known.sensitivity.draw(known.here.x, rng)
+        return self._the_move.draw(known, self._candidates, rng)
+
+    @property
+    def has_more(self) -> bool:
+        """Whether `draw` gives other candidates each time, which are as good as the first ones."""
+        return self.stage is Stage.RESTART and self._the_move.has_more
+
+    def learn(self, samples: Sequence[TrainingSample], best: Float64) -> Stage:
+        """Learn from a generation that was no search's; return what comes next.
+
+        samples: those of its candidates whose images are known, with parameters as they were asked.
+        best: (d,), the candidate with the lowest loss, as it was asked.
+        """
+        known = self.known
+        if self.stage is Stage.RESTART and self._the_move is self.hypotheses:
+            found = [(sample.loss, sample.x) for sample in samples]
+            self.hypotheses.learn(found, best, known.exchangeability.distance)
+            return self._begin_at_hypothesis()
+        if self.stage is Stage.RESTART:
+            self._begin_at(self._most_promising(samples, best))
+            return self._go(Stage.SEARCH)
+        if self.stage is Stage.EXCHANGE:
+            known.exchangeability.learn(known.here, samples, known.place)
+            repeats = [one.loss for one in samples if np.array_equal(one.x, known.here.x)]
+            if len(repeats) > 1 and max(map(abs, repeats)) < 1e150:  # squares would overflow
+                self.noise = float(np.std(repeats, ddof=1))
+            return self._decide()
+        if self.stage is Stage.REMOVAL:
+            blocks = known.exchangeability.blocks
+            assert blocks is not None
+            known.removal.learn(known.here, samples, blocks, known.channels)
+        else:
+            known.sensitivity.learn(known.here, samples)
+        return self._go(Stage.RESTART)
+
+    def _most_promising(self, samples: Sequence[TrainingSample], best: Float64) -> Float64:
+        """Return the candidate (d,) at which the search begins.
+
+        The one with the lowest loss, where blocks are exchangeable or candidates are no copies of
+        the incumbent.  Elsewhere candidates of low loss are mostly those that change little, and
+        what counts is how much of an image is better than the incumbent's: the sum over tokens of
+        the lesser of the two errors.  What a move makes worse elsewhere, the search makes good
+        again.
+        """
+        known = self.known
+        blocks = known.exchangeability.blocks
+        if blocks is not None or not samples or not self._the_move.from_incumbent:
+            return best
+        here = changed(known.here.tokens, known.target, known.channels) ** 2
+        errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]
+        scores = [float(np.minimum(here, error).sum()) for error in errors]
+        return samples[int(np.argmin(scores))].x
+
+    @property
+    def _the_move(self) -> Move:
+        assert self.move is not None
+        return self._moves[self.move]
+
+    # -- saving ------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        known = self.known
+        return {
+            "stage": self.stage.value,
+            "move": self.move,
+            "start": asdict(self.start),
+            "loss_only_searches": self.loss_only_searches,
+            "guided": self.guided,
+            "noise": self.noise,
+            "rng": self._rng.bit_generator.state,
+            "incumbent": None if known.incumbent is None else known.incumbent.state_dict(),
+            "optima": known.optima.state_dict(),
+            "exchangeability": known.exchangeability.state_dict(),
+            "removal": known.removal.state_dict(),
+            "sensitivity": known.sensitivity.state_dict(),
+            "values": known.values.state_dict(),
+            "choice": self._choice.state_dict(),
+            "hypotheses": self.hypotheses.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], device: device | None = None) -> None:
+        """Put back what `state_dict` gave, tokens on the device.
+
+        Raises ValueError for what it cannot have given.
+        """
+        known = self.known
+        check_policy(state, known, self._moves)
+        self.hypotheses.load_state_dict(state["hypotheses"])
+        self.stage, self.move = Stage(state["stage"]), state["move"]
+        self.start = Start(**state["start"])
+        self.loss_only_searches, self.guided = state["loss_only_searches"], state["guided"]
+        self.noise = state["noise"]
+        self._rng.bit_generator.state = state["rng"]
+        known.optima.load_state_dict(state["optima"], device)
+        saved = state["incumbent"]
+        known.incumbent = None if saved is None else TrainingSample.from_state(saved, device)
+        for optimum in known.optima.all:  # it is one of them, not a copy
+            if known.incumbent is not None and np.array_equal(optimum.sample.x, known.incumbent.x):
+                known.incumbent = optimum.sample
+        known.exchangeability.load_state_dict(state["exchangeability"])
+        known.removal.load_state_dict(state["removal"])
+        known.sensitivity.load_state_dict(state["sensitivity"])
+        known.values.load_state_dict(state["values"])
+        self._choice.load_state_dict(state["choice"])
+
+
+def _gain(before: float, after: float) -> float:
+    """By how much of it a loss was lowered, in [0, 1]; losses may be negative, and of any size."""
+    scale = max(abs(before), abs(after), 1e-300)
+    return min(1.0, max(0.0, before / scale - after / scale))
