@@ -19,8 +19,8 @@ from optuna.trial import FixedTrial, FrozenTrial, Trial, TrialState
 from torch import Tensor
 
 from fide_adapters.image_loss import is_image, read_result
-from fide_adapters.optuna.images import ImageArtifacts, ImageEvaluator
-from fide_adapters.optuna.settings import OptimizerSettings, Settings, check_sampler, check_space
+from fide_adapters.optuna.images import ImageEvaluator
+from fide_adapters.optuna.settings import Settings, check_sampler, check_space
 from fide_adapters.optuna.storage import (
     GUESS,
     IMAGE,
@@ -34,7 +34,7 @@ from fide_adapters.optuna.study import StudyState, StudyStates
 from fide_adapters.optuna.trials import CONSTRAINTS
 from fide_plugins.errors import ImageError, OptionError, ProtocolError
 from fide_plugins.losses.base import as_losses
-from fide_plugins.validation.points import new_seed, whole_number
+from fide_plugins.validation.points import whole_number
 from fide_plugins.views.views import views_of
 
 __all__ = ["FIDESampler", "image_objective"]
@@ -106,19 +106,16 @@ class FIDESampler(BaseSampler):
         artifact_store: Any = None,
         **options: Any,
     ) -> None:
-        image = views_of(target, mask, weights, value_range)
-        given = {"encoder": encoder, "popsize": popsize, **options}
-        optimizer = OptimizerSettings(image, loss, preset, sigma0, device, given)
-        if image is None and (loss is not None or artifact_store is not None):
-            raise OptionError("a loss of images and an artifact store need a target: set target=")
-        warnings = WarnOnce()
         self._settings = Settings(
-            optimizer,
-            None if seed is None else new_seed(seed),
-            None if image is None else ImageEvaluator(optimizer.make_evaluator),
-            None if artifact_store is None else ImageArtifacts(artifact_store, warnings),
-            consider_pruned_trials,
-            warnings,
+            views_of(target, mask, weights, value_range),
+            loss,
+            preset,
+            sigma0,
+            device,
+            {"encoder": encoder, "popsize": popsize, **options},
+            seed=seed,
+            artifact_store=artifact_store,
+            consider_pruned=consider_pruned_trials,
         )
         self._constraints_func = _check_function("constraints_func", constraints_func)
         self._search_space = check_space(search_space)
@@ -328,8 +325,6 @@ class FIDESampler(BaseSampler):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._lock = threading.RLock()
-        if "_states" not in state:  # of an earlier version; the study is read again
-            self._states = StudyStates(self._settings)
 
 
 def image_objective(

@@ -405,7 +405,7 @@ class StudyState:
         """Make these the current search space."""
         if distributions != self._distributions:
             self._distributions, self._space = dict(distributions), SearchSpace(distributions)
-            self._digest = self._settings.optimizer.digest_of(self._space.distributions)
+            self._digest = self._settings.digest_of(self._space.distributions)
 
     def _optimizer(self) -> StudyOptimizer:
         """Optimizer of the current search space; of those used least recently some are dropped."""
@@ -414,7 +414,7 @@ class StudyState:
         if optimizer is None:
             seed, guess = self._seed or 0, self._guess()
             assert self._space.space is not None  # else there is nothing to search
-            make = partial(self._settings.make_optimizer, self._space.space, seed, guess)
+            make = partial(self._settings.make, self._space.space, seed, guess)
             optimizer = StudyOptimizer(self._space, make, self._history, digest)
             self._optimizers[digest] = optimizer
         self._optimizers.move_to_end(digest)

@@ -19,7 +19,7 @@ from optuna.samplers import RandomSampler
 from optuna.trial import Trial
 
 from fide_adapters.optuna import FIDESampler
-from fide_adapters.optuna.settings import OptimizerSettings
+from fide_adapters.optuna.settings import Settings
 from fide_plugins import FIDE, encoders
 
 from .conftest import Bench, asked_by_core, counts_of
@@ -66,18 +66,18 @@ def test_an_encoder_is_made_once_and_few_optimizers(
 ) -> None:
     """Also in the first trial, whose 20 parameters are suggested one by one."""
     made: Counter[str] = Counter()
-    make_encoder, make_optimizer = encoders.make, OptimizerSettings.make
+    make_encoder, make_optimizer = encoders.make, Settings.make
 
     def counted_encoder(*arguments: Any, **options: Any) -> Any:
         made["encoders"] += 1
         return make_encoder(*arguments, **options)
 
-    def counted_optimizer(*arguments: Any) -> FIDE:
+    def counted_optimizer(*arguments: Any, **options: Any) -> FIDE:
         made["optimizers"] += 1
-        return make_optimizer(*arguments)
+        return make_optimizer(*arguments, **options)
 
     monkeypatch.setattr(encoders, "make", counted_encoder)
-    monkeypatch.setattr(OptimizerSettings, "make", counted_optimizer)
+    monkeypatch.setattr(Settings, "make", counted_optimizer)
     sampler: FIDESampler = bench.sampler(target=bench.target if target else None)
 
     def objective(trial: Trial) -> float:
