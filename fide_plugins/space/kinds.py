@@ -76,11 +76,15 @@ def _explained(usage: str) -> Callable[[type[T]], type[T]]:
 
     def decorate(cls: type[T]) -> type[T]:
         init: Any = vars(cls)["__init__"]
-        _, *parameters = signature(init).parameters.values()
+        of_class = signature(init)
 
         @wraps(init)
         def checked(self: T, *args: Any, **kwargs: Any) -> None:
-            _check_arguments(cls.__name__, parameters, args, kwargs, usage)
+            try:
+                of_class.bind(self, *args, **kwargs)
+            except TypeError:
+                _explain(cls.__name__, list(of_class.parameters.values())[1:], args, kwargs, usage)
+                raise
             init(self, *args, **kwargs)
 
         setattr(cls, "__init__", checked)  # noqa: B010  # of a class that may be anything
@@ -89,28 +93,27 @@ def _explained(usage: str) -> Callable[[type[T]], type[T]]:
     return decorate
 
 
-def _check_arguments(
+def _explain(
     kind: str, parameters: list[Parameter], args: Any, kwargs: dict[str, Any], usage: str
 ) -> None:
-    positional = [p for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
-    any_number = any(p.kind is Parameter.VAR_POSITIONAL for p in parameters)
+    """Raise SpaceError for arguments that do not fit the parameters."""
     names = [p.name for p in parameters if p.kind is not Parameter.VAR_POSITIONAL]
+    positional = [p.name for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
     for name in kwargs:
         if name not in names:
             takes = f"it takes {', '.join(names)}" if names else f"write {usage}"
             raise SpaceError(f"{kind} has no argument {name!r}; {takes}{right_word(name, names)}")
-    if len(args) > len(positional) and not any_number:
+    if len(args) > len(positional):
         raise SpaceError(
-            f"{kind} takes {' and '.join(p.name for p in positional)} by position and all else by "
-            f"name, not {len(args)} values; write {usage}"
+            f"{kind} takes {' and '.join(positional)} by position and all else by name, not "
+            f"{len(args)} values; write {usage}"
         )
-    for p in positional[: len(args)]:
-        if p.name in kwargs:
-            raise SpaceError(f"{kind} has {p.name} by position and by name; write {usage}")
-    given = {p.name for p in positional[: len(args)]} | kwargs.keys()
-    for p in positional:
-        if p.default is Parameter.empty and p.name not in given:
-            raise SpaceError(f"{kind} needs {p.name}; write {usage}")
+    for name in positional[: len(args)]:
+        if name in kwargs:
+            raise SpaceError(f"{kind} has {name} by position and by name; write {usage}")
+    for name in positional[len(args) :]:
+        if name not in kwargs:
+            raise SpaceError(f"{kind} needs {name}; write {usage}")
 
 
 # -- kinds -----------------------------------------------------------------------------------------

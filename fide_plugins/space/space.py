@@ -121,12 +121,10 @@ class Leaf(NamedTuple):
     """One parameter of a space.
 
     name: flat, such as "beads[2].x".
-    path: its keys in the nested dictionaries and lists.
     block: (name of the repeated group, number of the copy), or None.
     """
 
     name: str
-    path: tuple[str | int, ...]
     kind: Kind
     block: tuple[str, int] | None
 
@@ -152,21 +150,18 @@ def _check_members(owner: str, members: object, named: Mapping[str, object]) -> 
 
 
 def _leaves(
-    members: Mapping[str, Member],
-    prefix: str = "",
-    path: tuple[str | int, ...] = (),
-    block: tuple[str, int] | None = None,
+    members: Mapping[str, Member], prefix: str = "", block: tuple[str, int] | None = None
 ) -> Iterator[Leaf]:
     """All parameters below, in order."""
     for key, member in members.items():
-        name, keys = prefix + key, (*path, key)
+        name = prefix + key
         if isinstance(member, Group):
-            yield from _leaves(member.members, f"{name}.", keys, block)
+            yield from _leaves(member.members, f"{name}.", block)
         elif isinstance(member, Repeated):
             for i in range(member.times):
-                yield from _leaves(member.group.members, f"{name}[{i}].", (*keys, i), (name, i))
+                yield from _leaves(member.group.members, f"{name}[{i}].", (name, i))
         else:
-            yield Leaf(name, keys, member, block)
+            yield Leaf(name, member, block)
 
 
 def _check_name(name: object) -> None:
@@ -208,7 +203,7 @@ class Space(_Constant):
 
     named: a `Float`, `Int`, `Choice`, `Group` or repeated `Group` for each name.
     members: the same as one dictionary, ``Space({"azimuth": Float(-60, 60)})``.
-    constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.expressions`);
+    constraints: conditions by name, ``{"wall": "inner < 0.6 * outer"}`` (`space.constraints`);
         nothing else is rendered.  So no parameter may be called "constraints".
 
     A space cannot be changed; spaces of the same parameters in the same order, with the same
@@ -251,7 +246,7 @@ class Space(_Constant):
             _expressions=expressions,
             _key=(*checked.items(), expressions),
         )
-        kinds = self._nested([leaf.kind for leaf in found])
+        kinds = _nested(checked, iter([leaf.kind for leaf in found]))
         for expression in expressions:
             expression.check(kinds)
 
@@ -327,9 +322,8 @@ class Space(_Constant):
     def _decoded(self, X: Float64) -> list[Params]:
         numbers = self.layout.numbers(X).tolist()
         kinds = [leaf.kind for leaf in self._leaves]
-        return [
-            self._nested([k.value(n) for k, n in zip(kinds, row, strict=True)]) for row in numbers
-        ]
+        rows = ([k.value(n) for k, n in zip(kinds, row, strict=True)] for row in numbers)
+        return [_nested(self._members, iter(row)) for row in rows]
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of `params`, as of `decode`: decode(encode(p)) is p but for rounding.
@@ -344,7 +338,7 @@ class Space(_Constant):
 
     def encode_many(self, many: Sequence[Mapping[str, Any]]) -> Float64:
         """Points (n, dim) of `many`, n dictionaries; see `encode`, for its errors as well."""
-        rows = [self._numbers(params) for params in many]
+        rows = [list(_numbers(self._members, params, "")) for params in many]
         return self.layout.points(np.array(rows, np.float64).reshape(len(rows), len(self._leaves)))
 
     def snap(self, X: object) -> Float64:
@@ -357,18 +351,6 @@ class Space(_Constant):
         snapped = self.layout.snap(as_points([X] if one else X, self.dim))
         point: Float64 = snapped[0] if one else snapped
         return point
-
-    def _nested(self, values: Sequence[Any]) -> Params:
-        params: Params = {}
-        for leaf, value in zip(self._leaves, values, strict=True):
-            inner: Any = params
-            for key, following in zip(leaf.path[:-1], leaf.path[1:], strict=True):
-                inner = _step_into(inner, key, [] if isinstance(following, int) else {})
-            inner[leaf.path[-1]] = value
-        return params
-
-    def _numbers(self, params: object) -> list[float]:
-        return list(_numbers(self._members, params, ""))
 
     # -- as data -----------------------------------------------------------------------------------
 
@@ -452,13 +434,17 @@ def _expressions(given: object) -> tuple[Expression, ...]:
     return tuple(Expression(name, text) for name, text in given.items())
 
 
-def _step_into(inner: Any, key: str | int, empty: Any) -> Any:
-    """Return what `inner` has at the key, which is `empty` if it is new."""
-    if isinstance(inner, list) and key == len(inner):
-        inner.append(empty)
-    elif isinstance(inner, dict):
-        inner.setdefault(key, empty)
-    return inner[key]
+def _nested(members: Mapping[str, Member], values: Iterator[Any]) -> Params:
+    """Dictionaries and lists of values, one for each parameter below, in order."""
+    made: Params = {}
+    for key, member in members.items():
+        if isinstance(member, Group):
+            made[key] = _nested(member.members, values)
+        elif isinstance(member, Repeated):
+            made[key] = [_nested(member.group.members, values) for _ in range(member.times)]
+        else:
+            made[key] = next(values)
+    return made
 
 
 def _numbers(members: Mapping[str, Member], params: object, prefix: str) -> Iterator[float]:
