@@ -52,10 +52,11 @@ def disk(p: Params) -> Float32:
     a, b, c, d, e = (float("uvw".find(v)) / 2 if isinstance(v, str) else v for v in p.values())
     far = np.hypot(GRID[None, :] - a, GRID[:, None] - b / (8 if isinstance(b, int) else 1))
     color = np.array([c, d / (64 if isinstance(d, int) else 1), e], float)
-    return ((1 / (1 + np.exp(15 * (far - 0.3))))[..., None] * color).astype(np.float32)
+    image: Float32 = ((1 / (1 + np.exp(15 * (far - 0.3))))[..., None] * color).astype(np.float32)
+    return image
 
 
-def views(p: Params) -> list[Float32]:
+def views(p: Params) -> list[Any]:
     return [disk(p), disk(p)[:, :5] / 2]
 
 
@@ -95,8 +96,9 @@ class InOptuna:
     def distribution(kind: Kind) -> BaseDistribution:
         if isinstance(kind, Choice):
             return CategoricalDistribution(kind.values)
-        made = IntDistribution if isinstance(kind, Int) else FloatDistribution
-        return made(kind.low, kind.high, log=kind.log)
+        made: Any = IntDistribution if isinstance(kind, Int) else FloatDistribution
+        distribution: BaseDistribution = made(kind.low, kind.high, log=kind.log)
+        return distribution
 
     def ask(self) -> tuple[Any, Params]:
         trial = self.study.ask(fixed_distributions=self.space)

@@ -80,6 +80,7 @@ def test_images_in_an_artifact_store_are_scaled_already(tmp_path: Path) -> None:
     for trial in study.trials:
         stored = sampler._states.of(study).from_artifact(study, trial)
         own = images.tokens(images.read(10 * views([trial.params["x"], 0.4, 1, 1])[0]))
+        assert stored is not None
         np.testing.assert_allclose(stored, own, atol=0.05)
 
 

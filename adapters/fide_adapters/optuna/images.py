@@ -300,21 +300,16 @@ class ImageArtifacts:
 
     def save(self, trial: Trial, images: list[Float32]) -> None:
         """Upload the image (1, H, W, 3) of each view as 8-bit PNG, which Optuna Dashboard shows."""
-        names = _names(len(images))
-        for name, image in zip(names, images, strict=True):
-            self._upload(trial, name, image[0])
-
-    def _upload(self, trial: Trial, name: str, image: Float32) -> None:
-        pixels = np.round(image * 255).astype(np.uint8)
         with tempfile.TemporaryDirectory(prefix="fide-") as folder:
-            path = Path(folder, name)
-            Image.fromarray(pixels).save(path)
-            upload_artifact(
-                artifact_store=self._store,
-                file_path=str(path),
-                study_or_trial=trial,
-                mimetype="image/png",
-            )
+            for name, image in zip(_names(len(images)), images, strict=True):
+                path = Path(folder, name)
+                Image.fromarray(np.round(image[0] * 255).astype(np.uint8)).save(path)
+                upload_artifact(
+                    artifact_store=self._store,
+                    file_path=str(path),
+                    study_or_trial=trial,
+                    mimetype="image/png",
+                )
 
     def load(self, trial: FrozenTrial, storage: BaseStorage, views: Views) -> Float32 | None:
         """Image (1, H, W, 3) of a trial, packed if there are several views; None if there is none.
@@ -342,14 +337,10 @@ class ImageArtifacts:
         return None
 
     def _image(self, name: object) -> Any:
-        return Image.open(io.BytesIO(self._read(name)))
-
-    def _read(self, name: object) -> bytes:
         if not isinstance(name, str) or PurePath(name).name != name:
             raise ValueError(f"not the id of an artifact: {name!r}")  # a path could lead anywhere
         with self._store.open_reader(name) as reader:
-            data: bytes = reader.read(_MOST_BYTES)
-        return data
+            return Image.open(io.BytesIO(reader.read(_MOST_BYTES)))
 
 
 def _names(views: int) -> list[str]:
