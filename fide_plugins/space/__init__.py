@@ -3,11 +3,13 @@
     from fide_plugins import Choice, Float, Group, Int, Space
     space = Space(azimuth=Float(-60, 60, unit="deg"), beads=6 * Group(x=Float(0, 1), y=Float(0, 1)))
 
-`kinds`: what one parameter is.  `space`: names, groups.  `layout`: numbers of all parameters <->
-points of the cube.  `constraints`: what is valid.  `files`: dictionaries (JSON) and TOML.
+`kinds`: what one parameter is.  `group`: several of them.  `space`: their names.  `layout`: numbers
+of all parameters <-> points of the cube.  `constraints`: what is valid.  `files`: dictionaries
+(JSON) and TOML.
 """
 
+from fide_plugins.space.group import Group, Repeated
 from fide_plugins.space.kinds import Choice, Float, Int, Kind
-from fide_plugins.space.space import Group, Repeated, Space
+from fide_plugins.space.space import Space
 
 __all__ = ["Choice", "Float", "Group", "Int", "Kind", "Repeated", "Space"]

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from fide_plugins.errors import SpaceError, did_you_mean
+from fide_plugins.space.group import Group, Member, Repeated
 from fide_plugins.space.kinds import Choice, Float, Int, Kind, is_synonym, right_word
-from fide_plugins.space.space import Group, Member, Repeated
 
 __all__ = ["from_dict", "parse_toml", "read_toml", "to_dict", "to_toml"]
 

@@ -319,7 +319,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     def __setstate__(self, state: dict[str, Any]) -> None:
         if state.get("_format") != _FORMAT:
             raise ProtocolError(
-                "this optimizer was dumped by another version of fide-plugins, which alone can read "
+                "this optimizer was dumped by another version of fide-plugins, which alone reads "
                 "it; load it with that one, or make a new optimizer and tell it the known results"
             )
         self.__dict__.update(state)

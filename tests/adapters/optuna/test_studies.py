@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     counted: Counter[str] = Counter()
     make = Settings.make
 
+    @wraps(make)  # by its name a sampler is pickled
     def counting(*arguments: Any, **options: Any) -> FIDE:
         counted["optimizers"] += 1
         return make(*arguments, **options)
