@@ -168,6 +168,13 @@ class RunResult:
         return self.times["render"]
 
     @property
+    def noisy(self) -> bool:
+        """Whether the reference image of the best candidate differs from its render."""
+        if self.image is None or self.reference is None:
+            return False
+        return not np.array_equal(self.image, self.reference)
+
+    @property
     def overhead_s(self) -> float:
         """Seconds spent on anything but rendering."""
         return self.wall_s - self.times["render"]
@@ -242,17 +249,19 @@ class Record:
             return None
         return Solution(self.x_best.copy(), self.best_loss, self.best_evaluation)
 
-    def add(self, X: Float64, images: Float32, losses: Float64) -> list[int]:
+    def add(self, X: Float64, images: Float32 | None, losses: Float64) -> list[int]:
         """Add a piece: candidates (n, dim), images (n, H, W, 3), losses (n,).
+
+        images: None where no candidate improves the best loss, or is the first one.
 
         Returns the indices of the candidates that improved the best loss.
         """
-        if self.first_image is None:
+        if self.first_image is None and images is not None:
             self.first_image = images[0].copy()
         ranked = np.where(np.isfinite(losses), losses, np.inf)
         before = np.minimum.accumulate(np.concatenate([[self.best_loss], ranked[:-1]]))
         improved: list[int] = np.flatnonzero(ranked < before).tolist()
-        if improved:
+        if improved and images is not None:
             winner = improved[-1]
             self.best_loss = float(ranked[winner])
             self.best_evaluation = self.evaluations + winner
