@@ -141,7 +141,7 @@ class Fitting:
         """Next candidate (1, d); after the first ones have all failed, a random place."""
         if not self._is_lost:
             return self.optimizer.ask(1)
-        return self.optimizer.anywhere(self._failures.count + self._loop.busy)[None]
+        return self.optimizer.random_point(self._failures.count + self._loop.busy)[None]
 
     @property
     def _is_lost(self) -> bool:
@@ -171,7 +171,7 @@ class Fitting:
         if better or r.first_image is None or self._extremes.wanted or self._callbacks:
             image = canonical(self.optimizer, outcome.image)
             self._extremes.note(image)
-        improved = bool(r.add(X, None if image is None else image[None], np.array([loss])))
+        improved = r.add_one(X[0], image, loss)
         self._loop.whole = True
         self._failures.note_image()
         if self._callbacks:
