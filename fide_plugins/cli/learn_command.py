@@ -73,6 +73,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--augment", choices=("none", "render", "photograph"), default="photograph",
         help="how much renders are changed while they are learned: for pictures that the renderer "
         "makes, or for photographs (photograph)")  # fmt: skip
+    add("--backgrounds", metavar="FOLDER",
+        help="pictures, or 'generated' ones, that are put behind renders which say what they draw "
+        "(RGBA, or image and coverage), for photographs")  # fmt: skip
     add("--head", choices=("autoregressive", "mixture", "set"),
         help="density that is learned (set where parameters are exchangeable, autoregressive "
         "elsewhere)")  # fmt: skip
@@ -149,8 +152,8 @@ def _arguments(args: argparse.Namespace) -> dict[str, Any]:
 
     render, space = _renderer(args)
     same = (
-        "renders", "size", "passes", "seed", "augment", "head", "emulator", "groups", "version",
-        "store_limit", "device", "out",
+        "renders", "size", "passes", "seed", "augment", "backgrounds", "head", "emulator", "groups",
+        "version", "store_limit", "device", "out",
     )  # fmt: skip
     time = None if args.time is None else seconds_of("time", args.time)
     given = {name: getattr(args, name) for name in same}
