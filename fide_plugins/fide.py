@@ -53,7 +53,6 @@ from fide_plugins.search.memory import Memory
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.search.policy import MovePolicy, Stage
 from fide_plugins.search.scene import APART
-from fide_plugins.search.validity import validity_of
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
 from fide_plugins.state import State
@@ -71,10 +70,10 @@ from fide_plugins.views import Views
 from fide_plugins.views.grain import Grain
 from fide_plugins.views.loss import loss_of
 from fide_plugins.views.same_images import SameImages
-from fide_plugins.views.solved import is_solved
 
 if TYPE_CHECKING:
     from fide_plugins.learning.model import Model
+    from fide_plugins.search.validity import Validity
 
 __all__ = ["FIDE", "Decision"]
 
@@ -185,7 +184,11 @@ class FIDE(Saved):
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
-        self.validity = validity_of(self.space, constraints, self.seed)
+        self.validity: Validity | None = None
+        if constraints is not None or (self.space is not None and self.space.constraints):
+            from fide_plugins.search.validity import validity_of
+
+            self.validity = validity_of(self.space, constraints, self.seed)
         self.has_own_constraints = constraints is not None
         if self.validity is not None and self.guess is not None:
             self.validity.check_guess(self.guess)
@@ -595,6 +598,8 @@ class FIDE(Saved):
         since = state.evaluations - state.retargeted_at
         known = state.moves.known
         others, apart = known.optima.others(known.exchangeability.distance)
+        from fide_plugins.views.solved import is_solved
+
         image = None if best is None else best.solution.image
         facts = Facts(
             evaluations=state.evaluations,
@@ -782,7 +787,7 @@ class FIDE(Saved):
         The search begins at the candidate whose image, of all that are remembered, is nearest to
         the picture, as wide as parameters have to move for it (`search.recall`).  This candidate is
         asked first.  Proposers know the remembered images from the first generation on.  `best`,
-        `solutions`, `status` and the local optima begin anew; `evaluations` goes on, and what is
+        `solutions`, `status` and the local optima begin again; `evaluations` goes on, and what is
         known of the scene stays: exchangeable blocks, the noise of a pixel.  Candidates that are
         still out may be told, with images or with the loss to the new picture: they count as points
         that were never asked.  Told with the loss to the old picture, one may become a false
