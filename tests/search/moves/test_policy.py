@@ -264,7 +264,11 @@ def test_a_new_descent_without_an_incumbent_can_be_saved() -> None:
     moves.known.incumbent, moves.move, moves.stage = None, "random restart", Stage.RESTART
     other = policy()
     other.load_state_dict(moves.state_dict())
-    assert (other.stage, other.move, other.known.incumbent) == (Stage.RESTART, "random restart", None)
+    assert (other.stage, other.move, other.known.incumbent) == (
+        Stage.RESTART,
+        "random restart",
+        None,
+    )
     moves.move = "split"
     with pytest.raises(ValueError, match="incumbent"):
         policy().load_state_dict(moves.state_dict())
