@@ -186,14 +186,8 @@ class FIDE(Saved):
         self.sigma0 = standard_deviations(sigma0, self.dim)
         self.seed = new_seed(seed)
         self.popsize = o.popsize or default_popsize(self.dim)
-        self.validity: Validity | None = None
-        if constraints is not None or (self.space is not None and self.space.constraints):
-            from fide_plugins.search.validity import validity_of
-
-            self.validity = validity_of(self.space, constraints, self.seed)
+        self.validity = self._validity_of(constraints)
         self.has_own_constraints = constraints is not None
-        if self.validity is not None and self.guess is not None:
-            self.validity.check_guess(self.guess)
         self.evaluator = Evaluator(
             target,
             loss,
@@ -209,6 +203,17 @@ class FIDE(Saved):
         self._lock = Lock()
         self._model: Model | None = None
         self.begin_with(learned)
+
+    def _validity_of(self, constraints: Callable[[Any], object] | None) -> Validity | None:
+        """Which points may be rendered; None: all.  Raises OptionError for a guess that may not."""
+        if constraints is None and (self.space is None or not self.space.constraints):
+            return None
+        from fide_plugins.search.validity import validity_of
+
+        validity = validity_of(self.space, constraints, self.seed)
+        if validity is not None and self.guess is not None:
+            validity.check_guess(self.guess)
+        return validity
 
     # -- line 1, and line 2 ------------------------------------------------------------------------
 
@@ -923,12 +928,12 @@ class FIDE(Saved):
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on where `state_dict` was called; ValueError if it is none, and nothing changes."""
-        if not isinstance(state, Mapping) or "versions" not in state:
-            raise ValueError("this is no state of FIDE: it lacks 'versions'")
+        if not isinstance(state, Mapping) or not {"versions", "comparison"} <= set(state):
+            raise ValueError("this is no state of FIDE: it lacks 'versions' or 'comparison'")
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
         before = self.evaluator
-        self.evaluator = before.comparing(state.pop("comparison", None))
+        self.evaluator = before.comparing(state.pop("comparison"))
         try:
             self.state = self._restored(state)
         except BaseException:

@@ -107,12 +107,12 @@ class Stateful:
 
         sides: of arrays, by their names in the schema, as far as they are known.
         """
-        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__)
+        check(state, self.SCHEMA, dict(sides or {}), type(self).__name__.lower())
         for name in self.SCHEMA:
             setattr(self, self._attribute(name), state[name])
 
     def _attribute(self, name: str) -> str:
-        return name if hasattr(self, name) else f"_{name}"
+        return f"_{name}" if hasattr(self, f"_{name}") else name
 
 
 def whole(low: int = 0, high: int = 2**63) -> Rule:

@@ -471,10 +471,10 @@ class Optima:
         }
 
     def load_state_dict(
-        self, state: Mapping[str, Any], sides: Sides, device: device | None = None
+        self, state: Mapping[str, Any], sides: Sides | None = None, device: device | None = None
     ) -> None:
         """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
-        check(state, self.SCHEMA, dict(sides), "optima")
+        check(state, self.SCHEMA, dict(sides or {}), "optima")
         samples = [TrainingSample.from_state(one, device) for one in state["samples"]]
         pairs = zip(samples, state["counts"], strict=True)
         self.all = [Optimum(one, n, m, bool(refined)) for one, (n, m, refined) in pairs]
