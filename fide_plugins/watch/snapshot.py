@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fide_plugins.recording.directory import LIVE
 from fide_plugins.runtime.files import MOST_BYTES, read_regular
-from fide_plugins.validation.image_files import MAX_PIXELS
+from fide_plugins.validation.pixels import MAX_PIXELS
 from fide_plugins.watch.live import listed
 
 __all__ = ["PICTURES", "RunFiles"]
