@@ -86,6 +86,7 @@ class Fitting:
         self._callbacks, self._timeout, self._progress = callbacks, timeout, progress
         self._checkpoint_every, self._rounds, self._plan = checkpoint_every, rounds, plan or {}
         self._failures = Failures(self.record.failures, max_failures)
+        self._comparisons = optimizer.state.comparisons
         self._extremes = Extremes(optimizer.views)
         for known in (self.record.first_image, self.record.image):
             if known is not None:
@@ -172,6 +173,10 @@ class Fitting:
             image = canonical(self.optimizer, outcome.image)
             self._extremes.note(image)
         improved = r.add_one(X[0], image, loss)
+        best, changes = self.optimizer.state.best, self.optimizer.state.comparisons
+        if best is not None and changes != self._comparisons:
+            self._comparisons, improved = changes, False
+            r.judge_best(best.solution)
         self._loop.whole = True
         self._failures.note_image()
         if self._callbacks:

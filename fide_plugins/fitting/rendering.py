@@ -145,7 +145,7 @@ def _in_memory(image: Any, raw: bool) -> Any:
     image may be written to the same file.
     """
     if isinstance(image, list | tuple) and any(is_path(one) or is_pil(one) for one in image):
-        return [_in_memory(one, raw) for one in image]
+        return type(image)(_in_memory(one, raw) for one in image)
     if is_path(image):
         return read_pixels(image, None, raw=raw)
     if is_pil(image):  # of an opened file Pillow has read no pixel yet

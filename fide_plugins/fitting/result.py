@@ -114,6 +114,14 @@ class Result:
             return self.unsaved.optimizer
         return None if self.out is None else optimizer_in(self.out)
 
+    @property
+    def residual(self) -> Any:
+        """What is left, (H, W) in [0, 1], see `FIDE.residual`; None where there is no optimizer.
+
+        Raises CheckpointError as `optimizer`.
+        """
+        return None if self.optimizer is None else self.optimizer.residual
+
     def plot(self) -> Figure:
         """Figure of matplotlib: target, best image, difference, losses, paths of the parameters.
 

@@ -274,6 +274,11 @@ class Record:
         self.seconds.append(self.wall_s)
         return improved
 
+    def judge_best(self, best: Solution) -> None:
+        """Replace the best candidate, after images began to be compared in another way."""
+        self.best_loss, self.best_evaluation = best.loss, best.evaluation
+        self.x_best, self.image = best.x.copy(), best.image
+
     def add_unjudged(self, renders: int) -> None:
         """Add renders that were learned from and not compared with the target: a loss of infinity.
 

@@ -220,7 +220,7 @@ class Search:
             return Evaluation(result.loss)
         batch, loss = self._read(result.image), result.loss
         if loss is None:
-            loss = float(self.fide.evaluator.loss.compute(batch)[0])
+            loss = float(self.fide.evaluator.evaluate(1, batch, encode=False).losses[0])
         return Evaluation(loss, batch)
 
     def _check_features(self, result: Result) -> Tensor:

@@ -258,11 +258,13 @@ class ImageEvaluator:
 
     def loss(self, image: Float32) -> float:
         """Loss of a canonical image (1, H, W, 3)."""
-        return float(self.evaluator.loss.compute(image)[0])
+        return float(self.evaluator.evaluate(1, image, encode=False).losses[0])
 
     def tokens(self, image: Float32) -> Tensor:
         """Features (T, C) of a canonical image (1, H, W, 3)."""
-        return self.evaluator.encoder.compute(image)[0]
+        tokens = self.evaluator.evaluate(1, image, [0.0]).tokens
+        assert tokens is not None
+        return tokens[0]
 
     def check(self, features: object, version: str | None = None) -> Tensor:
         """Features (T, C) from the user's (T, C) or (1, T, C); raises `FeaturesError`.

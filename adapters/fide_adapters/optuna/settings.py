@@ -119,7 +119,12 @@ class Settings:
     def _make_evaluator(self) -> Evaluator:
         made = self._made
         return Evaluator(
-            self.target, self._loss, made.encoder, device=self._device, for_network=made.has_network
+            self.target,
+            self._loss,
+            made.encoder,
+            device=self._device,
+            for_network=made.has_network,
+            **made.comparison,
         )
 
     def make(self, space: Space, seed: int, guess: Float64 | None = None, **changed: Any) -> FIDE:
