@@ -21,7 +21,6 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
-from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.image_gate import ImageGate
 from fide_plugins.runtime.schema import (
     GENERATOR,
@@ -41,11 +40,11 @@ from fide_plugins.search.memory import Memory
 from fide_plugins.search.one_search import Search
 from fide_plugins.search.policy import MovePolicy, Stage, Start
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
-from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.views.grain import Grain
 
 if TYPE_CHECKING:
+    from fide_plugins.proposers.forward import GaussNewtonSteps
     from fide_plugins.search.recall import Recalled
 
 __all__ = ["State"]
@@ -166,7 +165,7 @@ class State:
                 sample = TrainingSample(number, exact.copy(), tokens, loss, self.evaluations)
                 self._keep(sample)
             testing = self.stage is Stage.EXCHANGE
-            if image is not None and testing and np.array_equal(exact, self.moves.known.here.x):
+            if image is not None and testing and np.array_equal(exact, self.moves.known.current.x):
                 self.grain.note(_copied(image))
             if candidate is None or candidate.role is CandidateRole.STEP:
                 self._inject(x, loss)
@@ -332,6 +331,8 @@ class State:
 
         It is computed when it is read, from what is remembered now.
         """
+        from fide_plugins.uncertainty import LocalEstimate
+
         known, layout = self.moves.known, self.search.setting.layout
         samples = self.memory.samples + self._ends
         if not samples:
