@@ -29,9 +29,11 @@ OPENCVS := opencv-python opencv-python-headless opencv-contrib-python
 # of `docs`: installed when the site is first built, so that `make setup` stays as fast as it is
 DOCS   := $(VENV)/.docs
 SITE   := build/docs/html
+# of `release`: tools that look at what was built
+CHECKS := $(VENV)/.release
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: setup demo test test-thorough test-kernels test-gpu lint format docs docs-links wheel clean
+.PHONY: setup demo test test-thorough test-kernels test-gpu lint format docs docs-links wheel release clean
 .DEFAULT_GOAL := setup
 
 setup: $(STAMP)
@@ -102,6 +104,27 @@ wheel: setup
 	  -c constraints.txt "$$(echo dist/*.whl)[dev]"
 	cp -r tests examples docs README.md pyproject.toml build/wheel-test/
 	cd build/wheel-test && OMP_NUM_THREADS=1 bin/python -P -m pytest -q $(PARALLEL) -o pythonpath= $(OUTSIDE)
+
+$(CHECKS): $(STAMP)
+	@$(PIP) install -qq -c constraints.txt -e ".[release]"
+	@touch $@
+
+# What is published, in dist/: the wheel that was tested, its source, notes, and what it depends on with licenses.
+# A user installs from there: without extras, then with two of them for what README shows.
+release: wheel $(CHECKS)
+	@rm -rf build/release
+	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
+	$(BIN)/check-wheel-contents dist/*.whl
+	@$(PYTHON) -m venv build/release
+	build/release/bin/python -m pip --disable-pip-version-check install -qq --pre -c constraints.txt \
+	  --find-links dist fide-plugins
+	cd build/release && bin/python -P ../../.ci/first_fit.py ../../README.md 1
+	build/release/bin/python -m pip --disable-pip-version-check install -qq --pre -c constraints.txt \
+	  --find-links dist 'fide-plugins[optuna,nevergrad]'
+	cd build/release && bin/python -P ../../.ci/first_fit.py ../../README.md
+	$(BIN)/cyclonedx-py environment build/release/bin/python --of JSON -o dist/sbom.json
+	awk '/^## \[/ {n += 1} n == 1' CHANGELOG.md > dist/NOTES.md
+	@ls dist
 
 clean:
 	rm -rf build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

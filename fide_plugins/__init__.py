@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .types import Solution as Solution
     from .validation import images as images
 
-__version__ = "0.2.0.dev0"
+__version__ = "1.0.0rc1"
 
 _SUBMODULES = {
     "checkpoint": ".runtime.checkpoint",
