@@ -77,6 +77,7 @@ class Known:
         without images.
     optima: distinct local optima.
     values: of integers and choices, and which of them were searched.
+    blurs: whether searches that begin coarse are useful here (`comparison.scale_space`).
 
     What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
     in its file of `search.scene`.
@@ -94,6 +95,7 @@ class Known:
     incumbent: TrainingSample | None = None
     optima: Optima = field(default_factory=Optima)
     values: Values = field(default_factory=Values)
+    blurs: bool = False
 
     @property
     def dim(self) -> int:

@@ -35,7 +35,7 @@ from fide_plugins.search.moves.choice import Choice
 from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
 from fide_plugins.search.moves.hypotheses import Hypotheses, Resample
 from fide_plugins.search.moves.policy_schema import check_policy
-from fide_plugins.search.moves.restarts import BeginAnew, Refine
+from fide_plugins.search.moves.restarts import BeginAnew, Coarsen, Refine
 from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.search.scene.exchangeability import Exchangeability
@@ -99,7 +99,7 @@ class MovePolicy:
         self._refine, self._anew, self._resample = Refine(), BeginAnew(), Resample(self.hypotheses)
         family: list[Move] = [
             Split(), Swap(), Crossover(), HalfTurn(), RelocateGroup(), RelocateSegment(),
-            self._refine, self._anew,
+            Coarsen(), self._refine, self._anew,
         ]  # fmt: skip
         if self.known.values.discrete.any():
             family.append(ChangeValue())
@@ -124,6 +124,23 @@ class MovePolicy:
         if incumbent is None or self.move is None or not self._the_move.has_goal:
             return np.inf
         return incumbent.loss
+
+    @property
+    def begins_anew(self) -> bool:
+        """Whether the next search begins at a random place."""
+        return self.move == self._anew.name
+
+    @property
+    def begins_coarse(self) -> bool:
+        """Whether the next search begins coarse, whatever was measured."""
+        return self.move == Coarsen.name
+
+    def gain_of(self, found: TrainingSample | None) -> float:
+        """By how much of it the loss of the best optimum is lowered by this one, in [0, 1]."""
+        optima = self.known.optima.all
+        if found is None:
+            return 0.0
+        return _gain(optima[0].sample.loss, found.loss) if optima else 1.0
 
     @property
     def ended(self) -> list[int]:
@@ -329,6 +346,8 @@ class MovePolicy:
         known = self.known
         blocks = known.exchangeability.blocks
         if blocks is not None or not samples or not self._the_move.from_incumbent:
+            return best
+        if self.begins_coarse:  # the incumbent's tokens are of a sharp image
             return best
         here = changed(known.here.tokens, known.target, known.channels) ** 2
         errors = [changed(s.tokens, known.target, known.channels) ** 2 for s in samples]

@@ -65,6 +65,26 @@ class BeginAnew(Move):
         return Start(mean, known.sigma0 / widest, widest=widest)
 
 
+class Coarsen(Move):
+    """Around the incumbent, coarse first: blurred, it need not be an optimum."""
+
+    name = "coarsen"
+
+    def possible(self, known: Known) -> bool:
+        """Whether searches that begin coarse are useful here."""
+        return known.blurs
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Neighbors (n, d) of the incumbent."""
+        x = known.copies(n)
+        return known.axes.inside(x + _AROUND * known.sigma0 * rng.standard_normal(x.shape))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at one of them."""
+        return Start(x, _AROUND * known.sigma0)
+
+
+_AROUND = 1 / 2  # of sigma0
 _NARROW = 1 / 30  # of sigma0
 _PATIENCE = 3  # times that of other searches
 
