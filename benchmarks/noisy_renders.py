@@ -34,7 +34,7 @@ from fide_lab import run as harness
 from fide_lab.report import statistics
 from fide_lab.run.prepare import make_task
 from fide_lab.suite import read as read_suite
-from fide_lab.suite.tables import sign_test
+from fide_lab.suite.page import sign_test
 from fide_plugins.types import Float32, Float64
 
 RESULTS = Path(__file__).parent / "results" / "noisy_renders.jsonl"

@@ -39,14 +39,26 @@ from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
 from fide_lab import run as harness
 from fide_lab.compare import results
-from fide_lab.compare.configuration import Configuration
+<<<<<<< HEAD
+from fide_lab.compare.plan import Configuration
 from fide_lab.report import svg
+=======
+from fide_lab.compare.plan import Configuration
+from fide_lab.report import plots
+>>>>>>> main
 from fide_lab.report.tables import markdown
-from fide_lab.suite import Suite, figures, names as suites, profiles, read
-from fide_lab.suite.page import Origin, write_scores
+from fide_lab.suite import Suite, names as suites, read
+from fide_lab.suite.page import (
+    Origin,
+    by_scene,
+    data_profile_figure,
+    lowest,
+    performance_profile_figure,
+    totals,
+    write_scores,
+)
 from fide_lab.suite.problems import check_budgets
-from fide_lab.suite.scores import Scores
-from fide_lab.suite.tables import by_scene, lowest, totals
+from fide_lab.suite.scores import Scores, within
 from fide_plugins.cli.arguments import names, whole
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.record import best_so_far
@@ -227,7 +239,7 @@ def scores(suite: Suite, rows: list[Row], optimizers: Sequence[str], budget: int
     losses = [[[row["losses"][str(b)] for row in line] for line in table] for b in budgets]
     return Scores(
         suite, tuple(optimizers), tuple(problems), budgets,
-        profiles.within(t, budget), np.array(losses),
+        within(t, budget), np.array(losses),
     )  # fmt: skip
 
 
@@ -254,8 +266,8 @@ def _each(values: Iterable[str]) -> str:
 def picture(found: Scores, *, performance: bool) -> bytes:
     """Data profile, or performance profile at the last budget, as PNG."""
     if performance:
-        return svg.png(figures.performance_profile(found, found.labels, found.budgets[-1]))
-    return svg.png(figures.data_profile(found, found.labels))
+        return plots.png(performance_profile_figure(found, found.labels, found.budgets[-1]))
+    return plots.png(data_profile_figure(found, found.labels))
 
 
 def show(found: Scores, rows: Sequence[Row], arguments: argparse.Namespace) -> None:

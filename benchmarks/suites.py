@@ -21,8 +21,9 @@ from rows import Row, rows_of
 from suite import budget_of, file_of, label_of, longest
 
 from fide_lab.report.tables import Entry, Table, markdown
-from fide_lab.suite import names, profiles, read
-from fide_lab.suite.tables import sign_test
+from fide_lab.suite import names, read
+from fide_lab.suite.page import sign_test
+from fide_lab.suite.scores import within
 
 Pair = tuple[str, float, float, float, float]
 """Scene; renders until the two have solved the problem, +inf if not; their losses."""
@@ -43,7 +44,7 @@ def pairs(ours_is: str, rival: str, budget: int, of: Sequence[str]) -> Iterator[
 def pair_of(name: str, ours: Row, theirs: Row, budget: int) -> Pair:
     """Two runs of one problem, within so many renders."""
     t = np.array([row["solved_at"] or np.inf for row in (ours, theirs)])
-    a, b = profiles.within(t, budget).tolist()
+    a, b = within(t, budget).tolist()
     return name, a, b, ours["losses"][str(budget)], theirs["losses"][str(budget)]
 
 

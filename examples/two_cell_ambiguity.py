@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_lab.baselines.posterior_sampler import PosteriorSampler
+from fide_lab.baselines.image_based import PosteriorSampler
 from fide_plugins import encoders
 from fide_tasks.base import Task
 

@@ -11,8 +11,7 @@ import tempfile
 from pathlib import Path
 
 from fide_lab import compare
-from fide_lab.sweep import Grid, best_within, front, read
-from fide_lab.sweep.tables import write
+from fide_lab.sweep import Grid, best_within, front, read, write_tables
 
 
 def main() -> None:
@@ -27,7 +26,7 @@ def main() -> None:
         for name, plan in grid.plans():
             compare.run(plan, Path(folder, name))
         combinations = read(Path(folder))
-        print(write(Path(folder), combinations))
+        print(write_tables(Path(folder), combinations))
     for point in front(combinations, "renders"):
         print(f"{point.cost:5.0f} renders: {point.loss:.5f} with {point.combination.label}")
     best = best_within(combinations, "seconds", 60.0)

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from . import encoders as encoders, errors as errors, losses as losses
     from .errors import WeightsNotFoundError as WeightsNotFoundError
     from .fide import FIDE as FIDE
-    from .fitting.load import load_run as load_run
     from .fitting.one_call import fit as fit
     from .fitting.result import Result as Result
+    from .fitting.saved_run import load_run as load_run
     from .learning import learn as learn
     from .runtime import checkpoint as checkpoint
     from .space import (
@@ -69,7 +69,7 @@ _ATTRIBUTES = {
     "WeightsNotFoundError": ".errors",
     "fit": ".fitting.one_call",
     "learn": ".learning",
-    "load_run": ".fitting.load",
+    "load_run": ".fitting.saved_run",
 }
 
 __all__ = [

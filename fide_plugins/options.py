@@ -187,28 +187,15 @@ PRESETS: Mapping[str, Options] = {
 }
 
 GLOBAL = "global"
-"""Preset of `fit` and of the run loop, which render before the search, see `learning.rounds`."""
+"""Preset of `fit` and of the run loop, which render before the search."""
 
 _GROUPS = ("proposal", "network")
 _FIRST = ("loss", "encoder", "preset", "popsize", "x0", "sigma0", "mask", "seed", "device")
 _OTHER_ARGUMENTS = ("dim", "target", "weights", "value_range", "learned", "constraints")
-_FORMER_NAMES = {
-    "share": "proposal_fraction",
-    "smallest_share": "smallest_fraction",
-    "largest_share": "largest_fraction",
-    "share_rate": "fraction_rate",
-    "views": "channel_subsets",
-    "memory": "buffer_generations",
-    "elite": "rank_weight_scale",
-    "noise": "sample_noise",
-    "evidence": "r2_threshold",
-    "overlap": "background_training",
-}
-_FORMER_VALUES = {"restarts": {"parts": "moves"}}
 
 
 def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
-    """The preset's options with `changes`, by name; those of version 0.1 are understood, too.
+    """The preset's options with `changes`, by name.
 
     None is a value where the option may be None, but for `popsize`; elsewhere it changes nothing.
     Raises OptionError or UnknownNameError (both ValueErrors) naming the option, its value and rule.
@@ -220,7 +207,6 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
         )
     if not isinstance(preset, str) or preset not in PRESETS:
         raise UnknownNameError.of("preset", preset, (*PRESETS, GLOBAL))
-    changes = _renamed(changes)
     known = dict(_all_fields())
     for name in changes:
         if name not in known:
@@ -235,21 +221,8 @@ def make_options(preset: str, changes: Mapping[str, Any]) -> Options:
 def without_images(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Options by name for a search that sees no image: CMA-ES, without those of a network."""
     network = {f.name for f in fields(NetworkOptions)}
-    kept = {name: value for name, value in _renamed(changes).items() if name not in network}
+    kept = {name: value for name, value in changes.items() if name not in network}
     return kept | {"proposer": "none", "encoder": "dense"}
-
-
-def _renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The changes by present names and values; OptionError if two names are of one option."""
-    renamed: dict[str, Any] = {}
-    for name, value in changes.items():
-        present = _FORMER_NAMES.get(name, name)
-        if present in renamed:
-            raise OptionError(f"{present} is given twice, once by a former name; give it once")
-        if present in _FORMER_VALUES and isinstance(value, str):
-            value = _FORMER_VALUES[present].get(value, value)
-        renamed[present] = value
-    return renamed
 
 
 def flat(options: Options) -> dict[str, Any]:
@@ -270,7 +243,7 @@ def check_known(options: Mapping[str, Any], of: str, own: Sequence[str]) -> None
 
     of: who takes these options, and hands them on; own: its own, which are known, too.
     """
-    known = {*_FIRST, *_OTHER_ARGUMENTS, *_FORMER_NAMES, *own, *dict(_all_fields())}
+    known = {*_FIRST, *_OTHER_ARGUMENTS, *own, *dict(_all_fields())}
     for name in options:
         if name not in known:
             raise OptionError(_unknown(name, of, own))

@@ -3,35 +3,29 @@
 Exit codes: 0 done; 1 a run failed, or its output could not be written; 2 wrong usage, with one line
 on standard error; 130 and 143 stopped by Ctrl-C and SIGTERM, with everything saved.
 
-===================  ===================================================================
-`NAME_command`       one module for each command: its arguments and its execution
-`arguments`          arguments that commands share
-`own_renderer`       a renderer of one's own, as the command line names it
-`fit_renderer`       `fide fit` with a renderer of one's own
-`fit_pictures`       pictures that `fide fit` reads: targets, masks, weights
-`extra_renders`      renders outside of the loop of a fit
-`live`               the page of a run in the browser, while the command goes on
-`progress`           progress of a run: a bar in a terminal, lines elsewhere
-`availability`       which tasks, optimizers, encoders and losses can be used here
-`suggestions`        what was meant by a flag or a name that is not known
-`messages`           text for a terminal
-`streams`            standard streams that are closed or full
-===================  ===================================================================
+==============  =====================================================================
+`NAME_command`  one module for each command: its arguments and its execution
+`arguments`     arguments that commands share; a renderer of one's own
+`fit_inputs`    what `fide fit` reads and renders before the search
+`terminal`      text for a terminal, and standard streams that are closed or full
+`progress`      progress of a run: a bar, lines, a page in the browser
+==============  =====================================================================
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from importlib import import_module
+from itertools import takewhile
 from typing import Any, NoReturn
 
 from fide_plugins import __version__
-from fide_plugins.cli.messages import complain
-from fide_plugins.cli.streams import OutputError, lose, standard_streams
-from fide_plugins.cli.suggestions import suggestion
-from fide_plugins.errors import DependencyError
+from fide_plugins.cli.terminal import OutputError, complain, discard, standard_streams
+from fide_plugins.errors import DependencyError, did_you_mean
 from fide_plugins.runtime import laboratory
 
 __all__ = ["commands", "main", "module_of"]
@@ -66,10 +60,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         with standard_streams():
             return _main(sys.argv[1:] if argv is None else list(argv))
     except BrokenPipeError:  # such as: fide list tasks | head -1
-        lose(sys.stdout)
+        discard(sys.stdout)
         return 0
     except OutputError as error:  # such as: fide list tasks > /dev/full
-        lose(sys.stdout)
+        discard(sys.stdout)
         complain("fide", f"cannot write to standard output: {error}")
         return 1
 
@@ -162,3 +156,57 @@ def _parser() -> _Parser:
     parser.add_argument("command", choices=known if with_lab else None,
                         metavar="COMMAND", help=argparse.SUPPRESS)  # fmt: skip
     return parser
+
+
+# -- what was meant by a flag or a name that a command does not know -------------------------------
+
+_MISSING = "the following arguments are required: "
+_UNKNOWN = "unrecognized arguments: "
+_MISTYPED = 0.75  # similarity of names, from which on one is taken for the other
+_CHOICE = re.compile(r"invalid choice: '([^']*)' \(choose from (.*)\)$")
+
+
+def suggestion(
+    message: str,
+    parser: argparse.ArgumentParser,
+    others: Callable[[], Mapping[str, argparse.ArgumentParser]],
+    words: Sequence[str] = (),
+) -> str:
+    """End of a message of argparse: the flag or the value that is meant; empty if nothing is close.
+
+    parser: of the command.  others: gives those of all commands, by name;
+    they take a while, and are asked only if no flag of this one is close.  words: that were given.
+    """
+    if message.startswith(_MISSING):
+        return _taken(parser, words)
+    choice = _CHOICE.search(message)
+    if choice is not None:
+        return did_you_mean(choice[1], re.findall(r"[^', ]+", choice[2]))
+    if not message.startswith(_UNKNOWN):
+        return ""
+    for word in message.removeprefix(_UNKNOWN).split():
+        flag = word.partition("=")[0]
+        if not flag.startswith("--"):
+            continue
+        name, own = flag[2:], [one[2:] for one in _flags(parser) if one.startswith("--")]
+        if not get_close_matches(name, own, 1, _MISTYPED) and (
+            where := [command for command, other in others().items() if flag in _flags(other)]
+        ):
+            return f"; {flag} is of {' and '.join(f'fide {command}' for command in where[:3])}"
+        if close := get_close_matches(name, own, 1):
+            return f"; did you mean --{close[0]}?"
+    return ""
+
+
+def _taken(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
+    """Which option has taken the argument that is missing, as one with several values does."""
+    greedy = {flag for one in parser._actions if one.nargs == "+" for flag in one.option_strings}
+    for flag, values in ((word, words[i + 1 :]) for i, word in enumerate(words) if word in greedy):
+        taken = list(takewhile(lambda value: not value.startswith("-"), values))
+        if len(taken) > 1:
+            return f"; {flag} has taken {taken[-1]!r}: write {flag}={','.join(taken[:-1])}"
+    return ""
+
+
+def _flags(parser: argparse.ArgumentParser) -> list[str]:
+    return [flag for action in parser._actions for flag in action.option_strings]

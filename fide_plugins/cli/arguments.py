@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fide_plugins.errors import OptionError
 from fide_plugins.validation.options import parse_key_value
 
-__all__ = [
-    "add_run_arguments",
-    "add_space_argument",
-    "free_directory",
-    "lists",
-    "names",
-    "optimizer_options",
-    "path",
-    "setting",
-    "whole",
-]
+if TYPE_CHECKING:
+    from fide_plugins.renderers import CommandRenderer, FunctionRenderer
+    from fide_plugins.space import Space
 
 
 def whole(minimum: int) -> Any:
@@ -145,3 +138,48 @@ def free_directory(args: argparse.Namespace, what: str) -> Path:
         number, last = number + 1, free
         free = Path("runs", f"{name}-{number}")
     return last if args.resume and last is not None else free
+
+
+# -- a renderer of one's own -----------------------------------------------------------------------
+
+
+def space_of(file: str | None) -> Space | None:
+    """Space in the file that --space names; None without it."""
+    from fide_plugins.space import Space
+
+    try:
+        return None if file is None else Space.read(file)
+    except FileNotFoundError as error:
+        raise OptionError(
+            f"--space: there is no file {file!r}; name a TOML file with a table for each parameter "
+            "(docs/reference/space.md)"
+        ) from error
+    except IsADirectoryError as error:
+        raise OptionError(f"--space: {file!r} is a folder; name the TOML file in it") from error
+
+
+def function_of(reference: str, space: Space | None) -> tuple[FunctionRenderer, Space | int]:
+    """Function ``FILE.py:NAME``, and its parameters: `space`, or else what is beside it."""
+    from fide_plugins.renderers import FunctionRenderer
+
+    function = FunctionRenderer(reference)
+    return function, function.space_or(space)
+
+
+def program_of(
+    templates: str | Sequence[str], space: Space | None, timeout: str | None, raw: bool = False
+) -> tuple[CommandRenderer, Space, float]:
+    """Program of a command, or of one for each view, its parameters, and seconds until it is ended.
+
+    timeout: as --timeout has it; None: 60 seconds.  raw: whether it has a range of values.
+    """
+    from fide_plugins.renderers import CommandRenderer
+    from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.validation.options import seconds_of
+
+    limit = TIMEOUT if timeout is None else seconds_of("timeout", timeout)
+    if space is None:
+        raise OptionError("--command needs --space FILE.toml, the parameters and their ranges")
+    if len(templates) == 1:
+        templates = templates[0]
+    return CommandRenderer(templates, space, limit, raw), space, limit

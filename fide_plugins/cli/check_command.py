@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.cli.arguments import add_space_argument, path, whole
-from fide_plugins.cli.messages import (
+from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     note,
     notices,
@@ -31,7 +31,7 @@ from fide_plugins.cli.messages import (
     plain,
     warnings_as_notes,
 )
-from fide_plugins.errors import OptionError
+from fide_plugins.errors import DependencyError, OptionError
 
 __all__ = ["add_arguments", "execute"]
 
@@ -57,9 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.fitting.checking import check
-    from fide_plugins.fitting.checking.figure import figure
-    from fide_plugins.fitting.checking.report import as_data, lines
+<<<<<<< HEAD
+    from fide_plugins.fitting.checking.report import as_data, figure, lines
     from fide_plugins.runtime.files import write_bytes
+=======
+    from fide_plugins.fitting.checking.report import as_data, lines
+>>>>>>> main
 
     who = "fide check"
     with warnings_as_notes(who):
@@ -70,8 +73,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
             if facts.images:
                 out = args.out or Path("runs", f"check-{_file_name(name)}")
                 out.mkdir(parents=True, exist_ok=True)
-                picture = out / "check.png"
-                write_bytes(picture, figure(name, facts))
+                picture = _written(out / "check.png", name, facts)
         except USAGE_ERRORS as error:
             note(f"{who}: {paragraph(error)}")
             return 2
@@ -85,25 +87,40 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
     return 0 if facts.images else 1
 
 
+def _written(path: Path, name: str, facts: Any) -> Path | None:
+    """The picture at `path`; None, with a note, without matplotlib, which is an extra."""
+    from fide_plugins.fitting.checking.report import figure
+    from fide_plugins.runtime.files import write_bytes
+
+    try:
+        write_bytes(path, figure(name, facts))
+    except DependencyError as error:
+        note(f"fide check: {path.name} is left out: {error}")
+        return None
+    return path
+
+
 def _tell(renders: int, seconds: float) -> None:
     if seconds > _WORTH_TELLING:
-        from fide_plugins.fitting.checking.advice import duration
+        from fide_plugins.fitting.checking.report import duration
 
         note(f"fide check: {renders} more renders, about {duration(seconds)}")
 
 
 def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:
     """Name, function, space and time limit of a render."""
-    from fide_plugins.cli.own_renderer import function_of, program_of, space_of
-    from fide_plugins.fitting.durations import seconds_of
+<<<<<<< HEAD
+    from fide_plugins.cli.arguments import function_of, program_of, space_of
     from fide_plugins.renderers.command import TIMEOUT
+=======
+    from fide_plugins.cli.arguments import function_of, program_of, space_of
+>>>>>>> main
     from fide_plugins.runtime.registry import is_reference
+    from fide_plugins.validation.options import seconds_of
 
     space = space_of(args.space)
     if args.templates is not None:
-        limit = TIMEOUT if args.timeout is None else seconds_of("timeout", args.timeout)
-        templates = args.templates[0] if len(args.templates) == 1 else args.templates
-        program, space = program_of(templates, space, limit)
+        program, space, limit = program_of(args.templates, space, args.timeout)
         return program.name, program, space, limit + 5  # its output is known then
     if is_reference(args.renderer):
         function, found = function_of(args.renderer, space)

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.availability import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
-from fide_plugins.cli.messages import plain
+from fide_plugins.cli.terminal import plain
+from fide_plugins.runtime import laboratory, machine
 from fide_plugins.runtime.machine import EXTRAS, install_command, opencv_collision
 from fide_plugins.runtime.messages import counted
-
-__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,8 +37,6 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _summary() -> str:
     """What is installed, without importing any of it, and which encoders and losses work."""
-    from fide_plugins.runtime import machine
-
     versions, computer = machine.versions(), machine.machine()
     first = ("fide-plugins", "python", "torch", "numpy")
     extras, cores = _versions_of_extras(), counted(computer["cores"], "core")
@@ -53,12 +51,12 @@ def _summary() -> str:
     if collision := opencv_collision():
         lines.append(f"OpenCV: {collision}")
     for kind in KINDS:
-        lines.append(f"{kind}: {_here(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
+        lines.append(f"{kind}: {_usable(kind) if kind in WITH_WEIGHTS else ', '.join(names(kind))}")
     lines.append("fide doctor --verbose tries each of them, and says what is missing for it")
     return "\n".join(lines)
 
 
-def _here(kind: str) -> str:
+def _usable(kind: str) -> str:
     """Names that can be used here, and after them those that cannot, as without their weights."""
     found = problems(kind)
     groups = {
@@ -71,8 +69,6 @@ def _here(kind: str) -> str:
 
 def _versions_of_extras() -> dict[str, str | None]:
     """Of the first package of each."""
-    from fide_plugins.runtime import machine
-
     return {extra: machine.version_of(packages[0]) for extra, packages in EXTRAS.items()}
 
 
@@ -87,8 +83,6 @@ def _gpu(torch_version: str) -> str:
 def examine() -> dict[str, Any]:
     """Versions, machine, and for each name None or the reason why it cannot be used."""
     import torch  # noqa: F401  `machine` reports devices only if it is imported
-
-    from fide_plugins.runtime import machine
 
     return {
         "versions": machine.versions(),
@@ -147,3 +141,78 @@ def _text(facts: dict[str, Any]) -> str:
         state = version or f"not installed: {install_command(extra)}"
         lines.append(f"  {extra:{width}}  {state}")
     return "\n".join(lines)
+
+
+# -- which tasks, optimizers, encoders and losses can be used here: each is tried once -------------
+
+KINDS = ("tasks", "optimizers", "encoders", "losses")
+WITH_WEIGHTS = ("encoders", "losses")  # kinds that may need weights; to try them takes seconds
+OF_A_MODEL = ("learned",)  # encoders that read a model of the user's, which is named with them
+_VARIANTS = {"losses": ("lpips:squeeze", "lpips:vgg")}  # variants with their own weights
+_SIDE = 32  # pixels, side of the test images
+
+
+def names(kind: str) -> list[str]:
+    """Names of all tasks, optimizers, encoders or losses."""
+    import fide_tasks
+    from fide_plugins import encoders, losses
+
+    if kind == "optimizers":
+        return list(laboratory.module(kind).names()) if laboratory.is_installed() else ["fide"]
+    lists = {"tasks": fide_tasks, "encoders": encoders, "losses": losses}
+    return sorted(lists[kind].names())
+
+
+def problems(kind: str) -> dict[str, str | None]:
+    """For each name of a kind: None if it can be used here, otherwise the reason why not.
+
+    Each task renders a frame, each encoder and each loss processes an image, each optimizer
+    proposes candidates.  Variants with their own weights are tried too.  Nothing is downloaded.
+    """
+    results: dict[str, str | None] = {}
+    for name in sorted({*names(kind), *_VARIANTS.get(kind, ())}):
+        try:
+            _CHECKS[kind](name)
+            results[name] = None
+        except Exception as error:  # any error is a reason
+            results[name] = plain(error) or type(error).__name__
+    return results
+
+
+def _image() -> Any:
+    import numpy as np
+
+    return np.linspace(0, 1, _SIDE * _SIDE * 3, dtype=np.float32).reshape(_SIDE, _SIDE, 3)
+
+
+def _try_task(name: str) -> None:
+    import fide_tasks
+
+    fide_tasks.make(name, size=_SIDE).check()
+
+
+def _try_optimizer(name: str) -> None:
+    from fide_plugins.fide import FIDE
+
+    optimizer = FIDE if name == "fide" else partial(laboratory.module("optimizers").make, name)
+    optimizer(2, _image(), seed=0).ask()
+
+
+def _try_encoder(name: str) -> None:
+    from fide_plugins import encoders
+
+    encoders.make(name)(_image()[None])
+
+
+def _try_loss(name: str) -> None:
+    from fide_plugins import losses
+
+    losses.make(name, _image())(_image()[None])
+
+
+_CHECKS: dict[str, Callable[[str], None]] = {
+    "tasks": _try_task,
+    "optimizers": _try_optimizer,
+    "encoders": _try_encoder,
+    "losses": _try_loss,
+}

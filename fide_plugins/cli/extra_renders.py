@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.errors import ImageError, RenderError
-from fide_plugins.fitting.durations import seconds_of
 from fide_plugins.fitting.pictures import as_told, canonical
 from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Renderer
-from fide_plugins.fitting.workers.choice import workers_for
-from fide_plugins.fitting.workers.gather import gathered
+from fide_plugins.fitting.workers import gathered, workers_for
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.options import seconds_of
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE

@@ -1,4 +1,4 @@
-r"""Fit your own picture: with a renderer of your own, or with a model that draws it.
+"""Fit your own picture: with a renderer of your own, or with a model that draws it.
 
     fide fit target.png --renderer scene.py:render --space space.toml --workers 8 --out runs/scene
     fide fit target.png --command 'povray scene.pov +O{out} Declare=Sun={sun}' --space space.toml
@@ -25,19 +25,63 @@ stroke through its dark pixels. --start center begins at the center of the box.
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from fide_plugins.cli import fit_renderer
-from fide_plugins.cli.arguments import add_run_arguments, add_space_argument, setting, whole
-from fide_plugins.cli.messages import as_typed, complain
-from fide_plugins.errors import DependencyError, OptionError
+from fide_plugins.cli.arguments import (
+    add_run_arguments,
+    add_space_argument,
+    free_directory,
+    function_of,
+    optimizer_options,
+    program_of,
+    setting,
+    space_of,
+    whole,
+)
+from fide_plugins.cli.progress import lines, page_of
+from fide_plugins.cli.terminal import (
+    USAGE_ERRORS,
+    as_typed,
+    complain,
+    continuation,
+    duration,
+    note,
+    number,
+    paragraph,
+    picture_in,
+    plain,
+    warnings_as_notes,
+)
+from fide_plugins.errors import DependencyError, FideError, ImageError, OptionError, RenderError
 from fide_plugins.runtime import laboratory
+from fide_plugins.validation.options import positive_fraction
 
-__all__ = ["MODELS", "add_arguments", "execute"]
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+    from fide_plugins.fitting.fitting import Fitting
+    from fide_plugins.fitting.rendering import Outcome
+    from fide_plugins.fitting.result import Result
+    from fide_plugins.types import Float64, Solution
+
 
 MODELS = {"voronoi": "cells", "spline": "control_points"}
 """Models, and the option of each that sets its number of elements."""
 _OF_MODELS = ("cells", "control_points", "model_set", "optimizer", "start")
 """Arguments that no renderer of a user has."""
+_OF_RENDERERS = (
+    "space", "workers", "timeout", "mask", "weights", "time", "stop_at", "until",
+    "encoder", "learned", "max_failures", "value_range",
+)  # fmt: skip
+"""Arguments that no model has."""
+_BUDGET = 2000
+_MOST = 40  # parameters that are printed
+Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
+"""Renders points (n, dim) outside of the loop, as the fit renders them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,12 +116,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="values that are black and white: 0 10, or auto, from the target (0 1)")  # fmt: skip
     add("--time", metavar="TIME", help="how long at most: 90s, 10m, 1h30m")
     add("--stop-at", type=float, metavar="LOSS", help="loss at which to stop")
-    until = own.add_mutually_exclusive_group()
-    until.add_argument("--until", choices=("solved", "stalled", "budget"),
+    add("--until", choices=("solved", "stalled", "budget"),
         help="stop also when solved, or when nothing more is to be expected; budget: by other "
         "limits alone (solved)")  # fmt: skip
-    until.add_argument("--until-stalled", action="store_true", default=None,
-        help="former name of --until stalled")  # fmt: skip
     add("--max-failures", type=float, metavar="SHARE", help="of the last 50 renders (1: any)")
     add("--encoder", metavar="NAME", help="see: fide list encoders (the preset's)")
     add("--learned", metavar="MODEL", help="model of: fide learn")
@@ -95,21 +136,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     try:
-        _refuse(args, fit_renderer.OWN if args.model else _OF_MODELS, f"--{_kind(args)}")
+        kind = "model" if args.model else "renderer" if args.renderer else "command"
+        _refuse(args, _OF_RENDERERS if args.model else _OF_MODELS, f"--{kind}")
     except OptionError as error:
         return complain("fide fit", error)
-    if args.model:
-        try:
-            fit_model = laboratory.module("cli.fit_model")
-        except DependencyError as error:
-            return complain("fide fit", f"--model: {error}")
-        code: int = fit_model.execute(args, command)
-        return code
-    return fit_renderer.execute(args, command)
-
-
-def _kind(args: argparse.Namespace) -> str:
-    return "model" if args.model else "renderer" if args.renderer else "command"
+    if not args.model:
+        return _execute(args, command)
+    try:
+        fit_model = laboratory.module("cli.fit_model")
+    except DependencyError as error:
+        return complain("fide fit", f"--model: {error}")
+    code: int = fit_model.execute(args, command)
+    return code
 
 
 def _refuse(args: argparse.Namespace, names: tuple[str, ...], given: str) -> None:
@@ -129,3 +167,205 @@ def _by_run(args: argparse.Namespace) -> str:
     space = [] if args.space is None else ["--space", args.space]
     words = ["fide", "run", *what, *space, "--target", args.targets[0]]
     return f"to search with another one: {as_typed([*words, '--optimizer', args.optimizer])}"
+
+
+# -- a renderer of one's own -----------------------------------------------------------------------
+
+
+def _execute(args: argparse.Namespace, command: list[str]) -> int:
+    from fide_plugins.fitting.fitting import FitInterrupted
+    from fide_plugins.recording.storage import is_saved
+
+    who, args.optimizer = "fide fit", "fide"
+    with warnings_as_notes(who):
+        try:
+            fitting, out, again = _prepare(args, command)
+        except RenderError as error:
+            note(f"{who}: {paragraph(error)}")
+            return 1
+        except USAGE_ERRORS as error:
+            note(f"{who}: {paragraph(error)}")
+            return 2
+        if args.value_range == ["auto"]:
+            low, high = fitting.optimizer.value_range or (0.0, 1.0)
+            note(f"value range {low:.6g} to {high:.6g}, from the target")
+        if fitting.record.evaluations:
+            note(f"continuing {plain(out)} after {fitting.record.evaluations} renders")
+        try:
+            with page_of(out) if args.live else nullcontext():
+                result = fitting.execute()
+            _keep_pictures(again, result, out)
+        except FitInterrupted as stop:
+            saved = f" after {stop.result.evaluations} renders, saved in {plain(out)}"
+            unsaved = getattr(stop, "__notes__", ())  # what could not be written
+            note(f"{who}: {stop}{saved}" if not unsaved else f"{who}: {stop}")
+            for remark in unsaved:
+                note(paragraph(remark))
+            _note_found(stop.result)
+            if (out / "summary.png").exists():
+                note(f"look at {picture_in(out)}")
+            if is_saved(out):
+                note(f"continue with: {continuation(command, str(out))}")
+            return 128 + stop.signum
+        except (FideError, OSError) as error:
+            note(f"{who}: the run failed: {paragraph(error)}")
+            _note_found(getattr(error, "result", None))  # perhaps no file could be written
+            return 1
+    if args.json:
+        print(json.dumps(_summary(result, out), allow_nan=False), flush=True)
+    else:
+        _report(result, out)
+    return 0
+
+
+def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
+    """Everything checked, with one render; the run directory; and what renders further points."""
+    from fide_plugins.cli.fit_inputs import check_first, outcomes, pictures, value_range_of
+    from fide_plugins.fitting.one_call import prepare
+    from fide_plugins.fitting.stopping import Stopping
+    from fide_plugins.fitting.workers import default_number
+    from fide_plugins.recording.storage import read_run
+    from fide_plugins.watch import LiveFile
+
+    render, space, timeout = _renderer(args)
+    values = value_range_of(args.value_range)
+    targets, mask, weights = pictures(
+        args.targets, args.size, args.mask, args.weights, raw=values is not None
+    )
+    options = {"loss": args.loss, **optimizer_options(args)}
+    given = {"encoder": args.encoder, "learned": args.learned, "mask": mask, "weights": weights}
+    given["value_range"] = values
+    options |= {name: value for name, value in given.items() if value is not None}
+    until, share = args.until or "solved", args.max_failures
+    endless = args.budget is None and (args.time is not None or until == "stalled")
+    budget = None if endless else args.budget or _BUDGET
+    workers = default_number() if args.workers is None else args.workers
+    out = free_directory(args, Path(args.targets[0]).stem)
+
+    def check(optimizer: FIDE) -> None:
+        if read_run(out) is None:
+            check_first(render, optimizer, targets, args.targets, workers, timeout)
+
+    def again(optimizer: FIDE, X: Float64) -> list[Outcome]:
+        return outcomes(render, optimizer, X, workers, timeout)
+
+    fitting = prepare(
+        render,
+        targets[0] if len(targets) == 1 else targets,
+        space,
+        stopping=Stopping.of(budget, args.time, args.stop_at, until),
+        workers=workers,
+        seed=args.seed,
+        timeout=timeout,
+        options=options,
+        out=out,
+        resume=args.resume,
+        command=command,
+        callbacks=[LiveFile()] if args.live else [],  # `fide watch` reads checkpoints
+        progress=True if sys.stderr.isatty() else lines("fide fit"),
+        check=check,
+        max_failures=1.0 if share is None else positive_fraction("max_failures", share),
+    )
+    return fitting, out, again
+
+
+def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
+    """The renderer, its space, and the time-out of a worker."""
+    space = space_of(args.space)
+    if args.renderer is not None:
+        return *function_of(args.renderer, space), args.timeout
+    if len(args.templates) != len(args.targets):
+        raise OptionError(
+            f"{len(args.templates)} commands for {len(args.targets)} targets; give --command once "
+            "for each target, in the same order"
+        )
+    raw = args.value_range is not None
+    program, space, limit = program_of(args.templates, space, args.timeout, raw)
+    # the program is stopped before its worker, so that its output is known
+    return program, space, None if args.timeout is None or args.workers == 0 else limit + 5
+
+
+def _keep_pictures(again: Again, result: Any, out: Path) -> None:
+    """Render further solutions for `fide solutions`; those that fail stay without an image.
+
+    Each is one render, which the budget does not count.  Those that are stored already stay.
+    """
+    import numpy as np
+
+    from fide_plugins.fitting.pictures import canonical, picture
+    from fide_plugins.fitting.rendering import Rendered
+    from fide_plugins.solutions import pictures as stored
+
+    known = stored.read(out)
+    points = [one.x for one in result.solutions[1:]]
+    new = [x for x in points if stored.of(known, x) is None]
+    if not new:
+        return
+    for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
+        if isinstance(outcome, Rendered):
+            with suppress(ImageError):  # no image that fits is a render that failed, too
+                image = canonical(result.optimizer, outcome.image)
+                known.append((x, picture(result.optimizer, image)))
+    kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
+    if kept:
+        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+
+
+def _summary(result: Any, out: Path) -> dict[str, Any]:
+    """Totals for JSON."""
+    from fide_plugins.recording.record import SUMMARY
+    from fide_plugins.recording.storage import read_run
+
+    run = read_run(out)
+    totals = {} if run is None else run["totals"]
+    return {
+        **{key: totals[key] for key in SUMMARY},
+        "params": result.params.tolist() if hasattr(result.params, "tolist") else result.params,
+        "status": result.status.code,
+        "stopped": result.stopped,
+        "failures": result.failures,
+        "clipped": result.clipped,
+    }
+
+
+def _note_found(result: Result | None) -> None:
+    """Say what a fit had found when it ended early."""
+    if result is not None and result.best is not None:
+        note(f"best loss {number(result.best.loss)}")
+        for line in _parameters(result.best):
+            note(line)
+
+
+def _parameters(best: Solution) -> list[str]:
+    """Lines with the parameters in their units."""
+    from fide_plugins.recording.parameters import lines
+
+    return [f"  {paragraph(line)}" for line in lines(best, _MOST)]
+
+
+def _report(result: Result, out: Path) -> None:
+    """Print the end of a fit: the status has the loss."""
+    failed = f", {result.failures} renders failed" if result.failures else ""
+    failed += f", {result.clipped} images clipped" if result.clipped else ""
+    if result.rejected:
+        failed += f", {result.rejected:.0%} of the candidates rejected by constraints"
+    stopped = f"stopped: {result.stopped.replace('_', '-')}"
+    print(f"{result.evaluations} renders in {duration(result.seconds)}, {stopped}{failed}")
+    if result.best is None:
+        print(_without_best(result))
+        return
+    print(plain(result.status))
+    print("\n".join(_parameters(result.best)))
+    if result.std_renders:
+        print(f"± one standard deviation, from {result.std_renders} more renders around the answer")
+    print(f"look at {picture_in(out)}, or: {as_typed(['fide', 'solutions', str(out)])}")
+
+
+def _without_best(result: Any) -> str:
+    """Why a fit has no best candidate."""
+    if result.evaluations:
+        return "no render has a finite loss"
+    if not result.failures:
+        return "nothing was rendered in that time; give more --time"
+    shown = "" if result.first_failure is None else "; the first error is printed above"
+    return f"no render gave an image{shown}"

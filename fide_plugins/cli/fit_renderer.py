@@ -9,10 +9,16 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from fide_plugins.cli.arguments import free_directory, optimizer_options
-from fide_plugins.cli.fit_pictures import pictures, value_range_of
-from fide_plugins.cli.live import page_of
-from fide_plugins.cli.messages import (
+from fide_plugins.cli.arguments import (
+    free_directory,
+    function_of,
+    optimizer_options,
+    program_of,
+    space_of,
+)
+from fide_plugins.cli.fit_inputs import pictures, value_range_of
+from fide_plugins.cli.progress import page_of
+from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     as_typed,
     continuation,
@@ -23,7 +29,6 @@ from fide_plugins.cli.messages import (
     plain,
     warnings_as_notes,
 )
-from fide_plugins.cli.own_renderer import function_of, program_of, space_of
 from fide_plugins.errors import FideError, ImageError, OptionError, RenderError
 from fide_plugins.validation.options import positive_fraction
 
@@ -48,7 +53,7 @@ _MOST = 40  # parameters that are printed
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.fitting.fitting import FitInterrupted
-    from fide_plugins.recording.run_checkpoint import is_saved
+    from fide_plugins.recording.storage import is_saved
 
     who, args.optimizer = "fide fit", "fide"
     with warnings_as_notes(who):
@@ -98,11 +103,11 @@ Again: TypeAlias = "Callable[[FIDE, Float64], list[Outcome]]"
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Path, Again]:
     """Everything checked, with one render; the run directory; and what renders further points."""
-    from fide_plugins.cli.extra_renders import check_first, outcomes
+    from fide_plugins.cli.fit_inputs import check_first, outcomes
     from fide_plugins.fitting.one_call import prepare
     from fide_plugins.fitting.stopping import Stopping
-    from fide_plugins.fitting.workers.choice import default_number
-    from fide_plugins.recording.json_record import read_run
+    from fide_plugins.fitting.workers import default_number
+    from fide_plugins.recording.storage import read_run
 
     render, space, timeout = _renderer(args)
     values = value_range_of(args.value_range)
@@ -146,8 +151,8 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> tuple[Fitting, Pat
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any, Any]:
     """The renderer, its space, and the time-out of a worker."""
-    from fide_plugins.fitting.durations import seconds_of
     from fide_plugins.renderers.command import TIMEOUT
+    from fide_plugins.validation.options import seconds_of
 
     space = space_of(args.space)
     if args.renderer is not None:
@@ -194,13 +199,13 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
+    from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.solutions import pictures as stored
 
-    known = stored.read(out)
+    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.of(known, x) is None]
+    new = [x for x in points if stored.image_of(known, x) is None]
     if not new:
         return
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
@@ -210,7 +215,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
                 known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:
-        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+        stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
 
 def _progress() -> Any:
@@ -224,8 +229,8 @@ def _progress() -> Any:
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:
     """Totals for JSON."""
-    from fide_plugins.recording.json_record import read_run
     from fide_plugins.recording.record import SUMMARY
+    from fide_plugins.recording.storage import read_run
 
     run = read_run(out)
     totals = {} if run is None else run["totals"]

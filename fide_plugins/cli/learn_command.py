@@ -21,8 +21,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.arguments import add_space_argument, lists, path, setting, whole
-from fide_plugins.cli.messages import (
+from fide_plugins.cli.arguments import (
+    add_space_argument,
+    function_of,
+    lists,
+    path,
+    program_of,
+    setting,
+    space_of,
+    whole,
+)
+from fide_plugins.cli.progress import interval
+from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     complain,
     continuation,
@@ -31,8 +41,6 @@ from fide_plugins.cli.messages import (
     plain,
     warnings_as_notes,
 )
-from fide_plugins.cli.own_renderer import function_of, program_of, space_of
-from fide_plugins.cli.progress import interval
 from fide_plugins.errors import DeviceError, FideError, OptionError, RenderError
 
 __all__ = ["add_arguments", "execute"]
@@ -147,7 +155,7 @@ def _has_renders(folder: Path) -> bool:
 
 def _arguments(args: argparse.Namespace) -> dict[str, Any]:
     """Arguments of `learn`."""
-    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     render, space = _renderer(args)
     return {
@@ -183,9 +191,12 @@ def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
-    from fide_plugins.fitting.durations import seconds_of
+<<<<<<< HEAD
     from fide_plugins.renderers.command import TIMEOUT
+=======
+>>>>>>> main
     from fide_plugins.runtime.registry import is_reference
+    from fide_plugins.validation.options import seconds_of
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")
@@ -193,7 +204,7 @@ def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
         raise OptionError("--render-size is of built-in tasks; leave it out")
     space = space_of(args.space)
     if args.template is not None:
-        return program_of(args.template, space, seconds_of("timeout", args.timeout or TIMEOUT))
+        return program_of([args.template], space, args.timeout)[:2]
     if args.timeout is not None:
         raise OptionError("--timeout is of --command; leave it out")
     if is_reference(args.source):
@@ -226,7 +237,7 @@ class _Lines:
 
 def _line(progress: Any) -> str:
     """Line about a `LearnProgress`."""
-    from fide_plugins.learning.judging.report import against_prior
+    from fide_plugins.learning.judging import against_prior
 
     done = f"{progress.done}/{progress.total}"
     match progress.stage:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import argparse
 
-from fide_plugins.cli.availability import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
-from fide_plugins.cli.messages import note
+from fide_plugins.cli.doctor_command import KINDS, OF_A_MODEL, WITH_WEIGHTS, names, problems
+from fide_plugins.cli.terminal import note
 
 __all__ = ["add_arguments", "execute"]
 

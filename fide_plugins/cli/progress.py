@@ -1,17 +1,17 @@
-"""Progress of a run on standard error: a bar in a terminal, lines elsewhere."""
+"""Progress of a run: a bar in a terminal, lines elsewhere, a page in the browser."""
 
 from __future__ import annotations
 
 import math
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
-from fide_plugins.cli.messages import note, number
+from fide_plugins.cli.terminal import note, number, plain
 from fide_plugins.recording.record import PARTS, Progress, Report
-
-__all__ = ["interval", "lines", "reporting", "shares"]
 
 _FIRST, _EVERY = 5.0, 60.0  # seconds until the first line, and between two: for a log file
 _FEW = 8  # renders that an estimate of the time left needs
@@ -156,3 +156,27 @@ def _bar(what: str) -> Iterator[Report]:
             bar.update(line, total=progress.budget, completed=progress.evaluations, facts=facts)
 
         yield report
+
+
+# -- the page of a run, in the browser while the command goes on -----------------------------------
+
+
+@contextmanager
+def page_of(out: Path) -> Iterator[None]:
+    """Within this block, the page of a run directory is served and open in the browser."""
+    from fide_plugins.watch import serve
+
+    server, url = serve(out)
+    try:
+        note(f"{url} shows {plain(out)} until the command ends")
+        open_page(url)
+        yield
+    finally:
+        server.close()
+
+
+def open_page(url: str) -> None:
+    """Open the browser, without waiting: some return when their window is closed."""
+    import webbrowser
+
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

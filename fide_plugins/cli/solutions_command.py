@@ -18,7 +18,8 @@ import math
 from typing import Any
 
 from fide_plugins.cli.arguments import path, whole
-from fide_plugins.cli.messages import USAGE_ERRORS, complain, number, plain
+from fide_plugins.cli.terminal import USAGE_ERRORS, complain, note, number, plain
+from fide_plugins.errors import DependencyError
 
 __all__ = ["add_arguments", "execute"]
 
@@ -48,14 +49,21 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
         if not found.solutions:
             return complain("fide solutions", f"{args.directory} has no image yet; let it run")
         output = args.output or args.directory / "solutions.png"
-        files.write_bytes(output, solutions.figure(found))
+        try:
+            files.write_bytes(output, solutions.figure(found))
+        except DependencyError as error:
+            if args.output is not None:
+                raise
+            note(f"fide solutions: {output.name} is left out: {error}")
+            output = None
     except USAGE_ERRORS as error:
         return complain("fide solutions", error)
     if args.json:
         print(json.dumps([_data(one) for one in found.solutions], allow_nan=False))
         return 0
     print("\n".join(_table(found, rows(found.solutions))))
-    print(f"look at {plain(output)}")
+    if output is not None:
+        print(f"look at {plain(output)}")
     return 0
 
 

@@ -13,8 +13,8 @@ import argparse
 import threading
 
 from fide_plugins.cli.arguments import path
-from fide_plugins.cli.live import open_page
-from fide_plugins.cli.messages import complain, plain
+from fide_plugins.cli.progress import open_page
+from fide_plugins.cli.terminal import complain, plain
 
 __all__ = ["add_arguments", "execute"]
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
-    from fide_plugins.recording.json_record import RunDirectoryError
+    from fide_plugins.recording.storage import RunDirectoryError
     from fide_plugins.watch import serve
 
     if not args.directory.is_dir():

@@ -20,7 +20,7 @@ from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.cache import TokenCache
 from fide_plugins.errors import WeightsNotFoundError
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.renders.renderer import resized
+from fide_plugins.learning.renders import resized
 from fide_plugins.runtime.devices import batch_size, digest, in_batches
 from fide_plugins.types import Float32
 

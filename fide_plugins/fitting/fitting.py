@@ -13,18 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.fitting.around_answer import MOST_NUMBERS, numbers, std_around
-from fide_plugins.fitting.callbacks import Callbacks, Run
-from fide_plugins.fitting.failures import CallbackError, FitError
+from fide_plugins.fitting.callbacks import Callbacks, Run, reporting
+from fide_plugins.fitting.failures import CallbackError, FitError, suspicion_of
 from fide_plugins.fitting.loop import Loop
-from fide_plugins.fitting.progress import reporting
+from fide_plugins.fitting.processes import Processes
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result, histories
 from fide_plugins.fitting.saved_run import SavedRun, Unsaved
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.suspicions import suspicion_of
-from fide_plugins.fitting.workers.base import Workers
-from fide_plugins.fitting.workers.processes import Processes
-from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
+from fide_plugins.fitting.workers import Workers
+from fide_plugins.recording.directory import CheckpointTimer, note_unsaved
 from fide_plugins.recording.record import Record, Report
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.runtime.messages import warn_user
@@ -32,7 +30,7 @@ from fide_plugins.uncertainty.at_answer import AtAnswer
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
-    from fide_plugins.learning.rounds import Rounds
+    from fide_plugins.learning.hypotheses import Rounds
     from fide_plugins.types import Float64, Solution
 
 __all__ = ["FitInterrupted", "Fitting"]

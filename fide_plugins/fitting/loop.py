@@ -22,12 +22,11 @@ import numpy as np
 from fide_plugins.errors import ImageError, ValueRangeError
 from fide_plugins.fide import FIDE
 from fide_plugins.fitting.callbacks import Callbacks, Event
-from fide_plugins.fitting.failures import EvaluationError, Failures, GivenUpError
+from fide_plugins.fitting.failures import EvaluationError, Extremes, Failures, GivenUpError
 from fide_plugins.fitting.pictures import as_told, canonical, shown
-from fide_plugins.fitting.rendering import Failed, Outcome, Renderer
+from fide_plugins.fitting.rendering import Failed, Outcome, Renderer, Task
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.suspicions import Extremes
-from fide_plugins.fitting.workers.base import LOOK, Task, Workers, late
+from fide_plugins.fitting.workers import LOOK, Workers, late
 from fide_plugins.recording.record import Record
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.types import Float64

@@ -10,22 +10,25 @@ from typing import Any
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.fitting.callbacks import Callbacks
-from fide_plugins.fitting.durations import seconds_of
+from fide_plugins.fitting.callbacks import Callbacks, check_progress
 from fide_plugins.fitting.fitting import Fitting
-from fide_plugins.fitting.progress import check_progress
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.choice import default_number, workers_for
-from fide_plugins.learning.rounds import rounds_of, search_options
+<<<<<<< HEAD
+from fide_plugins.fitting.workers import default_number, workers_for
+from fide_plugins.learning.hypotheses import rounds_of, search_options
+=======
+from fide_plugins.fitting.workers import default_number, workers_for
+from fide_plugins.learning.hypotheses import rounds_of, search_options
+>>>>>>> main
 from fide_plugins.options import check_known
-from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.storage import is_saved
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.space import Space
-from fide_plugins.validation.options import check_names, positive_fraction, switch
+from fide_plugins.validation.options import check_names, positive_fraction, seconds_of, switch
 from fide_plugins.validation.points import number_of_parameters, whole_number
 
 __all__ = ["fit", "prepare"]
@@ -52,7 +55,6 @@ def fit(
     constraints: Callable[[Any], object] | None = None,
     max_failures: float = 1.0,
     until: str = "solved",
-    until_stalled: bool = False,
     timeout: float | str | None = None,
     resume: bool = False,
     progress: object = None,
@@ -117,8 +119,6 @@ def fit(
         searches ended at the same answer, or the loss has not improved by a tenth for 150
         generations (1,200 renders of four parameters, 2,250 of 40) and half of all evaluations.
         "budget": none of these.
-    until_stalled
-        True: the former name of ``until="stalled"``.
     timeout
         seconds a render may take, or a text as for `time`; then its process is killed.  A thread
         cannot be killed: it is forgotten, and missing until it ends.
@@ -136,7 +136,7 @@ def fit(
     **options
         options of `FIDE`, such as `loss`, `encoder`, `preset`, `weights`, `x0`.  `preset` may also
         be "global": most of the budget, of at least 10,000 renders, teaches a model of the renderer
-        first, see `learning.rounds`.  Those renders count as evaluations, with a loss of infinity;
+        first.  Those renders count as evaluations, with a loss of infinity;
         they are made in this process or in `workers` processes, without `timeout`.
 
     A render that raises, takes too long, loses its process, or returns something else than an image
@@ -163,7 +163,7 @@ def fit(
         render,
         _with_views(target, views),
         space,
-        stopping=Stopping.of(budget, time, stop_at, until, until_stalled),
+        stopping=Stopping.of(budget, time, stop_at, until),
         workers=workers,
         executor=executor,
         callbacks=callbacks,

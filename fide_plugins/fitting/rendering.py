@@ -11,6 +11,7 @@ import random
 import time
 import traceback
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from io import BytesIO
@@ -24,18 +25,6 @@ from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.image_files import read_pixels
 from fide_plugins.validation.pixels import is_path, is_pil
-
-__all__ = [
-    "Failed",
-    "Outcome",
-    "Portable",
-    "Rendered",
-    "Renderer",
-    "attempt",
-    "pack",
-    "restored",
-    "unpack",
-]
 
 _T = TypeVar("_T")
 _BROKEN = (
@@ -104,6 +93,8 @@ class Failed:
 
 
 Outcome: TypeAlias = Rendered | Failed
+Task: TypeAlias = "Future[Outcome]"
+"""A render that was begun, or will be as soon as a worker is free."""
 
 
 def attempt(

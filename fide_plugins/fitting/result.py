@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
+from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,22 +16,26 @@ import numpy as np
 
 from fide_plugins.errors import FideError, OptionError
 from fide_plugins.fitting.pictures import counting, side_by_side
-from fide_plugins.recording.parameters import ROUGH, described, is_rough
+from fide_plugins.recording.directory import is_of_a_run, results_in
+from fide_plugins.recording.figures import Panel, as_png, thumbnail
+from fide_plugins.recording.parameters import ROUGH, Row, described, is_rough, rows
+from fide_plugins.recording.plots import curve_figure
 from fide_plugins.recording.record import Record, best_so_far
+from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
 from fide_plugins.runtime.messages import cut
 from fide_plugins.validation.pixels import ValueRange
 from fide_plugins.validation.points import as_points
 
 if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
     from fide_plugins.fitting.failures import Failure
     from fide_plugins.fitting.saved_run import Unsaved
     from fide_plugins.recording.figures import Panel
-    from fide_plugins.recording.result_figure import Figure
+    from fide_plugins.recording.plots import Figure
     from fide_plugins.status import Status
     from fide_plugins.types import Float32, Float64, Indices, Solution
 
-__all__ = ["Result"]
 
 _FILES = (
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".webp", ".gif", ".bmp", ".pdf",
@@ -104,8 +112,6 @@ class Result:
         """
         if self.unsaved is not None:
             return self.unsaved.optimizer
-        from fide_plugins.fitting.run_files import optimizer_in
-
         return None if self.out is None else optimizer_in(self.out)
 
     def plot(self) -> Figure:
@@ -114,7 +120,7 @@ class Result:
         The difference is shown four times as strong.  Views are side by side.  Of more than twelve
         parameters those are drawn that moved most.  `figure.savefig(path)` writes it.
         """
-        from fide_plugins.recording.result_figure import result_figure
+        from fide_plugins.recording.plots import result_figure
 
         return result_figure(
             self._panels(), self.losses, self.loss, self.improved_at, self.path, self.best
@@ -130,7 +136,7 @@ class Result:
 
         Raises PointsError (a ValueError) for impossible samples, OptionError without any point.
         """
-        from fide_plugins.recording.pairs_figure import pairs_figure
+        from fide_plugins.recording.plots import pairs_figure
 
         best = self.best
         found = np.array([one.x for one in self.solutions]).reshape(-1, self._dim)
@@ -155,8 +161,6 @@ class Result:
                 "a folder; plot().savefig(path) writes a picture"
             )
         if self.out is not None:
-            from fide_plugins.fitting.run_files import copy_run
-
             copy_run(self.out, Path(path))
         elif self.unsaved is not None:
             self.unsaved.write(path)
@@ -186,9 +190,7 @@ class Result:
         return "\n".join(lines) + ")"
 
     def _repr_html_(self) -> str:
-        from fide_plugins.fitting.result_page import page
-
-        return page(self, self._panels())
+        return result_page(self, self._panels())
 
     def _range(self) -> list[str]:
         """A line on the range of values, if there is one."""
@@ -231,3 +233,80 @@ def histories(record: Record, dim: int) -> dict[str, Any]:
         "evaluations": record.evaluations,
         "seconds": record.wall_s,
     }
+
+
+_SIDE, _WIDE = 160, 480  # pixels of a picture: its longer side; of several views side by side
+_MOST = 40  # parameters
+
+
+def result_page(result: Result, panels: Sequence[Panel]) -> str:
+    """HTML of a result: its status, pictures, losses, and parameters in their units."""
+    failed = f", {result.failures:,} renders failed" if result.failures else ""
+    facts = (
+        f"{result.evaluations:,} renders in {result.seconds:.1f} s, "
+        f"stopped: {result.stopped}{failed}"
+    )
+    pictures = "".join(map(_picture, panels))
+    if len(result.losses):
+        curve = curve_figure(result.losses, result.loss)._repr_png_()
+        pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
+    rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
+    return (
+        f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts)}</p>"
+        f'<div style="display:flex;flex-wrap:wrap;gap:8px;align-items:flex-end">{pictures}</div>'
+        f"{_table(rows([] if result.best is None else [result.best]))}{rough}</div>"
+    )
+
+
+def _picture(panel: Panel) -> str:
+    height, breadth = panel.image.shape[:2]
+    side = _WIDE if breadth > 2 * height else _SIDE
+    shown = round(side * breadth / max(height, breadth))
+    source = _inline(as_png(thumbnail(panel.image, side)))
+    name = escape(panel.name)
+    return (
+        f'<figure style="margin:0"><figcaption>{name}</figcaption><img alt="{name}" '
+        f'src="{source}" style="width:{shown}px;image-rendering:pixelated"></figure>'
+    )
+
+
+def _table(table: list[Row]) -> str:
+    cells = "".join(
+        f"<tr><td>{escape(row.name)}</td><td>{escape(row.values[0])}</td>"
+        f"<td>{escape(row.unit)}</td>"
+        f"<td>{'' if row.determined else 'not determined by the picture'}</td></tr>"
+        for row in table[:_MOST]
+    )
+    if len(table) > _MOST:
+        cells += f"<tr><td>... {len(table) - _MOST} more</td></tr>"
+    return f"<table>{cells}</table>" if cells else ""
+
+
+def _inline(png: bytes) -> str:
+    return f"data:image/png;base64,{b64encode(png).decode()}"
+
+
+def optimizer_in(path: Path) -> FIDE | None:
+    """The optimizer of the run in a folder; None without a checkpoint, or if it is not FIDE's.
+
+    Raises CheckpointError (a ValueError), OSError.
+    """
+    from fide_plugins.fide import FIDE
+
+    run = read_run(path)
+    if run is None or run["settings"].get("optimizer") != "fide" or not is_saved(path):
+        return None
+    return with_optimizer(path, FIDE.load)
+
+
+def copy_run(source: Path, to: Path) -> None:
+    """Copy the files of a run into a folder without one.
+
+    Raises RunDirectoryError (a FileExistsError) if there is one; OSError.
+    """
+    if (to / "run.json").exists() or results_in(to):
+        raise RunDirectoryError(f"{to} holds a run already; name another directory")
+    to.mkdir(parents=True, exist_ok=True)
+    for file in sorted(source.iterdir(), key=lambda file: file.name == "run.json"):  # it last
+        if is_of_a_run(file.name) and file.is_file() and not file.is_symlink():
+            shutil.copyfile(file, to / file.name)

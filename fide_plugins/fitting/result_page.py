@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
+from contextlib import suppress
 from html import escape
 from typing import TYPE_CHECKING
 
+from fide_plugins.errors import DependencyError
 from fide_plugins.recording.figures import Panel, as_png, thumbnail
 from fide_plugins.recording.parameters import ROUGH, Row, is_rough, rows
-from fide_plugins.recording.result_figure import curve_figure
 
 if TYPE_CHECKING:
     from fide_plugins.fitting.result import Result
@@ -28,9 +29,12 @@ def page(result: Result, panels: Sequence[Panel]) -> str:
         f"stopped: {result.stopped}{failed}"
     )
     pictures = "".join(map(_picture, panels))
-    if len(result.losses):
-        curve = curve_figure(result.losses, result.loss)._repr_png_()
-        pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
+    with suppress(DependencyError):  # without matplotlib, which is an extra
+        from fide_plugins.recording.plots import curve_figure
+
+        if len(result.losses):
+            curve = curve_figure(result.losses, result.loss)._repr_png_()
+            pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
     rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
     return (
         f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts)}</p>"

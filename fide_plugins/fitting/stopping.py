@@ -24,8 +24,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting.durations import seconds_of
-from fide_plugins.validation.options import switch
+<<<<<<< HEAD
+from fide_plugins.validation.options import seconds_of, switch
+=======
+from fide_plugins.validation.options import seconds_of
+>>>>>>> main
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views.solved import is_solved
 
@@ -55,23 +58,12 @@ class Stopping:
         time: object,
         stop_at: Any,
         until: object = "solved",
-        until_stalled: bool = False,
     ) -> Stopping:
-        """Rules as a user gives them; raises OptionError (a ValueError).
-
-        until_stalled: the former name of ``until="stalled"``.
-        """
+        """Rules as a user gives them; raises OptionError (a ValueError)."""
         number = None if budget is None else whole_number("budget", budget, 1)
         seconds = None if time is None else seconds_of("time", time)
         if until not in UNTIL:
             raise OptionError(f"until must be {', '.join(map(repr, UNTIL))}, not {until!r}")
-        if switch("until_stalled", until_stalled):
-            if until == "budget":
-                raise OptionError(
-                    "until_stalled=True is the former name of until='stalled', which contradicts "
-                    "until='budget': leave out one of them"
-                )
-            until = "stalled"
         if until != "stalled" and number is None and seconds is None:
             raise OptionError(
                 "budget=None needs another rule by which the fit ends for sure: give time or "

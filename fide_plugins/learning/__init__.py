@@ -1,23 +1,23 @@
 """Learn once what pictures say of a renderer's parameters, for every later picture.
 
 Amortized inference: renders of random parameters train a network that maps an image to a density of
-the parameters. For a new picture it gives several hypotheses at once, which the search then refines
+the parameters.  For a new picture it gives several hypotheses at once, which the search refines
 (`FIDE(..., learned=model)`).
 
-============  ==================================================================================
-file          idea
-============  ==================================================================================
-`pipeline`    `learn`: its arguments are checked, and a plan is made of them
-`plan`        how a model is made: renders, trainings, report
-`renders`     renders of random parameters: made, kept on disk, checked
-`networks`    encoder, densities of the parameters, a learned renderer
-`training`    of a network, judged on held-out renders; it goes on from its checkpoint
-`judging`     a trained network is calibrated and measured
-`model`       hypotheses, density, one file
-`hypotheses`  what the search is given
-`truncation`  where a second round renders: the region of one picture's posterior
-`rounds`      ``preset="global"``: two rounds, and then the search
-============  ==================================================================================
+==============  ================================================================================
+file            idea
+==============  ================================================================================
+`pipeline`      `learn`: renders, trainings and report; a second round for one picture
+`renders`       a renderer, and its images of random parameters on disk
+`rendering`     fills that store: in this process, in others, on a cluster
+`networks`      encoder, densities of the parameters
+`emulator`      a learned renderer, and descents through it
+`training`      of a network on renders; it goes on from its checkpoint
+`augmentation`  how renders are changed meanwhile
+`judging`       a trained network is calibrated and measured
+`model`         hypotheses, density, one file
+`hypotheses`    what a search is given of it; ``preset="global"``: two rounds, and then the search
+==============  ================================================================================
 """
 
 from __future__ import annotations
@@ -26,27 +26,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fide_plugins.learning.judging.report import Report as Report
+    from fide_plugins.learning.judging import Report as Report
     from fide_plugins.learning.model import Model as Model
-    from fide_plugins.learning.pipeline import learn as learn
-    from fide_plugins.learning.plan import LearnProgress as LearnProgress
+    from fide_plugins.learning.pipeline import LearnProgress as LearnProgress, learn as learn
 
+_PLACES = {"LearnProgress": "pipeline", "Model": "model", "Report": "judging", "learn": "pipeline"}
 __all__ = ["LearnProgress", "Model", "Report", "learn"]
-
-_ATTRIBUTES = {
-    "LearnProgress": "plan",
-    "Model": "model",
-    "Report": "judging.report",
-    "learn": "pipeline",
-}
-
 
 if not TYPE_CHECKING:  # a process that renders needs no PyTorch
 
     def __getattr__(name: str) -> Any:
         """Import the class or function `name` the first time somebody asks for it (PEP 562)."""
-        if name not in _ATTRIBUTES:
+        if name not in _PLACES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{__name__}.{_ATTRIBUTES[name]}"), name)
+        value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
         globals()[name] = value
         return value

@@ -15,13 +15,10 @@ from torch import Tensor
 
 from fide_plugins.denoiser.precision import autocast
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
-from fide_plugins.learning.judging.calibration import LARGEST_SCALE
-from fide_plugins.learning.judging.familiarity import Familiarity
-from fide_plugins.learning.judging.report import Distance, Report
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.inversion import inverted
-from fide_plugins.learning.networks.network import HEADS, Network, as_input
-from fide_plugins.learning.renders.renderer import Pixels, pixels_of, same_aspect
+from fide_plugins.learning.emulator import Emulator, inverted
+from fide_plugins.learning.judging import LARGEST_SCALE, Distance, Familiarity, Report
+from fide_plugins.learning.networks import HEADS, Network, as_input
+from fide_plugins.learning.renders import Pixels, pixels_of, same_aspect
 from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.schema import (
     IMPOSSIBLE,
@@ -64,11 +61,7 @@ _SCHEMA: Schema = {
     "weights": table(numbers),
     "emulator": maybe(table(numbers)),
     "scale": real(1.0, LARGEST_SCALE),
-    "familiarity": {
-        "mean": array("F"),
-        "precision": array("F", "F"),
-        "threshold": real(0.0),
-    },
+    "familiarity": {"mean": array("F"), "precision": array("F", "F"), "threshold": real(0.0)},
     "report": table(anything),
     "picture": maybe(array("height", "width", 3, kind="u")),
 }
@@ -90,7 +83,7 @@ class Model:
     shape: height and width of the renders that were given.
     renderer, version: name of the renderer, and the version that the user stated.
     fingerprint: of the renderer's source or command line; None where that is not known.
-    head: kind of density, see `networks.heads`.  blocks: exchangeable blocks of axes.
+    head: kind of density, see `networks`.  blocks: exchangeable blocks of axes.
     familiarity: of features.
     report: how good it is.
     emulator: learned renderer; None: there is none.
@@ -184,13 +177,21 @@ class Model:
         return found.numpy().astype(np.float64)
 
     def knows(self, picture: object) -> bool:
-        """Whether the picture is like those that were learned, see `judging.familiarity`."""
+        """Whether the picture is like those that were learned, see `judging`."""
         return self.familiarity.knows(self._vector(picture))
 
     def unfamiliarity(self, picture: object) -> float:
         """Distance of the picture from renders, in units of what is still familiar."""
         distance = self.familiarity.distances(self._vector(picture)[None])[0]
         return float(distance / max(self.familiarity.threshold, 1e-300))
+
+    def unlike_all(self, far: float) -> str:
+        """Beginning of a warning of a picture; far: its `unfamiliarity`."""
+        return (
+            f"the model of {self.renderer!r} has learned nothing like this picture (its features "
+            f"are {far:.3g} times as far from those of renders as the furthest that count as "
+            "familiar)"
+        )
 
     def is_of_another(self, picture: object) -> bool:
         """Whether a second round has learned another picture than this one.

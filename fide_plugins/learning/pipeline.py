@@ -1,34 +1,404 @@
-"""`learn`: renders of random parameters, a network trained on them, and how good it is."""
+"""`learn`: its arguments are checked, a plan is made of them and carried out.
+
+A second round (`Truncated`) renders where a model's posterior of one picture is: the prior, cut to
+where the density is above a quantile of that of samples (truncated sequential neural posterior
+estimation, Deistler et al. 2022, arXiv:2210.04815).  Within the region points are drawn as the
+prior draws them, so a network that learns them and those of the first round by plain maximum
+likelihood goes on to learn the posterior: there the mixture of both is the prior times a constant.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import os
 import time as clock
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
 
+import numpy as np
 import torch
 
+<<<<<<< HEAD
 from fide_plugins.errors import OptionError, UnknownNameError
-from fide_plugins.fitting.durations import seconds_of
+=======
+from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
+from fide_plugins.validation.options import seconds_of
+from fide_plugins.learning.augmentation import AUGMENT, check_installed
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.judging import Distance, familiarity_of, report_of
+>>>>>>> main
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.networks.head_choice import has_emulator, kind_of
-from fide_plugins.learning.networks.network import HEADS
-from fide_plugins.learning.plan import FEWEST, LearnProgress, Plan
-from fide_plugins.learning.renders.identity import version_for
-from fide_plugins.learning.renders.renderer import as_renderer, small_size
-from fide_plugins.learning.renders.store import RenderStore, folder_of
-from fide_plugins.learning.training.augmentation import AUGMENT, check_installed
-from fide_plugins.learning.truncation import Truncated
-from fide_plugins.runtime.devices import resolve_device
+from fide_plugins.learning.networks import HEADS, Network
+from fide_plugins.learning.rendering import all_equal, check_workers, fill, too_few
+from fide_plugins.learning.renders import (
+    SHARD,
+    BatchRenderer,
+    Pixels,
+    RenderStore,
+    as_renderer,
+    check_images,
+    check_room,
+    folder_of,
+    pixels_of,
+    small_size,
+    version_for,
+)
+from fide_plugins.learning.training import Progress, Resumable, Training
+from fide_plugins.runtime.devices import digest, is_out_of_gpu_memory, resolve_device
+from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
+<<<<<<< HEAD
+from fide_plugins.validation.options import not_negative, seconds_of
+=======
+from fide_plugins.types import Float64, Indices
+from fide_plugins.validation.images import as_target
 from fide_plugins.validation.options import not_negative
+>>>>>>> main
 from fide_plugins.validation.points import torch_seed, whole_number
 
-__all__ = ["learn"]
+
+def kind_of(
+    renderer: BatchRenderer, groups: Sequence[Sequence[int]] | None, head: str | None
+) -> tuple[str, tuple[tuple[int, ...], ...]]:
+    """Head and exchangeable blocks.
+
+    groups: blocks of axes; empty: nothing is exchangeable; None: the largest family of the space.
+    head: name in `network.HEADS`; None: "set" where there are blocks, "autoregressive" elsewhere.
+
+    Raises OptionError for groups that are not blocks or not alike, and for the head "set" without
+    blocks.
+    """
+    from fide_plugins.search.scene.exchangeability import check_groups
+
+    if groups is None:
+        groups = [] if renderer.space is None else renderer.space.largest_family
+    elif not (hasattr(groups, "__len__") and len(groups) == 0):
+        groups = check_groups(groups, renderer.dim).tolist()
+        _check_alike(groups, renderer.periodic)
+    if head == "set" and len(groups) == 0:
+        raise OptionError("the head 'set' needs exchangeable blocks: give groups, or another head")
+    blocks = tuple(tuple(int(i) for i in block) for block in groups)
+    head = head or ("set" if blocks else "autoregressive")
+    return head, blocks
+
+
+def _check_alike(blocks: Sequence[Sequence[int]], periodic: Sequence[bool]) -> None:
+    """Raise OptionError if an axis is periodic in one block, and its like in another is not."""
+    for one, *others in zip(*blocks, strict=True):
+        for other in others:
+            if periodic[one] != periodic[other]:
+                around, straight = (one, other) if periodic[one] else (other, one)
+                raise OptionError(
+                    f"groups must be alike: parameter {around} is periodic, and {straight}, which "
+                    "has its place in another group, is not"
+                )
+
+
+def has_emulator(emulator: bool | None, blocks: Sequence[Sequence[int]]) -> bool:
+    """Whether a learned renderer is trained; None: where there are exchangeable blocks.
+
+    Raises OptionError for what is no bool or None, and for an emulator without blocks.
+    """
+    if not (emulator is None or isinstance(emulator, bool)):
+        raise OptionError(f"emulator is True, False or None, not {emulator!r}")
+    if emulator and not blocks:
+        raise OptionError(
+            "an emulator needs exchangeable blocks: give groups, or leave out emulator"
+        )
+    return bool(blocks) if emulator is None else emulator
+
+
+_OUTSIDE = 0.02  # of the posterior's samples; with less the tails of a young model fill the cube
+_SAMPLES = 5000  # that say where the region ends
+_DRAWN = 16  # samples of which one is chosen
+
+
+class Truncated:
+    """The prior within the region of a model's posterior of a picture.
+
+    store: renders of the model, of the whole cube.
+    seed: of its points.
+    """
+
+    def __init__(self, model: Model, picture: object, store: RenderStore, seed: int) -> None:
+        self.model, self.picture, self.store, self._seed = model, as_target(picture), store, seed
+        samples = model.sample(self.picture, _SAMPLES, _seed(seed, 0))
+        self.threshold = float(np.quantile(model.log_prob(self.picture, samples), _OUTSIDE))
+        """Logarithm of the density at the end of the region, in nats."""
+
+    @classmethod
+    def read(cls, after: str | os.PathLike[str], picture: object, seed: int) -> Self:
+        """Region of a model's file, with its renders beside it.
+
+        Warns of a picture unlike all renders.  Raises OSError, CheckpointError, ImageError;
+        OptionError without the renders, or where the model is one of a second round.
+        """
+        model, folder = Model.load(after), Path(f"{os.fspath(after)}.renders")
+        if not (folder / "settings").exists():
+            raise OptionError(f"the renders of the model {os.fspath(after)} are missing: {folder}")
+        store = RenderStore.open(folder)
+        if "picture" in store.settings:
+            raise OptionError(
+                f"{os.fspath(after)} has learned the region of one picture; after=MODEL needs a "
+                "model of the whole space"
+            )
+        far = model.unfamiliarity(picture)
+        if far > 1:
+            warn_user(f"{model.unlike_all(far)}: a second round renders where that model guesses")
+        return cls(model, picture, store, seed)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What its points depend on, besides the seed: digests of network and picture."""
+        pixels = hashlib.sha256(np.ascontiguousarray(self.picture).tobytes())
+        return {"after": digest(self.model.network), "picture": pixels.hexdigest()[:16]}
+
+    def parameters(self, shard: int) -> Float64:
+        """Points (SHARD, d) of a shard; the same points for the same shard."""
+        return self.points(SHARD, _seed(self._seed, 1 + shard))
+
+    def points(self, n: int, seed: int) -> Float64:
+        """Points (n, d) of the region, nearly uniform."""
+        drawn = self.model.sample(self.picture, _DRAWN * n, seed)
+        density = self.model.log_prob(self.picture, drawn)
+        inside = density >= self.threshold
+        rng = np.random.default_rng(seed)
+        return drawn[inside][choose_evenly(density[inside], n, rng)]
+
+    def renders(self) -> tuple[Float64, Pixels]:
+        """Parameters (n, d) and images (n, H, W, 3) of the first round."""
+        return self.store.read_all()
+
+
+def choose_evenly(density: Float64, n: int, rng: np.random.Generator) -> Indices:
+    """Which n of the points with these logarithms of a density (m,) are as if drawn uniformly.
+
+    Without repetition, with weights 1 / density, by Gumbel's trick.
+    """
+    keys = rng.gumbel(size=len(density)) - density
+    return np.argpartition(-keys, n - 1)[:n]
+
+
+def _seed(seed: int, number: int) -> int:
+    return int(np.random.default_rng((seed, 3, number)).integers(2**62))
+
+
+FEWEST = 100
+"""Renders that are needed."""
+_RENDERING = 0.5  # of a time limit, at most
+_DENSITY = 0.75  # of a time limit, until the emulator is trained, if there is one
+_EMULATOR_RATE = 2e-3
+
+
+@dataclass(frozen=True)
+class LearnProgress:
+    """What `learn` says of its progress.
+
+    stage: "render", "train", "emulate", "calibrate" or "judge".
+    done, total: renders, passes, or held-out pictures.  A picture calibrates once for each scale
+        that is tried; total is then the most there may be, and calibrating may end before it.
+    held_out: loss after the last pass: negative log-likelihood in nats, or the share of the images'
+        variance that the emulator does not explain; None in the other stages.
+    """
+
+    stage: str
+    done: int
+    total: int
+    held_out: float | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All that is decided before anything is rendered.
+
+    shape, size: (H, W) of an image, and of what the network sees.
+    seconds, start: time limit, and the monotonic clock when it began; None: no limit.
+    emulates: whether a learned renderer is trained, too.
+    region: where a second round renders; None for a first one.
+    The rest: arguments of `pipeline.learn`, checked.
+    """
+
+    renderer: BatchRenderer
+    shape: tuple[int, int]
+    size: tuple[int, int]
+    renders: int
+    passes: int
+    workers: int
+    executor: object
+    seed: int
+    version: str | None
+    head: str
+    blocks: tuple[tuple[int, ...], ...]
+    seconds: float | None
+    start: float
+    on_progress: Callable[[LearnProgress], None]
+    augment: str
+    device: torch.device
+    emulates: bool
+    region: Truncated | None = None
+
+    def check(self, store_limit: float) -> None:
+        """Raise OptionError where it cannot be carried out; store_limit: GiB of renders."""
+        self._check_region()
+        if self.workers > 1 or self.executor is not None:
+            check_workers(self.renderer, self.workers, self.executor)
+        check_room(self.settings, self.renders, store_limit * 2**30)
+
+    def _check_region(self) -> None:
+        """Raise OptionError where the renders of a first round do not fit this one."""
+        if self.region is None:
+            return
+        self.region.model.check_space(self.renderer.space or self.renderer.dim)
+        there = self.region.store.settings
+        for name in ("renderer", "size", "version"):
+            first = name == "version" and there[name] is None  # stated now: images are compared
+            if there[name] != self.settings[name] and not first:
+                raise OptionError(
+                    f"the {name} of the model is {there[name]!r}, and here {self.settings[name]!r}"
+                    ": both rounds must have the same"
+                )
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the renders are of."""
+        space = self.renderer.space
+        return {
+            **({} if self.region is None else self.region.settings),
+            "dim": self.renderer.dim,
+            "size": list(self.size),
+            "seed": self.seed,
+            "renderer": self.renderer.name,
+            "version": self.version,
+            "space": None if space is None else space.to_dict(),
+        }
+
+    def model(self, store: RenderStore) -> Model:
+        """Render, train and judge."""
+        more = bool(store.missing(self.renders))
+        for there in [store] if self.region is None else [self.region.store, store]:
+            check_images(there, self.renderer, more)
+        fill(
+            store,
+            self.renderer,
+            self.renders,
+            workers=self.workers,
+            executor=self.executor,
+            seconds=self._left(_RENDERING),
+            on_progress=lambda n: self.on_progress(LearnProgress("render", n, self.renders)),
+        )
+        x, images = store.read(self.renders)
+        failed = store.failed(self.renders)
+        if len(x) < FEWEST:
+            store.remove([*failed])  # so that a renderer that was mended renders them
+            raise too_few(len(x), FEWEST, sum(failed.values()), self.renders)
+        if self.region is not None:
+            earlier = self.region.renders()
+            x, images = np.concatenate([earlier[0], x]), np.concatenate([earlier[1], images])
+        if all(np.array_equal(image, images[0]) for image in images):
+            store.remove_image(images[0])
+            raise all_equal(self.renderer.name, len(images))
+        with _enough_memory(self.device):
+            network, density = self._density(x, images, store.folder)
+            emulator, emulated = self._emulator(x, images, store.folder)
+        report = report_of(
+            network, density, Distance(np.array(self.renderer.periodic), self.blocks), self._names,
+            failed=sum(failed.values()), emulated=emulated,
+            on_progress=lambda *at: self.on_progress(LearnProgress(*at)),
+        )  # fmt: skip
+        return Model(
+            network=network, space=self.renderer.space, shape=self.shape,
+            renderer=self.renderer.name, version=self.version, head=self.head,
+            periodic=self.renderer.periodic, blocks=self.blocks,
+            familiarity=familiarity_of(network, images), report=report,
+            fingerprint=fingerprint_of(self.renderer.source), emulator=emulator,
+            picture=None if self.region is None else pixels_of(self.region.picture, self.size),
+        )  # fmt: skip
+
+    @torch.inference_mode(False)  # the caller may be in it, or in `no_grad`
+    @torch.enable_grad()
+    def _density(self, x: Float64, images: Pixels, folder: Path) -> tuple[Network, Training]:
+        """Trained network, and its training."""
+        network = Network(self.size, self.renderer.periodic, self.head, self.blocks, self.seed)
+        left = self._left(_DENSITY if self.emulates else 1.0)
+        training = Training(
+            network.to(self.device), x, images, self.passes, self.seed, left, augment=self.augment
+        )
+        over = self.emulates and self._resumable(folder, "emulator", len(x)).interrupted
+        self._resumable(folder, "training", len(x)).run(training, self._say("train"), over=over)
+        network.to("cpu").eval()
+        return network, training
+
+    @torch.inference_mode(False)
+    @torch.enable_grad()
+    def _emulator(
+        self, x: Float64, images: Pixels, folder: Path
+    ) -> tuple[Emulator | None, float | None]:
+        """Learned renderer, and the share of variance that it explains; None, if there is none."""
+        if not self.emulates:
+            return None, None
+        emulator = Emulator(self.size, self.renderer.periodic, self.blocks, self.seed)
+        training = Training(
+            emulator.to(self.device), x, images, self.passes, self.seed, self._left(),
+            augment="none", learning_rate=_EMULATOR_RATE,
+        )  # fmt: skip
+        self._resumable(folder, "emulator", len(x)).run(training, self._say("emulate"))
+        if not math.isfinite(training.best):
+            warn_user(
+                "the training of the emulator has diverged, and the model has none: learn with "
+                "another seed, or with emulator=False"
+            )
+            return None, None
+        return emulator.to("cpu").eval(), 1 - training.best
+
+    def _resumable(self, folder: Path, name: str, renders: int) -> Resumable:
+        """What a training is kept as, name: "training" (of the density) or "emulator"."""
+        own = name == "emulator"
+        plan = {
+            "renders": renders, "passes": self.passes, "head": name if own else self.head,
+            "seed": self.seed, "augment": "none" if own else self.augment,
+            "blocks": [list(block) for block in self.blocks],
+        }  # fmt: skip
+        return Resumable(folder / name, plan)
+
+    def _say(self, stage: str) -> Callable[[Progress], None]:
+        """What a training calls after each pass."""
+        return lambda at: self.on_progress(LearnProgress(stage, at.passed, at.passes, at.held_out))
+
+    def _left(self, share: float = 1.0) -> float | None:
+        """Seconds until a share of the time has passed since the beginning; None: no limit."""
+        if self.seconds is None:
+            return None
+        left = share * self.seconds - (clock.monotonic() - self.start)
+        return max(left, min(1e-3, share * self.seconds))
+
+    @property
+    def _names(self) -> list[str]:
+        """Of the axes."""
+        space = self.renderer.space
+        if space is None:
+            return [f"x[{i}]" for i in range(self.renderer.dim)]
+        return [name for name, axes in space.axes.items() for _ in axes]
+
+
+@contextmanager
+def _enough_memory(device: torch.device) -> Iterator[None]:
+    """Raise DeviceMemoryError where what is done inside needs more memory than a GPU has."""
+    try:
+        yield
+    except RuntimeError as error:
+        if device.type == "cpu" or not is_out_of_gpu_memory(error):
+            raise
+        raise DeviceMemoryError(
+            f"{device} has too little memory for training ({error}); take device='cpu', or end "
+            "what else needs that memory"
+        ) from error
+
 
 _AT_A_TIME = 8  # shards that an executor gets
 
@@ -93,15 +463,15 @@ def learn(
         exchangeable blocks of axes, such as [[0, 1], [2, 3]]; []: none are exchangeable; None:
         those of the space.
     head
-        "autoregressive", "mixture" or "set", see `learning.networks.heads`; None: "set" where there
+        "autoregressive", "mixture" or "set", see `learning.networks`; None: "set" where there
         are exchangeable blocks, "autoregressive" elsewhere.
     augment
         how much renders are changed while they are learned: "photograph", for pictures of any
         source; "render", focus and noise alone, for pictures that the renderer itself makes;
-        "none", see `learning.training.augmentation`.
+        "none", see `learning.augmentation`.
     emulator
         whether a learned renderer is trained, too, by which hypotheses are refined without renders,
-        see `learning.networks.emulator`; it needs exchangeable blocks.  None: where there are some.
+        see `learning.emulator`; it needs exchangeable blocks.  None: where there are some.
     version
         of the renderer, a text; other versions have other renders.  None: that which the renderer
         states as its attribute `version`, if it does.
@@ -116,7 +486,7 @@ def learn(
         another device differ.
     after, picture
         for a second round: file of a model, with its renders beside it.  New renders are drawn
-        where its posterior of the picture is, see `learning.truncation`, and learned with the old
+        where its posterior of the picture is, see `Truncated`, and learned with the old
         ones.  What comes of it is a model of that picture.
     on_progress
         called after every shard of renders, after every pass, and after every held-out picture that
@@ -127,7 +497,7 @@ def learn(
     OptionError, ImageError, DeviceError
         all ValueErrors: an argument is not what it must be, this machine has no such device, or the
         folder of renders holds others: their settings differ, or the renderer's images do, see
-        `learning.renders.identity`; or another call is learning the same file.
+        `learning.renders`; or another call is learning the same file.
     CheckpointError
         a ValueError: a file is damaged, or of something else: a shard of renders, a training that
         was interrupted, or the model `after`.

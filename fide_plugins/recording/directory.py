@@ -22,53 +22,138 @@ Each file is replaced atomically.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import shlex
-from collections.abc import Callable, Collection, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from fnmatch import fnmatchcase
 from itertools import count
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
+<<<<<<< HEAD
+import numpy as np
+
 from fide_plugins.errors import CheckpointError
+from fide_plugins.recording import sources as sources_module
+from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
+from fide_plugins.recording.storage import (
+    CHECKPOINT,
+=======
+from fide_plugins.errors import CheckpointError, DependencyError
 from fide_plugins.recording import kept_target, sources as sources_module, tables
-from fide_plugins.recording.checkpointing import try_each
-from fide_plugins.recording.json_record import (
+from fide_plugins.recording.directory import try_each
+from fide_plugins.recording.storage import (
+>>>>>>> main
     FORMAT,
+    TARGET_FILE,
+    KeptTarget,
     RunDirectoryError,
     check_settings,
     checksum,
-    now,
-    read_run,
-)
-from fide_plugins.recording.kept_target import KeptTarget
-from fide_plugins.recording.record import Record, RunResult
-from fide_plugins.recording.run_checkpoint import (
-    NAME as CHECKPOINT,
     is_saved,
+    now,
     read_record,
+    read_run,
     remove_checkpoint,
     write_checkpoint,
+    write_target,
 )
 from fide_plugins.runtime import files, machine
 from fide_plugins.runtime.messages import warn_user
+from fide_plugins.types import Optimizer
 
 if TYPE_CHECKING:
     from fide_plugins.types import Float32, Optimizer
 
+
+def curve_table(record: Record) -> str:
+    """`curve_table.csv`: one line for each evaluation."""
+    losses, seconds = np.array(record.losses), np.array(record.seconds)
+    rows = zip(losses.tolist(), best_so_far(losses).tolist(), seconds.tolist(), strict=True)
+    lines = ["evaluation,loss,best_loss,seconds"]
+    lines += [f"{i},{loss!r},{b!r},{s:.4f}" for i, (loss, b, s) in enumerate(rows)]
+    return "\n".join(lines) + "\n"
+
+
+def improvements_table(record: Record) -> str:
+    """`improvements_table.csv`; what a metric that raised has not measured is empty."""
+    in_round = rounds(record.generations)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")  # names of losses may need quoting
+    names = ["evaluation", "seconds", f"round_of_{WORKERS}", "loss", *record.metrics]
+    writer.writerow(names)
+    for k, i in enumerate(record.improvements):
+        others = (repr(v[k]) if k < len(v) else "" for v in record.metrics.values())
+        where = [i, f"{record.seconds[i]:.4f}", in_round[i]]
+        writer.writerow([*where, repr(record.losses[i]), *others])
+    return buffer.getvalue()
+
+
+_INTERVAL = 20  # least time between two checkpoints, in times of writing one
+
+
+class CheckpointTimer:
+    """Says when the next checkpoint is due; it counts from when it is made.
+
+    every: seconds between checkpoints, at least twenty times the time to write one; 0: a checkpoint
+        is always due.
+    """
+
+    def __init__(self, every: float) -> None:
+        self.every = every
+        self._written_at, self._writing_took = perf_counter(), 0.0
+
+    def due(self, optimizer: Optimizer) -> bool:
+        """Whether the last checkpoint is old enough, in seconds and in times of writing one.
+
+        Not while the optimizer trains, for saving would wait, unless one is always due.
+        """
+        if self.every <= 0:
+            return True
+        if optimizer.training:
+            return False
+        since = perf_counter() - self._written_at
+        return since >= max(self.every, _INTERVAL * self._writing_took)
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Around the writing of a checkpoint, which does not count where it raises."""
+        start = perf_counter()
+        yield
+        self._written_at = perf_counter()
+        self._writing_took = self._written_at - start
+
+
+def note_unsaved(error: BaseException, unsaved: Exception) -> None:
+    """Add to the error that ends a run, which matters more, that saving failed after it."""
+    error.add_note(f"not everything could be written, perhaps no checkpoint: {unsaved}")
+
+
+def try_each(*writes: Callable[[], object]) -> None:
+    """Call all of them, also after one that fails; then raise the first error of them.
+
+    A disk that has no room for a checkpoint has some for a table.
+    """
+    first: Exception | None = None
+    for write in writes:
+        try:
+            write()
+        except Exception as error:
+            if first is None:
+                first = error
+            elif str(error) != str(first):
+                first.add_note(f"nor was this written: {error}")
+    if first is not None:
+        raise first
+
+
 T = TypeVar("T")
 
-__all__ = [
-    "LIVE",
-    "TABLES",
-    "TARGET_VALUES",
-    "RunDirectory",
-    "is_of_a_run",
-    "is_under_way",
-    "results_in",
-]
 
 TABLES = ("curve.csv", "improvements.csv")
 _RESULTS = (*TABLES, "best.png", "best.tif", "reference.png", "summary.png", CHECKPOINT)
@@ -76,7 +161,7 @@ TARGET_VALUES = "target.tif"
 LIVE = "live.json"
 """What a call says of itself between two checkpoints, see `watch.live`."""
 _WRITTEN = (
-    *_RESULTS, LIVE, kept_target.NAME, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
+    *_RESULTS, LIVE, TARGET_FILE, "run.json", "target.png", TARGET_VALUES, "frame-*.png",
     "optimizer-*.ckpt", "probe",  # `check_writable`
 )  # fmt: skip
 _LOCK = ".run.lock"  # not that of a comparison, which holds its own meanwhile
@@ -232,7 +317,7 @@ class RunDirectory:
     def begin(self, kept: KeptTarget | None) -> None:
         """Write the run down, after its target, which the record names; None: it is elsewhere."""
         if kept is not None:
-            kept_target.write(self.path / kept_target.NAME, kept)
+            write_target(self.path / TARGET_FILE, kept)
         (self.path / LIVE).unlink(missing_ok=True)
         self.write_run()
 
@@ -250,8 +335,8 @@ class RunDirectory:
         values: of this image, where they are not in [0, 1].
         """
         try_each(
-            lambda: files.write_text(self.path / "curve.csv", tables.curve(record)),
-            lambda: files.write_text(self.path / "improvements.csv", tables.improvements(record)),
+            lambda: files.write_text(self.path / "curve.csv", curve_table(record)),
+            lambda: files.write_text(self.path / "improvements.csv", improvements_table(record)),
             lambda: self.write_best(best),
             lambda: self._write_values("best.tif", values),
         )
@@ -296,10 +381,18 @@ class RunDirectory:
     def write_summary(
         self, result: RunResult, target: Float32, counts: Float32 | None = None
     ) -> None:
-        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts."""
+        """Write `summary.png`; counts: (H, W), where it is 0 no pixel counts.
+
+        Without matplotlib, which is an extra, a warning says so: the run is worth more.
+        """
         from fide_plugins.recording.figures import summary
 
-        files.write_bytes(self.path / "summary.png", summary(result, target, counts))
+        try:
+            drawn = summary(result, target, counts)
+        except DependencyError as error:
+            warn_user(f"summary.png is left out: {error}")
+        else:
+            files.write_bytes(self.path / "summary.png", drawn)
 
     def write_run(
         self,
@@ -334,7 +427,7 @@ class RunDirectory:
         """Remove the state from which the run could continue."""
         remove_checkpoint(self.path)
         with suppress(OSError):
-            (self.path / kept_target.NAME).unlink()
+            (self.path / TARGET_FILE).unlink()
 
 
 def _lock(path: Path) -> ExitStack:

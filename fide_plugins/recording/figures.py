@@ -12,6 +12,7 @@ import numpy as np
 
 from fide_plugins.recording.record import PARTS, RunResult, best_so_far
 from fide_plugins.runtime.messages import counted
+from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.types import Float32, Float64
 
 __all__ = [
@@ -101,14 +102,10 @@ def summary(result: RunResult, target: Float32, counts: Float32 | None = None) -
 
     counts: (H, W), weights of the pixels; None: all are alike.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     panels = _panels(result, target, counts)
     rows, columns, pictures = arrangement(panels, 0.945 * _WIDTH, 3.2)
     height = pictures + _BELOW
-    figure = Figure(figsize=(_WIDTH, height), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(_WIDTH, height, dpi=110)
     top = 1 - 0.8 / height
     images = figure.add_gridspec(
         rows, columns, left=0.03, right=0.975, top=top, bottom=top - (pictures - _TITLE) / height,

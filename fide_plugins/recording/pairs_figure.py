@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import NullFormatter
 
-from fide_plugins.recording.drawn import Drawn, drawn
 from fide_plugins.recording.figures import ACCENT, INK
-from fide_plugins.recording.result_figure import Figure, tidy
+from fide_plugins.recording.plots import Drawn, Figure, drawn, tidy
 from fide_plugins.space import Space
 from fide_plugins.types import Float64
 
@@ -54,6 +52,8 @@ def pairs_figure(X: Float64, space: Space | None, best: Float64 | None, numbered
 
 def _label(axes: Any, across: Drawn, up: Drawn | None, whole: bool) -> None:
     """Name the axes' values; whole: show all that a parameter may have."""
+    from matplotlib.ticker import NullFormatter
+
     across.mark(axes, "x")
     axes.xaxis.set_minor_formatter(NullFormatter())
     if whole:

@@ -1,7 +1,8 @@
 """Progress, history and result of a run.
 
 Notation: a *piece* is a group of candidates that are rendered and told together; *overhead* is all
-time except rendering.
+time except rendering; *rounds* are those that parallel renderers would need for a run: ceil(n / W)
+for the n candidates of one generation, since the next generation starts when all are evaluated.
 """
 
 from __future__ import annotations
@@ -9,19 +10,39 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import NDArray
 
-from fide_plugins.recording.parallel import rounds
+from fide_plugins.runtime.schema import Schema, array as numbers, check, maybe, real, table, whole
+from fide_plugins.space import Space
 from fide_plugins.status import Status
 from fide_plugins.types import Float32, Float64, Optimizer, Solution
 
-__all__ = ["PARTS", "SUMMARY", "Keep", "Progress", "Record", "Report", "RunResult", "best_so_far"]
+WORKERS = 8
+"""Number of parallel renderers in the record of a run."""
+
+
+def rounds(generations: npt.ArrayLike, workers: int = WORKERS) -> npt.NDArray[np.int64]:
+    """Round, from 1, of each evaluation: (evaluations,).
+
+    generations: number of candidates of each generation, in order.
+
+    >>> rounds([3, 5], workers=2).tolist()
+    [1, 1, 2, 3, 3, 4, 4, 5]
+    """
+    done, numbers = 0, []
+    for size in np.asarray(generations, np.int64).tolist():
+        mine: Any = np.arange(size) // workers + done + 1
+        numbers.append(mine)
+        done += -(-size // workers)
+    return np.concatenate(numbers) if numbers else np.zeros(0, np.int64)
+
 
 PARTS = ("render", "encode", "train", "search")
 """Parts of the time of a run; encode includes the loss."""
@@ -300,3 +321,131 @@ def best_so_far(losses: npt.ArrayLike) -> Float64:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Noise-free losses of the best candidate and of the recommended candidate.
+
+    image: (H, W, 3) of the best candidate: the task's reference or, if the task has none, the
+        render of the run; None if there is no best candidate.
+    loss, mse: loss of the run and mean squared error of that image; NaN without an image.
+    x_recommended: (dim,), recommended by the optimizer; None if the task has no `reference`.
+    recommended_loss: loss of its reference; NaN if the task has no `reference`.
+    metrics: other losses of the image by name.
+    seconds: duration of the evaluation.
+    """
+
+    image: Float32 | None = None
+    loss: float = np.nan
+    mse: float = np.nan
+    x_recommended: Float64 | None = None
+    recommended_loss: float = np.nan
+    metrics: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+def result_of(
+    settings: Mapping[str, Any],
+    record: Record,
+    verdict: Verdict,
+    *,
+    budget: int,
+    samples: int | None = None,
+    status: Status | None = None,
+    space: object = None,
+) -> RunResult:
+    """Result of a run with these `settings`, as its directory records them.
+
+    space: names of the parameters, where the settings do not have it.
+    """
+    r, s = record, settings
+    there = None if s.get("space") is None else Space.from_dict(s["space"])
+    return RunResult(
+        task=s["task"],
+        optimizer=s["optimizer"],
+        loss=s["loss"],
+        seed=s["seed"],
+        task_seed=s["task_seed"],
+        dim=s["dim"],
+        parameters=int(s["dim"]) if there is None else len(there.names),  # else of each coordinate
+        budget=budget,
+        evaluations=r.evaluations,
+        best_loss=r.best_loss,
+        best_evaluation=r.best_evaluation,
+        reference_loss=verdict.loss,
+        recommended_loss=verdict.recommended_loss,
+        mse=verdict.mse,
+        wall_s=r.wall_s,
+        judge_s=verdict.seconds,
+        watch_s=r.watch_s,
+        times=dict(r.times),
+        x_best=None if r.x_best is None else r.x_best.copy(),
+        x_recommended=verdict.x_recommended,
+        image=r.image,
+        reference=verdict.image,
+        first_image=r.first_image,
+        losses=np.array(r.losses),
+        seconds=np.array(r.seconds),
+        improvements=np.array(r.improvements, np.int64),
+        metrics={name: np.array(values) for name, values in r.metrics.items()},
+        judged=dict(verdict.metrics),
+        generations=_evaluated(np.array(r.generations, np.int64), r.evaluations),
+        samples=samples,
+        status=status,
+        params=_params(there or space, r.x_best),
+    )
+
+
+def _params(space: object, x: Float64 | None) -> dict[str, Any] | None:
+    return None if x is None or not isinstance(space, Space) else space.decode(x)
+
+
+def _evaluated(asked: NDArray[np.int64], evaluations: int) -> NDArray[np.int64]:
+    """Sizes of the generations, of which the last candidates may be pending, without those."""
+    before = np.cumsum(asked) - asked
+    sizes: NDArray[np.int64] = np.minimum(asked, evaluations - before)[before < evaluations]
+    return sizes
+
+
+_IMAGE = maybe(numbers("H", "W", 3, low=0.0, high=1.0))
+_FIDELITY: Schema = {
+    "rule": {
+        "number": whole(1),
+        "since": whole(),
+        "halves": numbers("pairs", low=0.0),
+        "spreads": numbers("spreads", low=0.0),
+    },
+    "level": whole(),
+    "total": whole(),
+}
+_RECORD: Schema = {
+    "losses": numbers("e", low=None),
+    "seconds": numbers("e", low=0.0),
+    "improvements": numbers("m", kind="i", low=0.0),
+    "path": numbers("k", "d", low=0.0, high=1.0),
+    "metrics": table(numbers("m", low=None)),
+    "generations": numbers("g", kind="i", low=0.0, high=2.0**40),
+    "times": dict.fromkeys(PARTS, real()),
+    "wall_s": real(),
+    "watch_s": real(),
+    "best_loss": real(high=math.inf),
+    "best_evaluation": whole(-1),
+    "x_best": maybe(numbers("d", low=0.0, high=1.0)),
+    "image": _IMAGE,
+    "first_image": _IMAGE,
+    "pending": maybe(numbers("p", "d", low=0.0, high=1.0)),
+    "fidelity": maybe(_FIDELITY),
+    "failures": whole(),
+}
+
+
+def check_record(state: Any, dim: int, size: Sequence[int]) -> None:
+    """Raise ValueError unless `state` is valid for a run of `dim` parameters and size (H, W)."""
+    sides = {"d": dim, "H": size[0], "W": size[1]}
+    check(state, _RECORD, sides, "record")
+    asked, evaluations = int(state["generations"].sum()), sides["e"]
+    if asked != evaluations + sides.get("p", 0):
+        raise ValueError(f"of {asked} candidates asked, {evaluations} were evaluated")
+    if sides["m"] and int(state["improvements"].max()) >= evaluations:
+        raise ValueError(f"an improvement after all {evaluations} evaluations")

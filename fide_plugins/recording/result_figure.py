@@ -9,10 +9,6 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as MatplotlibFigure
-
-from fide_plugins.recording.drawn import Drawn, drawn
 from fide_plugins.recording.figures import (
     ACCENT,
     INK,
@@ -24,8 +20,16 @@ from fide_plugins.recording.figures import (
     plain,
 )
 from fide_plugins.recording.parameters import rows
+from fide_plugins.recording.plots import Drawn, drawn
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import cut
 from fide_plugins.types import Float64, Indices, Solution
+
+try:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as MatplotlibFigure
+except ImportError as error:
+    raise missing("plot", "figures need matplotlib") from error
 
 __all__ = ["Figure", "curve_figure", "result_figure", "tidy"]
 

@@ -8,15 +8,10 @@ Both are called with a dictionary of parameters and return an image.  Both can b
 processes.
 
 =============  ===================================================================================
-file           idea
-=============  ===================================================================================
 `function`     ``FILE.py:NAME`` or ``module:NAME``: finds the function, and the space beside it
-`folder`       the current folder of a user's code, which may change it
-`command`      runs a program once for each image
-`template`     the command line of a program, with placeholders for parameters
-`naming`       parameters by flat names, and as a line of text
+`command`      runs a program once for each image; its command line with placeholders
 `child`        a program that is run to its end, with a time limit and captured output
-`scratch`      where the files of one render are while it goes on
+`naming`       parameters by flat names, and as a line of text
 =============  ===================================================================================
 """
 

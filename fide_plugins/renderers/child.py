@@ -1,4 +1,4 @@
-"""A program that is run to its end, with a time limit and captured output."""
+"""A program that is run to its end, with a time limit, captured output, and a folder for its files."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import select
 import signal
 import subprocess
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -16,8 +17,6 @@ from multiprocessing import parent_process
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
-
-__all__ = ["Ended", "run", "tail_of"]
 
 _SHOWN = 20  # last lines of the output that an error shows
 _MOST = 4000  # characters of them
@@ -215,3 +214,22 @@ def tail_of(log: Path) -> str:
     lines = text.replace("\r", "\n").splitlines()
     kept = ["".join(c for c in line if c.isprintable() or c == "\t") for line in lines]
     return "\n".join([line for line in kept if line.strip()][-_SHOWN:])
+
+
+_PARENT: list[str] = []
+"""Folder of this process; empty: that of the system."""
+
+
+def use_folder(folder: str) -> None:
+    """Keep the files of all further renders of this process in a folder."""
+    _PARENT[:] = [folder]
+
+
+@contextmanager
+def folder_of_a_render() -> Iterator[Path]:
+    """A new folder, which is removed at the end of the block."""
+    parent = _PARENT[0] if _PARENT else None
+    with tempfile.TemporaryDirectory(
+        prefix="fide-", dir=parent, ignore_cleanup_errors=True
+    ) as name:
+        yield Path(name)

@@ -11,5 +11,6 @@
 `registry`    factories by name, attributes of users' files, fingerprints of their renderers
 `messages`    words of messages, warnings that name the line of the user
 `opencv`      OpenCV, or what to do where its installation is broken
+`plotting`    figures of matplotlib, or what to install
 ============  ====================================================================================
 """

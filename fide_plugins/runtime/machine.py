@@ -173,6 +173,7 @@ def opencv_collision() -> str | None:
 # -- extras ----------------------------------------------------------------------------------------
 
 EXTRAS = {
+    "plot": ("matplotlib",),
     "lab": ("cma",),
     "learn": ("kornia",),
     "nevergrad": ("nevergrad",),
@@ -186,7 +187,7 @@ EXTRAS = {
     "botorch": ("botorch",),
     "sbi": ("sbi",),
     "dfols": ("DFO-LS",),
-    "report": ("jinja2",),
+    "report": ("jinja2", "matplotlib"),
     "tensorboard": ("tensorboard",),
 }
 """Packages of each extra of pyproject.toml, but for those of this project's development.

@@ -7,7 +7,8 @@ from typing import Any
 
 from fide_plugins.recording.figures import plain
 from fide_plugins.recording.parameters import Row, rows
-from fide_plugins.solutions.found import Found
+from fide_plugins.runtime.plotting import new_figure
+from fide_plugins.solutions import Found
 from fide_plugins.types import Float32
 
 __all__ = ["figure"]
@@ -21,17 +22,13 @@ _NO_IMAGE = "no image stored\n(fide fit renders them,\nfit(out=) does not)"
 
 def figure(found: Found) -> bytes:
     """PNG of the target and the solutions, side by side; no window, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     table = rows(found.solutions)
     shape = found.target.shape
     panel = _WIDTH * shape[0] / shape[1]
     lines = min(len(table), _MOST) + (len(table) > _MOST)
     height = panel + 0.75 + _LINE * lines
     columns = 1 + len(found.solutions)
-    canvas = Figure(figsize=(_WIDTH * columns * 1.06, height), dpi=110, facecolor="white")
-    FigureCanvasAgg(canvas)
+    canvas = new_figure(_WIDTH * columns * 1.06, height, dpi=110)
     top = 1 - 0.5 / height
     grid = canvas.add_gridspec(
         1, columns, left=0.01, right=0.99, top=top, bottom=top - panel / height, wspace=0.06

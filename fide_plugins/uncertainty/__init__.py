@@ -1,28 +1,18 @@
 """How sure the parameters of a solution are: a standard deviation for each.
 
-At the end of a fit, by renders around the answer (`at_answer`); elsewhere from samples of the
-search, which depend on its path:
-
-=============  =======================================================================
-`estimate`     the estimate of a solution in four steps, computed when it is read
-`selection`    which remembered samples count for a solution
-`features`     their features as numbers
-`basin`        which of them are of another solution with the same image
-`local_fit`    the Jacobian of the features there, and how well the samples tell it
-`resolution`   in which directions the Jacobian says something, in which nothing is seen
-`covariance`   noise of the target, error of the search, what nothing determines
-`as_good`      which samples explain the target as well, and how far away these are
-`values`       whether the picture tells one value of an integer or a choice from another
-`at_answer`    by renders around the answer
-=============  =======================================================================
-
-Nothing of these is called before somebody reads `Solution.std`.
+============  =======================================================================
+file          idea
+============  =======================================================================
+`at_answer`   at the end of a fit, by renders around the answer
+`estimate`    elsewhere, from samples of the search, computed when it is read
+`samples`     which remembered samples count for a solution
+`local_fit`   a linear model of their features, and the covariance that follows
+============  =======================================================================
 """
 
 from __future__ import annotations
 
-from fide_plugins.uncertainty.covariance import covariance
 from fide_plugins.uncertainty.estimate import LocalEstimate
-from fide_plugins.uncertainty.local_fit import FitToTarget, LocalFit, fit_locally
+from fide_plugins.uncertainty.local_fit import FitToTarget, LocalFit, covariance, fit_locally
 
 __all__ = ["FitToTarget", "LocalEstimate", "LocalFit", "covariance", "fit_locally"]

@@ -1,42 +1,211 @@
 """The standard deviations of one solution, by the samples that were known when it was read.
 
-The samples come from the run's memory (`search.memory`), in which every part of the run is found,
-and the ends of searches.  Four steps:
-
-1. *Select.*  Samples near the solution, with its own integers and choices (`selection`).
+1. *Select.*  Samples near the solution, with its own integers and choices (`samples`).
 2. *Fit.*  A linear model of their features (`local_fit`).
-3. *Covariance.*  What the model and the target say of the numbers (`covariance`).  Where they say
-   nothing, samples with an image as good say how far away the truth may be (`as_good`).
+3. *Covariance.*  What the model and the target say of the numbers.  What they leave open counts as
+   open only where samples speak for it: an image as good lies far away in that number, or, since a
+   search leaves a number without effect where it is, nearest neighbors in all other numbers have
+   the better image more often than nearest neighbors in all.  Otherwise the truth is taken to be at
+   most `WIDER` times as far away as samples as good.
 4. *Other values.*  Integers and choices have no standard deviation.  Samples in which just one of
-   them has another value say whether the picture tells the two apart (`values`).  So does one
-   sample with another value, and any other parameters, whose image is as good.
+   them has another value are compared with own samples that were asked at the same time; delta, the
+   mean difference, is what the value changes in the features.  The value may be the true one unless
+   it leaves more of the target unexplained, left(): what J cannot explain:
+
+       |left(target - here - delta)|^2 - |left(target - here)|^2
+
+   So does one sample with another value, and any other parameters, whose image is as good.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.search.scene.axes import Axes
-from fide_plugins.types import Estimated, Float64, Indices, Mask
-from fide_plugins.uncertainty.as_good import explain_as_well, limits, misses_of
-from fide_plugins.uncertainty.covariance import deviations
-from fide_plugins.uncertainty.features import compressed, features_of, floored, independent
-from fide_plugins.uncertainty.local_fit import FitToTarget, fit_from_afar, fit_locally
-from fide_plugins.uncertainty.selection import (
+from fide_plugins.types import OPEN, Estimated, Float64, Indices, Mask
+from fide_plugins.uncertainty.local_fit import (
+    NO_EFFECT,
+    WIDER,
+    FitToTarget,
+    deviations,
+    fit_from_afar,
+    fit_locally,
+    noise_of,
+    scale_of,
+    unexplained,
+)
+from fide_plugins.uncertainty.samples import (
     Surroundings,
+    compressed,
+    features_of,
+    floored,
+    independent,
     less_alike,
     most_alike,
     surroundings,
 )
-from fide_plugins.uncertainty.values import OtherValue, Pairs, looks_alike, other_values
 
-__all__ = ["LocalEstimate"]
+# -- samples as good -------------------------------------------------------------------------------
+
+
+_ODDS = 4.0  # twice the logarithm of the likelihood ratio up to which both may be true
+_LUCK = 4.0  # standard deviations of what noise of the renders changes; the best had luck
+_ROUNDING = (1 / 255) ** 2 / 12  # mean squared error of 8 bits
+_MOST = 600  # samples that are compared with each other
+_SAME = 1e-9  # of the largest change of the image: neither is better
+
+
+def misses_of(around: Surroundings, target: Float64) -> Float64:
+    """(n,), squared, by how much features (n, f) of samples miss the target (f,)."""
+    missed: Float64 = np.square(around.features - target).sum(axis=1)
+    return missed
+
+
+def explain_as_well(around: Surroundings, missed: Float64, model: FitToTarget) -> Mask:
+    """(n,), samples with an image as good to 8 bits, or within the noise of the target.
+
+    missed: (n,), of `misses_of`.
+    """
+    rounding = _ROUNDING * around.features.shape[1]
+    good: Mask = missed <= max(missed[around.at] + _ODDS * noise_of(model), rounding)
+    return good
+
+
+def limits(around: Surroundings, missed: Float64, model: FitToTarget, std: Float64) -> Float64:
+    """How far (p,) the truth may be in each number that is open; infinite where nothing limits it.
+
+    missed: (n,), of `misses_of`.  std: (p,), by the model alone.
+    """
+    noise = noise_of(model)
+    # by how much the noise of a render changes what it misses: a standard deviation, squared errors
+    luck = _LUCK * (2 * model.fit.s * (model.fit.s / model.f + 2 * noise)) ** 0.5
+    more = max(NO_EFFECT * model.farthest, _ODDS * noise + luck)
+    good = around.own[missed[around.own] <= missed[around.at] + more]
+    far = np.abs(around.steps(good)).max(axis=0)
+    limited = np.full(len(std), np.inf)
+    for one in np.flatnonzero((std >= OPEN) & (far < OPEN)):
+        if not _without_effect(around, int(one)):
+            limited[one] = WIDER * far[one]
+    return limited
+
+
+def _without_effect(around: Surroundings, one: int) -> bool:
+    """Whether the neighbors in all other numbers have the better images more often."""
+    rows = around.own[:: -(-len(around.own) // _MOST)]
+    u, e = around.steps(rows), around.features[rows]
+    others = np.arange(u.shape[1]) != one
+    apart = _apart(u, others, around.periodic)
+    np.fill_diagonal(apart, np.inf)
+    with_it, without = (
+        np.square(e - e[gaps.argmin(axis=1)]).sum(axis=1)
+        for gaps in (apart + _apart(u, ~others, around.periodic), apart)
+    )
+    same = _SAME * float(around.distances[around.own].max())
+    worse, better = (without > with_it + same).sum(), (without < with_it - same).sum()
+    return bool(worse <= better)
+
+
+def _apart(u: Float64, which: Mask, periodic: Mask | None) -> Float64:
+    """Squared distances (n, n) of samples u (n, p) in some numbers (p,), the shorter way around."""
+    around = np.zeros(len(which), bool) if periodic is None else periodic
+    apart: Float64 = cdist(u[:, which & ~around], u[:, which & ~around], "sqeuclidean")
+    for angle in u.T[which & around]:
+        gaps = np.abs(angle[:, None] - angle)
+        apart += np.square(np.minimum(gaps, 1.0 - gaps))
+    return apart
+
+
+# -- values of integers and choices ----------------------------------------------------------------
+
+
+_FEWEST = 5  # samples with the other value; fewer say nothing of it
+_NEAR = 20.0  # times as much as near the solution may be missed; samples beyond say nothing
+_SMALL = 1e-3  # of the energy of the target, and with it 3 % of its features
+_SPREAD = 1.0  # standard deviations of the difference, by the error of delta
+
+
+class OtherValue(NamedTuple):
+    """Another value of an integer or a choice, which was rendered.
+
+    axes: (a,), of that parameter.
+    rows: (n,), samples with this value, and with the solution's own values of all others.
+    own: (n,), for each the sample with the own value that was asked at the nearest time; some of
+        these may be there several times.
+    """
+
+    axes: Indices
+    rows: Indices
+    own: Indices
+
+
+class Pairs(NamedTuple):
+    """What is known of the samples of an `OtherValue`.
+
+    u, own_u: (n, p), steps from the solution.  e, own_e: (n, f'), features.
+    own: (n,), rows of the own ones.
+    """
+
+    u: Float64
+    e: Float64
+    own_u: Float64
+    own_e: Float64
+    own: Indices
+
+
+def other_values(around: Surroundings, axes: Axes) -> list[OtherValue]:
+    """Those that enough samples have."""
+    found = []
+    for one in (one for one in axes.axes_of if around.other[:, one].any()):
+        elsewhere = np.ones(around.other.shape[1], bool)
+        elsewhere[one] = False
+        here, there = around.other[:, one].any(axis=1), around.other[:, elsewhere].any(axis=1)
+        just_here = np.flatnonzero(around.matched & here & ~there)
+        values = np.round(around.points[just_here][:, one], 6)
+        for value in np.unique(values, axis=0):
+            rows = just_here[(values == value).all(axis=1)]
+            if len(rows) >= _FEWEST:
+                found.append(OtherValue(one, rows, _nearest(around.own, rows)))
+    return found
+
+
+def _nearest(own: Indices, rows: Indices) -> Indices:
+    """Of the samples `own`, in the order of asking, that nearest in time to each of `rows`."""
+    after = np.clip(np.searchsorted(own, rows), 1, len(own) - 1)
+    before = after - 1
+    return np.where(rows - own[before] <= own[after] - rows, own[before], own[after])
+
+
+def looks_alike(model: FitToTarget, pairs: Pairs) -> bool:
+    """Whether the other value may be the true one."""
+    fit, target, f = model.fit, model.target, model.f
+    missing = fit.misses(pairs.u) + fit.misses(pairs.own_u)
+    near = missing <= 2 * max(_NEAR * fit.s, _SMALL * float(target @ target))
+    if near.sum() < _FEWEST:
+        return False
+    weights = np.where(near, 1 / missing, 0.0)
+    weights = weights / weights.sum()
+    changes = pairs.e - pairs.own_e - (pairs.u - pairs.own_u) @ fit.J  # (n, f')
+    delta = weights @ changes
+    missed = float(weights @ np.square(changes - delta).sum(axis=1)) / 2  # by one of the two
+    of_own = np.bincount(np.unique(pairs.own, return_inverse=True)[1], weights)
+    error = missed * float(weights @ weights + of_own @ of_own)  # energy, over all features
+    own, other = (unexplained(fit, r) for r in (model.residual, model.residual - delta))
+    spread = error * (2 / f) ** 0.5 + 2 * float(np.linalg.norm(own)) * (error / f) ** 0.5
+    more = float(other @ other) - error - float(own @ own)
+    alike: bool = more <= _ODDS * scale_of(model) + _SPREAD * spread
+    return alike
+
+
+# -- the estimate ----------------------------------------------------------------------------------
+
 
 _PARTS = (0.5, 0.65, 0.8)  # of the way, in logarithms, to the farthest features of the run
 

@@ -1,28 +1,43 @@
-"""A linear model of the features around one solution, and how well the samples tell it.
+"""A linear model of the features around one solution, and the covariance that follows from it.
 
 Notation: u [n, d], parameters minus those of the solution; e [n, f], features; D [n], squared
 distance of the features from those of the solution; J [d, f], e ~ a + (u - m) J.
 
-J is fitted by weighted least squares.  The error of a sample is noise and curvature; curvature
+*Fit.*  J is fitted by weighted least squares.  The error of a sample is noise and curvature, which
 grows with the distance of the images, so its variance is taken for v = s + rho D, and its weight is
-1 / v.  Both s and rho come from the residuals, each divided by one minus its leverage.
-
-Samples of one search lie together, and share what a linear model misses there.  As independent
-errors they would look like knowledge.  So the error of J is found by leaving out groups of
+1 / v; both come from the residuals, each divided by one minus its leverage.  Samples of one search
+share what a linear model misses there, so the error E of J is found by leaving out groups of
 consecutive samples of equal weight (the delete-a-group jackknife, Kott 2001).
+
+*Resolution.*  Directions are those of the generalized eigenvalue problem of J J^T and E.  Resolved
+are those where J J^T exceeds E, which is subtracted.  Unseen are those along which, even with the
+error, the image changes next to nothing from one side of the cube to the other, and the little may
+be chance: where the image does not change, J is nothing but its error, and the ratio of the two
+follows an F distribution, whose degrees of freedom are the independent features of the error,
+tr(S)^2 / tr(S^2) of their covariance S (Satterthwaite 1946).
+
+*Covariance.*  With the residual r of the target, without what J explains of it, sigma^2 = |r|^2 / f
+is the noise of the target.  What J does explain is the search's own error: a finished search leaves
+d sigma^2 of it.  The larger of sigma^2 and (explained / d) scales the inverse of J J^T.  The prior
+is uniform in the cube, variance 1 / 12.  In the directions that are not resolved, and only there,
+the truth is taken to be at most `WIDER` times as far away as samples that look alike; where the
+image is known to change next to nothing only the prior counts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import fdtri
 
-from fide_plugins.types import Float64
+from fide_plugins.types import Float64, Mask
 
-__all__ = ["FitToTarget", "LocalFit", "energy_of", "fit_from_afar", "fit_locally"]
+# -- linear model ----------------------------------------------------------------------------------
+
 
 _ROUNDS = 3  # of weights
 _RIDGE = 1e-4  # of each parameter's own sum of squares
@@ -204,3 +219,203 @@ def _ridged(normal: Float64) -> Float64:
     diagonal = np.diag(normal)
     ridged: Float64 = normal + np.diag(np.where(diagonal > 0, _RIDGE * diagonal, 1.0))
     return ridged
+
+
+# -- resolution ------------------------------------------------------------------------------------
+
+
+_RESOLVED = 1.1  # times its error, from which on J J^T is more than that
+_CHANCE = 0.99  # quantile of the ratio up to which it may be chance
+_SMALL = 1e-9  # of the mean energy of J, which is the least error
+_ROUNDING_OF_ERROR = 1e-13  # of the energy of an error: its last digits
+_FEWER = 1e-6  # one over the most independent features that are counted
+_TINIEST = float(np.finfo(np.float64).tiny)
+
+
+class _Directions(NamedTuple):
+    """Directions w_i with w_i^T E w_j = (i = j) and w_i^T J J^T w_i = ratio_i.
+
+    steps: (d, d), w_i in its columns.  slopes: (d, d), with J J^T = slopes diag(ratios) slopes^T.
+    ratios: (d,).  chance: (d,), whether J may be nothing but its error.
+    """
+
+    steps: Float64
+    slopes: Float64
+    ratios: Float64
+    chance: Mask
+
+
+def information(fit: LocalFit, least: float = _RESOLVED) -> Float64:
+    """J J^T (d, d) without its error, in the directions in which it exceeds `least` times that."""
+    found = _directions(fit.J, fit.changes, fit.normal)
+    known = np.where(found.ratios > least, found.ratios - 1, 0.0)
+    energy: Float64 = (found.slopes * known) @ found.slopes.T
+    return energy
+
+
+def unresolved(fit: LocalFit) -> Float64:
+    """Orthonormal directions (d, k), k >= 0, of which `information` says nothing."""
+    found = _directions(fit.J, fit.changes, fit.normal)
+    steps: Float64 = np.linalg.qr(found.steps[:, found.ratios <= _RESOLVED])[0]
+    return steps
+
+
+def unseen(fit: LocalFit, from_afar: Sequence[LocalFit], most: float, rounding: float) -> Float64:
+    """Orthonormal directions (d, m), m >= 0, that are unseen.
+
+    from_afar: models of samples that are less alike.
+    most: change of the features, squared, over the side of the cube, that is next to nothing.
+    rounding: such a change that is only one of their last digits.
+    """
+    found = _directions(fit.J, fit.changes, fit.normal, rounding)
+    basis = np.linalg.qr(found.steps[:, found.chance])[0]  # (d, k)
+    changes = np.linalg.eigh(basis.T @ (fit.J @ fit.J.T + fit.error) @ basis)
+    steps: Float64 = basis @ changes.eigenvectors[:, changes.eigenvalues <= most]
+    for other in from_afar:
+        if steps.shape[1]:
+            steps = _unseen_there(steps, fit, other, rounding)
+    return steps
+
+
+def _unseen_there(steps: Float64, fit: LocalFit, other: LocalFit, rounding: float) -> Float64:
+    """Those of the directions (d, m) of a model that another does not resolve either.
+
+    They have the error of the first model, too, which counts beside that of the other.
+    """
+    changes = np.matmul(steps.T, np.concatenate([other.changes, fit.changes]))
+    normal = np.linalg.inv(steps.T @ np.linalg.solve(other.normal, steps))
+    inner = _directions(steps.T @ other.J, changes, normal, rounding)
+    kept: Float64 = np.linalg.qr(steps @ inner.steps[:, inner.chance])[0]
+    return kept
+
+
+def _directions(J: Float64, changes: Float64, normal: Float64, least: float = 0.0) -> _Directions:
+    """Of J (d, f), with its changes (g, d, f) and its normal matrix (d, d).
+
+    least: added to the energy of its error in each direction.
+    """
+    scale = np.sqrt(np.diag(normal))
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    values = np.maximum(values, 1e-14 * values[-1] + _TINIEST)
+    root = (vectors * np.sqrt(values)) @ vectors.T * scale  # (d, d)
+    back = (vectors / np.sqrt(values)) @ vectors.T / scale[:, None]
+    J, changes = root @ J, np.matmul(root, changes)  # all directions alike
+    energy = J @ J.T
+    error = energy_of(changes) + least * root @ root.T
+    small = _SMALL * float(np.trace(energy)) / len(energy)  # far less where J is only its error
+    floor = max(small, _ROUNDING_OF_ERROR * float(np.trace(error))) + _TINIEST
+    L = np.linalg.cholesky(error + floor * np.eye(len(error)))
+    inner = np.linalg.solve(L, np.linalg.solve(L, energy).T)
+    ratios, rotation = np.linalg.eigh((inner + inner.T) / 2)
+    steps = np.linalg.solve(L.T, rotation)
+    chance = ratios <= _quantiles(np.matmul(steps.T, changes))
+    return _Directions(root.T @ steps, back @ L @ rotation, ratios, chance)
+
+
+def _quantiles(changes: Float64) -> Float64:
+    """Quantiles (m,) of the ratio by chance, of changes (g, m, f) of J in m directions."""
+    products = np.einsum("gmf,hmf->mgh", changes, changes)
+    own = np.einsum("mgg->mg", products)  # (m, g)
+    both = np.square(own.sum(axis=1)) - np.square(own).sum(axis=1)
+    others = np.square(products).sum(axis=(1, 2)) - np.square(own).sum(axis=1)
+    features = np.maximum(
+        both / np.maximum(others, _FEWER * both + _TINIEST), 1.0
+    )  # tr(S)^2 / tr(S^2)
+    quantiles: Float64 = fdtri(features, features * (len(changes) - 1), _CHANCE)
+    return quantiles
+
+
+# -- covariance ------------------------------------------------------------------------------------
+
+
+_BOX = 12.0  # one over the variance of the uniform law on [0, 1]
+WIDER = 5.0
+NO_EFFECT = 1e-3  # of the largest change of the image in the run, squared: 3 % of it
+_RIDGE_OF_J = 1e-4  # of the mean eigenvalue
+_NEAREST = 1e-6  # of the cube: samples as good may be nowhere else
+_SAME = 1e-8  # sine of an angle of directions that are one
+_DIGITS = float(np.finfo(np.float64).eps)  # of the largest eigenvalue, for each parameter
+_ROUNDING_OF_TARGET = 1e-14  # of the target's energy: its last digits, in single precision
+
+
+def covariance(model: FitToTarget) -> Float64:
+    """(d, d), in units of the unit cube."""
+    fit, d = model.fit, len(model.fit.J)
+    steps = unseen(fit, model.from_afar, NO_EFFECT * model.farthest, _rounding(model))
+    rest = unresolved(fit)
+    known = information(fit) / scale_of(model) + _reach(fit.cloud, rest)
+    along = np.eye(d) - steps @ steps.T
+    precision = along @ known @ along + _BOX * np.eye(d)
+    if model.as_far is not None:
+        precision += _limits(model.as_far, np.hstack([steps, rest]))
+    return _inverse(precision)
+
+
+def deviations(model: FitToTarget) -> Float64:
+    """Standard deviations (d,), in units of the unit cube."""
+    std: Float64 = np.sqrt(np.diag(covariance(model)))
+    return std
+
+
+def _inverse(precision: Float64) -> Float64:
+    """Inverse (d, d), positive also where the last digits of its largest directions hide others.
+
+    Of directions that they hide only the prior is known, which is in `precision` (d, d), symmetric.
+    """
+    scale = np.sqrt(np.maximum(np.diag(precision), _BOX))
+    values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
+    vectors = vectors / scale[:, None]
+    hidden = values < len(values) * _DIGITS * values[-1]
+    shown, open_ = vectors[:, ~hidden], vectors[:, hidden]
+    inverse: Float64 = (shown / values[~hidden]) @ shown.T
+    if hidden.any():
+        inverse += open_ @ np.linalg.pinv(_BOX * open_.T @ open_, hermitian=True) @ open_.T
+    return inverse
+
+
+def _reach(cloud: Float64, steps: Float64) -> Float64:
+    """Precision (d, d) along `steps` (d, k), by how far samples that look alike reach there."""
+    d = len(cloud)
+    wider = WIDER**2 * cloud
+    wider += 1e-12 * (1 + float(np.trace(wider)) / d) * np.eye(d)
+    precision: Float64 = steps @ np.linalg.solve(steps.T @ wider @ steps, steps.T)
+    return precision
+
+
+def _limits(as_far: Float64, steps: Float64) -> Float64:
+    """Precision (d, d) in the span of `steps` (d, k), by how far away the truth may be (d,)."""
+    limits = 1 / np.maximum(as_far, _NEAREST) ** 2
+    vectors, sizes, _ = np.linalg.svd(steps, full_matrices=False)
+    span = vectors[:, sizes > _SAME]
+    projector = span @ span.T
+    precision: Float64 = (projector * limits) @ projector
+    return precision
+
+
+def scale_of(model: FitToTarget) -> float:
+    """Variance of a feature that the truth is away."""
+    noise, residual = noise_of(model), model.residual
+    explained = float(residual @ residual) - noise * model.f
+    return max(noise, explained / len(model.fit.J), _rounding(model) / model.f)
+
+
+def noise_of(model: FitToTarget) -> float:
+    """Variance of a feature that the parameters cannot explain, sigma^2."""
+    left = unexplained(model.fit, model.residual)
+    return float(left @ left) / model.f
+
+
+def _rounding(model: FitToTarget) -> float:
+    """Energy of the last digits of the features."""
+    return _ROUNDING_OF_TARGET * float(model.target @ model.target) + float(
+        np.finfo(np.float64).tiny
+    )
+
+
+def unexplained(fit: LocalFit, residual: Float64) -> Float64:
+    """What the parameters cannot explain of a residual (f,)."""
+    d = len(fit.J)
+    energy = fit.J @ fit.J.T
+    ridge = _RIDGE_OF_J * float(np.trace(energy)) / d + np.finfo(np.float64).tiny
+    left: Float64 = residual - np.linalg.solve(energy + ridge * np.eye(d), fit.J @ residual) @ fit.J
+    return left

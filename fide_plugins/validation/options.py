@@ -7,12 +7,15 @@ value and the rule.
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Callable, Collection, Iterable
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 from fide_plugins.errors import OptionError
-from fide_plugins.validation.points import whole_number
+from fide_plugins.validation.points import as_real, whole_number
 
 Rule: TypeAlias = Callable[[str, Any], Any]
 
@@ -201,3 +204,29 @@ def _from_json(text: str, value: str) -> Any:
         if value.startswith("{"):
             rule = 'a value in braces is a dictionary such as {"azimuth": 30}, names in quotes'
         raise OptionError(f"{text!r}: {rule} ({error})") from error
+
+
+_UNITS = {"d": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0}
+_DURATION = re.compile("".join(rf"(?:(?P<{unit}>\d+(?:\.\d+)?){unit})?" for unit in _UNITS))
+
+
+def seconds_of(name: str, value: object) -> float:
+    """Seconds of a duration: a number of them, or a text such as "90s", "10m" or "1h30m".
+
+    >>> seconds_of("time", "1h30m"), seconds_of("time", 12)
+    (5400.0, 12.0)
+    """
+    seconds: float | None = math.nan
+    if not isinstance(value, str):
+        seconds = as_real(value)
+    elif (text := value.strip().lower()) and (found := _DURATION.fullmatch(text)):
+        seconds = sum(float(n) * _UNITS[unit] for unit, n in found.groupdict().items() if n)
+    else:
+        with suppress(ValueError):
+            seconds = float(text)
+    if seconds is None or not 0 < seconds < math.inf:
+        raise OptionError(
+            f"{name} must be a positive number of seconds, or a text such as '90s', '10m' or "
+            f"'1h30m', not {value!r}"
+        )
+    return seconds

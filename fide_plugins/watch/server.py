@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from fide_plugins.errors import OptionError
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.watch.snapshot import PICTURES, RunFiles
 
 __all__ = ["Server", "serve"]

@@ -174,7 +174,7 @@ class RunFiles:
 
     def _saved(self, settings: dict[str, Any]) -> list[list[str]]:
         """Parameters of the best point in the checkpoint; none where it is damaged."""
-        from fide_plugins.recording.run_checkpoint import read_checkpoint
+        from fide_plugins.recording.storage import read_checkpoint
         from fide_plugins.runtime.schema import IMPOSSIBLE
         from fide_plugins.space import Space
 

@@ -145,6 +145,6 @@ def _resolve(name: str) -> Any:
 @cache
 def _of_family(family: str, method: str) -> Any:
     """Class of the optimizer `method` of a framework; always the same one."""
-    from fide_lab.baselines import frameworks
+    from fide_lab.baselines import libraries
 
-    return getattr(frameworks, family)(method)
+    return getattr(libraries, family)(method)

@@ -43,9 +43,14 @@ def ampersand(size: tuple[int, int], face: int = 0) -> Image:
 
 def _ink(face: str, points: float) -> NDArray[np.uint8]:
     """Draw & alone, cut to its bounding box: 255 is full ink."""
-    import matplotlib
     from PIL import Image as Picture, ImageDraw, ImageFont
 
+    try:
+        import matplotlib
+    except ImportError as error:
+        from fide_plugins.runtime.machine import missing
+
+        raise missing("plot", "the fonts of the glyphs come with matplotlib") from error
     path = Path(matplotlib.get_data_path(), "fonts", "ttf", f"{face}.ttf")
     font = ImageFont.truetype(str(path), points)
     canvas = Picture.new("L", (int(2 * points) + 4, int(2 * points) + 4), 0)

@@ -171,8 +171,12 @@ def _remaining(A: Plane) -> Plane:
 
 def _photograph(size: tuple[int, int], seed: int) -> Image:
     """Part of the portrait of Grace Hopper that comes with Matplotlib (U.S. Navy, no copyright)."""
-    import matplotlib
+    try:
+        import matplotlib
+    except ImportError as error:
+        from fide_plugins.runtime.machine import missing
 
+        raise missing("plot", "this task's picture comes with matplotlib") from error
     path = Path(matplotlib.get_data_path()) / "sample_data" / "grace_hopper.jpg"
     picture = cv2.imread(str(path))
     if picture is None:

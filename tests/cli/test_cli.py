@@ -22,7 +22,7 @@ import fide_plugins
 import fide_tasks
 from fide_plugins.cli import arguments, main
 from fide_plugins.cli.arguments import setting
-from fide_plugins.cli.messages import as_typed, duration, note, plain
+from fide_plugins.cli.terminal import as_typed, duration, note, plain
 from fide_plugins.fide import FIDE
 from fide_plugins.options import GLOBAL, PRESETS
 

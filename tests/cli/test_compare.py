@@ -110,7 +110,7 @@ def test_a_budget_below_one_population_is_spent(capsys: pytest.CaptureFixture[st
 def test_a_failure_is_exit_code_1_and_in_the_report(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fide_lab.baselines.random import Random
+    from fide_lab.baselines.evolution import Random
 
     def breaks(self: Random, *args: object) -> None:
         raise ArithmeticError("out of luck")

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins import Space, load_run
-from fide_plugins.cli.fit_renderer import _report
+from fide_plugins.cli.fit_command import _report
 from fide_plugins.fitting.failures import Failure
 from fide_plugins.renderers import FunctionRenderer
 
@@ -240,7 +240,7 @@ def test_live_shows_the_fit_while_it_goes_on(
         with urllib.request.urlopen(url + "state.json", timeout=20) as answer:
             seen.append({"url": url, **json.load(answer)})
 
-    monkeypatch.setattr("fide_plugins.cli.live.open_page", visit)
+    monkeypatch.setattr("fide_plugins.cli.progress.open_page", visit)
     assert fide("fit", target, *what, "--budget", 20, "--out", "out", "--live", "--json") == 0
     captured = capsys.readouterr()
     (page,) = seen

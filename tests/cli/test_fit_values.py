@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins import FIDE
-from fide_plugins.cli.fit_pictures import pictures, value_range_of
+from fide_plugins.cli.fit_inputs import pictures, value_range_of
 from fide_plugins.errors import ImageError, OptionError
 from fide_plugins.validation.images import load, save
 

@@ -10,14 +10,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
+<<<<<<< HEAD
+from fide_plugins import FIDE, solutions as stored
+from fide_plugins.cli.fit_inputs import check_first
+from fide_plugins.cli.fit_inputs import pictures
+from fide_plugins.cli.fit_command import _keep_pictures
+=======
 from fide_plugins import FIDE
-from fide_plugins.cli.extra_renders import check_first
-from fide_plugins.cli.fit_pictures import pictures
-from fide_plugins.cli.fit_renderer import _keep_pictures
+from fide_plugins.cli.fit_command import _keep_pictures
+from fide_plugins.cli.fit_inputs import check_first, pictures
+>>>>>>> main
 from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.solutions import pictures as stored
 from fide_plugins.types import Float64
 
 from .conftest import fide, last_line, summary
@@ -196,7 +201,7 @@ def test_a_tuple_of_overexposed_views_is_fitted_and_its_solutions_are_kept(
         return [Rendered(render(params), 0.0), Rendered(None, 0.0)]
 
     _keep_pictures(again, result, Path("out"))
-    ((x, image),) = stored.read(Path("out"))
+    ((x, image),) = stored.read_images(Path("out"))
     np.testing.assert_array_equal(x, points[1])
     assert image.shape == (12, 24, 3) and image.max() == 1.0
 

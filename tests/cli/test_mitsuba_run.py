@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fide_plugins.cli import doctor_command, main
-from fide_plugins.cli.messages import notices
+from fide_plugins.cli.terminal import notices
 from fide_tasks import mitsuba_variant
 
 pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install mitsuba")

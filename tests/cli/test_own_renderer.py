@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from fide_lab import optimizers
-from fide_lab.run.renderer_task import make
+from fide_lab.run.task import make_renderer_task as make
 from fide_plugins import FIDE, Choice, Float, Int, Space
 
 from .conftest import fide, one_line

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_plugins import FIDE, Solution, fit, images
+from fide_plugins import FIDE, Solution, fit, images, solutions as pictures
 from fide_plugins.encoders.own import referenced
 from fide_plugins.errors import CheckpointError
 from fide_plugins.fitting.pictures import side_by_side
 from fide_plugins.renderers import FunctionRenderer
-from fide_plugins.solutions import figure, pictures, read
+from fide_plugins.solutions import figure, read
 
 from .conftest import fide, one_line
 
@@ -130,10 +130,10 @@ def test_nothing_in_the_directory_is_executed(run: Path) -> None:
 def test_images_belong_to_their_points(tmp_path: Path) -> None:
     points = [np.array([0.25, 0.5]), np.array([0.5, 0.25])]
     stored = [np.full((2, 3, 3), gray, np.float32) for gray in (0.25, 0.75)]
-    pictures.write(tmp_path, points, stored)
-    known = pictures.read(tmp_path)
-    np.testing.assert_array_equal(pictures.of(known, points[1]), stored[1])
-    assert pictures.of(known, np.array([0.5, 0.5])) is None
+    pictures.write_images(tmp_path, points, stored)
+    known = pictures.read_images(tmp_path)
+    np.testing.assert_array_equal(pictures.image_of(known, points[1]), stored[1])
+    assert pictures.image_of(known, np.array([0.5, 0.5])) is None
     wide = side_by_side([np.ones((2, 3, 3), np.float32), np.ones((1, 2, 3), np.float32)])
     assert wide.shape == (2, 5, 3) and wide[1, 3:].max() == 0 and wide[0].min() == 1
 

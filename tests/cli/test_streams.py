@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fide_plugins.cli import main
-from fide_plugins.cli.streams import standard_streams
+from fide_plugins.cli.terminal import standard_streams
 
 FULL = Path("/dev/full")
 full = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
@@ -37,7 +37,7 @@ def test_output_on_a_full_disk_is_one_line_and_an_exit_code(words: str) -> None:
 
 @full
 def test_messages_on_a_full_disk_are_lost_and_end_nothing() -> None:
-    code = "from fide_plugins.cli.messages import note; note('no'); note('no'); print('done')"
+    code = "from fide_plugins.cli.terminal import note; note('no'); note('no'); print('done')"
     done = fide(code, "2>/dev/full")
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
@@ -46,7 +46,7 @@ def test_no_file_takes_the_place_of_a_closed_stream(tmp_path: Path) -> None:
     """Else messages would be written into it, and what a child of this process prints."""
     code = f"""
 import os, subprocess, sys
-from fide_plugins.cli.streams import standard_streams
+from fide_plugins.cli.terminal import standard_streams
 with standard_streams():
     file = os.open({str(tmp_path / "file")!r}, os.O_CREAT | os.O_WRONLY)
     print("message", file=sys.stderr, flush=True)

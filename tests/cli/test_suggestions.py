@@ -6,7 +6,7 @@ import argparse
 
 import pytest
 
-from fide_plugins.cli.suggestions import suggestion
+from fide_plugins.cli import suggestion
 
 from .conftest import fide, one_line
 
@@ -20,7 +20,7 @@ FIT = ("fit", "target.png", "--renderer", "scene.py:render")
         ((*FIT, "--worker=2"), "did you mean --workers?"),
         ((*FIT, "--budget", 3, "--losss", "mse"), "did you mean --loss?"),
         (("run", "voronoi", "--bugdet", 5), "did you mean --budget?"),
-        (("run", "voronoi", "--until-stalled"), "--until-stalled is of fide fit"),
+        (("run", "voronoi", "--until"), "--until is of fide fit"),
         (
             ("solutions", "out", "--task-seed", 3),
             "--task-seed is of fide run and fide compare and fide tradeoff",

@@ -14,8 +14,8 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.learning import Model, Report
-from fide_plugins.learning.judging.familiarity import Familiarity
-from fide_plugins.learning.networks.network import Network
+from fide_plugins.learning.judging import Familiarity
+from fide_plugins.learning.networks import Network
 from fide_plugins.types import Float32
 
 TINY: dict[str, Any] = {"hidden_size": 32, "num_hidden_layers": 2, "num_attention_heads": 2}

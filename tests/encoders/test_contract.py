@@ -74,14 +74,6 @@ def test_images_are_neither_changed_nor_kept(name: str, make: Make) -> None:
 
 
 @every_encoder
-def test_images_may_be_read_only(name: str, make: Make) -> None:
-    images = RNG.random((2, 32, 32, 3), dtype=np.float32)
-    expected = make(name)(images.copy())
-    images.flags.writeable = False
-    assert torch.equal(make(name)(images), expected)
-
-
-@every_encoder
 def test_anything_that_is_a_batch(name: str, make: Make) -> None:
     images = RNG.integers(0, 256, (2, 32, 32, 3), np.uint8)
     encoder = make(name)

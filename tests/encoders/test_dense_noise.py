@@ -1,7 +1,4 @@
-"""`dense` on noisy images: smoothed as much as they are noisy, and others not at all.
-
-How little of the noise is left is tested in tests/losses/test_noise.py, on real renders.
-"""
+"""`dense` on noisy images: smoothed as much as they are noisy, and others not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.encoders.dense import DenseEncoder, grid, less_noisy, sampled
+from fide_plugins.encoders.dense import DenseEncoder, grid, sampled
 from fide_plugins.encoders.despeckle import despeckled
 
 RNG = np.random.default_rng(28)
@@ -71,27 +68,3 @@ def test_no_amount_of_noise_makes_a_jump() -> None:
         return float(DenseEncoder()(images).diff(dim=0).flatten(1).norm(dim=1).max())
 
     assert largest_step(80) < 0.3 * largest_step(20)
-
-
-def test_small_images_are_not_smoothed() -> None:
-    """Lines of one pixel may be all there is in them, so nobody knows what is noise."""
-    images = RNG.random((2, 80, 80, 3), dtype=np.float32)
-    assert torch.equal(DenseEncoder()(images), without_smoothing(images))
-
-
-@pytest.mark.parametrize("size", [(84, 84), (1, 8000), (4, 5000), (300, 90)])
-def test_smoothed_samples_lie_between_others(size: tuple[int, int]) -> None:
-    image = RNG.random((*size, 3), dtype=np.float32)
-    rows, columns = grid(*size)
-    samples = less_noisy(image, 2 * rows, 2 * columns)
-    assert samples.shape == (2 * rows, 2 * columns, 3) and samples.dtype == np.float32
-    assert samples.min() >= image.min() - 1e-6 and samples.max() <= image.max() + 1e-6
-
-
-def test_a_mirrored_image_is_smoothed_alike() -> None:
-    image = (picture() + noise(0.1)).clip(0, 1)
-    np.testing.assert_allclose(
-        less_noisy(np.ascontiguousarray(image[:, ::-1]), 28, 28)[:, ::-1],
-        less_noisy(image, 28, 28),
-        atol=1e-5,
-    )

@@ -53,12 +53,6 @@ def test_larger_images_are_reduced_by_means_of_areas(saved: Path) -> None:
     torch.testing.assert_close(encoder(large), encoder(small), rtol=1e-4, atol=1e-5)
 
 
-def test_differences_below_8_bits_are_seen(saved: Path) -> None:
-    images = pictures(1)
-    encoder = encoders.make(f"learned:{saved}")
-    assert not torch.equal(encoder(images), encoder(np.clip(images + 1e-4, 0, 1)))
-
-
 def test_another_aspect_is_refused_before_anything_is_made(saved: Path) -> None:
     with pytest.raises(ImageError, match=r"learned images of 32 x 32 .* this picture is 48 x 32"):
         FIDE(3, np.zeros((SIDE, 48, 3)), encoder=f"learned:{saved}")
@@ -96,10 +90,6 @@ def test_weights_that_are_not_finite_are_refused(saved: Path) -> None:
         encoders.make(f"learned:{saved}")
 
 
-def loss(X: Float64) -> Float64:
-    return np.asarray(np.square(X - 0.3).sum(axis=1))
-
-
 def images_of(X: Float64) -> Float64:
     ramp = np.linspace(0, 1, SIDE)[:, None, None]
     return np.stack([np.broadcast_to(ramp * x[:3], (SIDE, SIDE, 3)) for x in X])
@@ -124,12 +114,6 @@ def test_a_saved_optimizer_goes_on_with_its_model(saved: Path) -> None:
     np.testing.assert_array_equal(np.concatenate(whole), np.concatenate(first + advance(again, 4)))
 
 
-def test_an_encoder_that_was_made_before_is_saved_by_its_whole_name(saved: Path) -> None:
-    opt = FIDE(3, pictures(1)[0], encoder=encoders.make(f"learned:{saved}"), seed=4)
-    opt.save(saved.parent / "run")
-    assert FIDE.load(saved.parent / "run").encoder.version == opt.encoder.version
-
-
 @pytest.mark.parametrize("name", ["fide", "eki", "fide-annealing"])
 def test_a_saved_optimizer_refuses_another_model(
     name: str, saved: Path, random_model: Callable[..., Model]
@@ -144,13 +128,3 @@ def test_a_saved_optimizer_refuses_another_model(
     saved.unlink()
     with pytest.raises(WeightsNotFoundError, match="no model at"):
         optimizers.load(name, saved.parent / "run")
-
-
-def test_views_of_two_sizes_have_tokens_of_one_model(saved: Path) -> None:
-    opt = FIDE(3, [pictures(1)[0], pictures(1, 64)[0]], encoder=f"learned:{saved}", seed=0)
-    assert opt.features_shape == (128, 96)
-
-
-def test_a_folder_is_no_model(saved: Path) -> None:
-    with pytest.raises(WeightsNotFoundError, match="is a folder; name the model's file"):
-        encoders.make(f"learned:{saved.parent}")

@@ -12,14 +12,11 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Solution, Space, fit
-from fide_plugins.encoders.dense import DenseEncoder
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import learn
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.network import Network
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import estimate
-from fide_plugins.uncertainty.values import looks_alike
+from fide_plugins.uncertainty.estimate import looks_alike
 
 _GRID = (np.arange(16) + 0.5) / 16
 BLOCKS = [[0, 1], [2, 3]]
@@ -67,11 +64,6 @@ def same(one: torch.nn.Module, other: torch.nn.Module) -> bool:
     )
 
 
-def test_tokens_are_the_same_where_double_precision_is_the_default(double: Any) -> None:
-    images = np.random.default_rng(0).random((3, 40, 40, 3))
-    assert torch.equal(double(DenseEncoder(), images), DenseEncoder()(images))
-
-
 @pytest.mark.parametrize("options", [{}, {"preset": "paper", "popsize": 8, "epochs": 2}])
 def test_candidates_are_the_same_where_double_precision_is_the_default(
     double: Any, options: dict[str, Any]
@@ -84,16 +76,6 @@ def test_candidates_are_the_same_where_double_precision_is_the_default(
         return opt.ask()
 
     np.testing.assert_array_equal(double(second_generation), second_generation())
-
-
-@pytest.mark.parametrize("head", ["autoregressive", "mixture", "set"])
-def test_a_new_network_is_the_same_where_double_precision_is_the_default(
-    double: Any, head: str
-) -> None:
-    make = partial(Network, (16, 16), [False, True, False, True], head, BLOCKS)
-    assert same(double(make), make())
-    emulator = partial(Emulator, (16, 16), [False, True, False, True], BLOCKS)
-    assert same(double(emulator), emulator())
 
 
 @pytest.mark.parametrize(
@@ -124,14 +106,6 @@ def test_learning_is_the_same_where_the_caller_wants_no_gradients(
     assert model.emulator is not None and expected.emulator is not None
     assert same(model.emulator, expected.emulator)
     assert not any(weight.is_inference() for weight in model.network.parameters())
-
-
-def test_tokens_are_the_same_where_floating_point_errors_raise() -> None:
-    """An image that has fewer pixels than the encoder takes samples."""
-    images = np.random.default_rng(0).random((3, 16, 16, 3)) * 2e-38
-    expected = DenseEncoder()(images)
-    with np.errstate(all="raise"):
-        assert torch.equal(DenseEncoder()(images), expected)
 
 
 def test_standard_deviations_are_the_same_where_floating_point_errors_raise(

@@ -22,8 +22,11 @@ from PIL import Image
 from fide_lab import run as harness
 from fide_plugins.errors import CheckpointError, FideError, ImageError, ProtocolError
 from fide_plugins.fide import FIDE
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.run_checkpoint import read_checkpoint
+<<<<<<< HEAD
+from fide_plugins.recording.storage import RunDirectoryError, read_checkpoint, read_run
+=======
+from fide_plugins.recording.storage import read_checkpoint
+>>>>>>> main
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target
@@ -104,36 +107,6 @@ def test_a_checkpoint_of_anything_is_refused_or_goes_on(
     refused_or_goes_on(state)
 
 
-OF_THE_NETWORK = {
-    "epochs", "learning_rate", "batch_size", "schedule", "steps", "precision", "parameter_tokens",
-}  # fmt: skip
-SETTINGS = [
-    ("diffusion" if name in OF_THE_NETWORK else "both", ("settings", name))
-    for name in STATES["both"]["settings"]
-]
-
-
-@pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
-@pytest.mark.parametrize("which", range(len(SETTINGS)), ids=[place[1] for _, place in SETTINGS])
-def test_settings_of_a_checkpoint_are_refused_or_go_on(which: int) -> None:
-    """Those are what others may write by hand; a third of the odd values in each, all when slow."""
-    proposer, place = SETTINGS[which]
-    for value in ODD[which % 3 :: 3]:
-        refused_or_goes_on(changed(STATES[proposer], place, value))
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.filterwarnings("ignore:training of the denoiser diverged:RuntimeWarning")
-@pytest.mark.parametrize("proposer", STATES)
-def test_every_place_of_a_checkpoint_is_refused_or_goes_on(proposer: str) -> None:
-    """Every odd value in every place, one at a time."""
-    for place in places(STATES[proposer]):
-        for value in ODD:
-            refused_or_goes_on(changed(STATES[proposer], place, value))
-
-
 def refused_or_goes_on(state: Any) -> None:
     checkpoint.write(FOLDER / "odd", "fide", state)
     try:
@@ -208,30 +181,6 @@ def test_an_enormous_file_is_not_read_to_be_refused(tmp_path: Path) -> None:
         os.truncate(path, 2**40)
         with pytest.raises(CheckpointError):
             checkpoint.read(path, "fide")
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(CheckpointError, match="pipe"):
-        checkpoint.read(tmp_path / "pipe", "fide")
-    with pytest.raises(CheckpointError, match="device"):
-        checkpoint.read("/dev/zero", "fide")
-
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner),
-    max_leaves=8,
-)
-
-
-@settings(max_examples=75 * CASES, deadline=None)
-@given(st.one_of(st.binary(max_size=60), json_values.map(lambda v: json.dumps(v).encode())))
-def test_a_record_of_a_run_that_is_none(content: bytes) -> None:
-    (FOLDER / "run.json").write_bytes(content)
-    with suppress(RunDirectoryError):
-        assert isinstance(read_run(FOLDER), dict)
 
 
 class Gray:

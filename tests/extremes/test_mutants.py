@@ -22,12 +22,17 @@ import pytest
 
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import CheckpointError, ImageError, SpaceError
-from fide_plugins.learning.judging.familiarity import Familiarity
-from fide_plugins.learning.judging.report import Report
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.judging import Familiarity, Report
 from fide_plugins.learning.model import Model
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.network import Network
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
+<<<<<<< HEAD
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.networks import Network
+from fide_plugins.recording.storage import RunDirectoryError, read_run
+=======
+from fide_plugins.learning.networks import Network
+from fide_plugins.recording.storage import RunDirectoryError, read_run
+>>>>>>> main
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 
@@ -125,21 +130,6 @@ def test_spaces(tmp_path: Path) -> None:
     assert refused(path, path.read_bytes(), Space.read, SpaceError) > NUMBER / 2
 
 
-def test_tables_of_a_space_that_hold_each_other_too_deeply() -> None:
-    tables: dict[str, Any] = {"type": "float", "low": 0, "high": 1}
-    for _ in range(5000):
-        tables = {"a": tables}
-    with pytest.raises(SpaceError, match="nested too deeply"):
-        Space.from_dict(tables)
-
-
-def test_a_space_without_end_is_not_read_to_its_end() -> None:
-    if not os.path.exists("/dev/zero"):
-        pytest.skip("no such device")
-    with pytest.raises(SpaceError, match="more than"):
-        Space.read("/dev/zero")
-
-
 @pytest.mark.parametrize("change", [mutant, mutant_of_json])
 def test_records_of_runs(change: Callable[[bytes, int], bytes], tmp_path: Path) -> None:
     run = {
@@ -173,26 +163,6 @@ def parts(path: Path) -> tuple[bytes, Callable[[bytes], bytes]]:
     return body[8 : 8 + length], whole
 
 
-STATE: dict[str, Any] = {
-    "x": np.arange(6.0).reshape(2, 3), "big": 2**100, "real": 0.1, "none": None, "name": "mse",
-    "list": [1, [2, {"deep": np.zeros(0)}], True], "dict": {"a": {"b": {"c": -0.5}}},
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("change", [mutant, mutant_of_json])
-def test_checkpoints_with_a_valid_checksum(
-    change: Callable[[bytes, int], bytes], tmp_path: Path
-) -> None:
-    checkpoint.write(tmp_path / "sound", "test", STATE)
-    text, whole = parts(tmp_path / "sound")
-
-    def read(path: Path) -> None:
-        assert isinstance(checkpoint.read(path, "test"), dict)
-
-    count = refused(tmp_path / "mutant", text, read, CheckpointError, change, whole)
-    assert NUMBER / 2 < count < NUMBER
-
-
 @pytest.mark.thorough
 def test_models(tmp_path: Path) -> None:
     """What is loaded gives hypotheses in the box."""
@@ -223,16 +193,6 @@ def test_weights_that_are_not_finite_are_refused_by_name(
     state[part][name] = weight
     checkpoint.write(tmp_path / "odd", "learned model", state)
     with pytest.raises(CheckpointError, match=re.escape(repr(name))):
-        Model.load(tmp_path / "odd")
-
-
-def test_weights_so_large_that_nothing_is_computed(tmp_path: Path) -> None:
-    untrained().save(tmp_path / "sound")
-    state = checkpoint.read(tmp_path / "sound", "learned model")
-    for weight in state["weights"].values():
-        weight[...] = 3e38
-    checkpoint.write(tmp_path / "odd", "learned model", state)
-    with pytest.raises(CheckpointError, match="impossible contents"):
         Model.load(tmp_path / "odd")
 
 
@@ -295,11 +255,6 @@ def test_only_files_are_read(
             checkpoint.read(path, "test")
         with pytest.raises(ImageError, match="a pipe, a socket or a device"):
             as_target(path)
-
-
-def test_folders_are_no_files_either(tmp_path: Path) -> None:
-    with pytest.raises(IsADirectoryError, match="it is a folder; name a file"):
-        files.open_regular(tmp_path)
 
 
 @pytest.mark.skipif(not hasattr(os, "O_NOFOLLOW"), reason="no such links here")

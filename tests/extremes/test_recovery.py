@@ -6,10 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.linear import LinearProposer
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float32, Float64
 
@@ -67,23 +65,6 @@ def test_a_population_in_one_point_moves_on() -> None:
         z = search.sample(8, rng)
         search.tell(z, np.square(z - 0.8).sum(axis=1), np.zeros(8, bool))
     np.testing.assert_allclose(search.mean, 0.8, atol=1e-6)
-
-
-@pytest.mark.parametrize("spread", [0.0, 1e-300, 1e-17, 1e-9])
-def test_a_fit_on_features_in_one_point(spread: float) -> None:
-    """Singular: every proposal is finite, and near what is known where nothing is to be learned."""
-    rng = np.random.default_rng(0)
-    proposer = LinearProposer(DIM, capacity=20)
-    x = 0.5 + spread * rng.standard_normal((20, DIM))
-    tokens = torch.from_numpy(render(x)).reshape(20, SIZE * SIZE, 3)
-    std = np.full(DIM, max(spread, 1e-14))
-    proposer.update(x, tokens, np.arange(20.0), std)
-    z = 0.5 + std * rng.standard_normal((50, DIM))
-    target = torch.from_numpy(render(np.full((1, DIM), 0.9)))[0].reshape(-1, 3)
-    proposals = proposer.propose(z, target, np.full(DIM, 0.5), std, rng)
-    assert np.isfinite(proposals).all()
-    if spread == 0.0:
-        np.testing.assert_allclose(proposals, 0.5, atol=1e-12)
 
 
 def test_a_search_that_collapsed_beside_the_answer_finds_it_in_the_next() -> None:

@@ -103,11 +103,3 @@ def test_a_brightness_beyond_any_scale_is_refused(value: float) -> None:
     opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)
     X = opt.ask()
     refused(np.full((len(X), 2, 2, 3), value), opt, X)
-
-
-def test_what_is_a_number_in_double_precision_only_is_clipped_before_it_is_none() -> None:
-    opt = FIDE(2, np.zeros((2, 2, 3)), seed=0)
-    X = opt.ask()
-    with pytest.warns(RuntimeWarning, match="clipped to"):
-        opt.tell(X, np.full((len(X), 2, 2, 3), -1e300))
-    assert opt.best is not None and opt.best.loss == 0.0

@@ -190,17 +190,6 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_vanishes(tmp_path: Path, expected: Any) -> None:
-    def vanish(progress: Progress) -> None:
-        if progress.evaluations > 100:
-            shutil.rmtree(tmp_path / "run", ignore_errors=True)
-
-    with pytest.raises(FileNotFoundError, match="cannot write") as error:
-        run(tmp_path / "run", vanish)
-    assert str(tmp_path / "run") in str(error.value)
-    check_same(run(tmp_path / "run"), expected)
-
-
 def test_a_renderer_that_fails_is_what_is_said_also_where_nothing_can_be_saved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,11 +202,3 @@ def test_a_renderer_that_fails_is_what_is_said_also_where_nothing_can_be_saved(
 
     with pytest.raises(RenderError, match="out of paint"):
         run(tmp_path / "run", begin_to_fail)
-
-
-def test_a_clock_that_jumps(tmp_path: Path, expected: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = random.Random(0)
-    monkeypatch.setattr(time, "time", lambda: rng.choice([0.0, 4e9, 1.7e9, 1e9]))
-    result = run(tmp_path / "run")
-    check_same(result, expected)
-    assert (np.diff(result.seconds) >= 0).all() and result.wall_s < 1000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from fide_lab import optimizers
 from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32, Float64
 
@@ -35,13 +33,6 @@ def in_threads(work: Callable[[int], None]) -> None:
     with ThreadPoolExecutor(WORKERS) as pool:
         for done in [pool.submit(work, i) for i in range(WORKERS)]:
             done.result(timeout=120)
-
-
-def state_of(opt: FIDE, path: Path) -> bytes:
-    """All that a checkpoint holds, but for the times."""
-    opt.state.times = dict.fromkeys(opt.times, 0.0)
-    opt.save(path)
-    return path.read_bytes()
 
 
 def test_eight_threads_ask_and_tell_and_nothing_is_lost_or_used_twice() -> None:
@@ -105,18 +96,6 @@ def test_candidates_that_are_lost_cost_what_they_cost_and_no_more() -> None:
     assert opt.state.population.pending <= asked - opt.evaluations
 
 
-def test_one_worker_that_never_answers_does_not_stop_the_others() -> None:
-    opt = FIDE(DIM, TARGET, popsize=5, seed=0)
-    lost = opt.ask(3)
-    for _ in range(30):
-        X = opt.ask()
-        opt.tell(X, render(X))
-    assert opt.state.population.generations >= 25
-    before = opt.evaluations
-    opt.tell(lost, render(lost))  # at last
-    assert opt.evaluations == before + 3
-
-
 def run(opt: FIDE) -> Float64:
     for _ in range(8):
         X = opt.ask()
@@ -137,12 +116,3 @@ def test_a_forked_process_goes_on_like_its_parent(
         assert theirs == repr(run(opt).tolist())
     finally:
         torch.set_num_threads(threads)
-
-
-@pytest.mark.thorough
-def test_a_spawned_process_makes_the_same_and_sends_it_back() -> None:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        made = pool.apply_async(optimizers.make, ("fide", DIM, TARGET), {"seed": 0})
-        theirs = made.get(timeout=120)  # a worker that cannot begin is replaced without end
-    assert isinstance(theirs, FIDE)
-    np.testing.assert_array_equal(run(theirs), run(FIDE(DIM, TARGET, seed=0)))

@@ -13,7 +13,7 @@ import torch
 from fide_lab import run as harness
 from fide_plugins.denoiser import precision
 from fide_plugins.fide import FIDE
-from fide_plugins.recording import checkpointing
+from fide_plugins.recording import directory
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render, StateOf
@@ -248,7 +248,7 @@ def test_a_run_is_saved_when_nothing_trains(
         save(opt, path)
 
     monkeypatch.setattr(FIDE, "save", watched)
-    monkeypatch.setattr(checkpointing, "_INTERVAL", 0)
+    monkeypatch.setattr(directory, "_INTERVAL", 0)
     task, options = Disks(target, render), PAPER | {"epochs": 20}
     run = harness.prepare(
         task, "fide", "mse", 24, 0, options=options, out=tmp_path / "run", checkpoint_every=1e-9

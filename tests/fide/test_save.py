@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_plugins.errors import (
     CheckpointError,
     DeviceError,

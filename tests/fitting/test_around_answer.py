@@ -19,7 +19,7 @@ from fide_plugins import FIDE, Choice, Float, Space, fit, solutions
 from fide_plugins.fitting.around_answer import std_around
 from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
-from fide_plugins.fitting.workers.here import Here
+from fide_plugins.fitting.workers import InThisProcess
 from fide_plugins.types import Float64
 
 V, U = np.mgrid[0:32, 0:32] / 31
@@ -272,7 +272,7 @@ def test_memory_does_not_grow_with_images() -> None:
     optimizer = FIDE(space, render(dict.fromkeys(space.names, 0.5)), seed=0)
     X = optimizer.ask()
     optimizer.tell(X, [render(space.decode(x)) for x in X])
-    workers = Here(Renderer(render, space))
+    workers = InThisProcess(Renderer(render, space))
     tracemalloc.start()
     try:
         std, renders = std_around(optimizer, workers, None, math.inf, math.inf)

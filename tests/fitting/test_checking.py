@@ -13,10 +13,15 @@ import pytest
 from fide_plugins import Choice, Float, Group, Int, Space
 from fide_plugins.errors import ImageError
 from fide_plugins.fitting.checking import Facts, check
-from fide_plugins.fitting.checking.advice import advice, budget, workers
-from fide_plugins.fitting.checking.pixels import Difference, difference, image_of, small
-from fide_plugins.fitting.checking.report import as_data, lines
-from fide_plugins.fitting.checking.values import other_values, sweeps
+from fide_plugins.fitting.checking.measuring import (
+    Difference,
+    difference,
+    image_of,
+    other_values,
+    small,
+    sweeps,
+)
+from fide_plugins.fitting.checking.report import advice, as_data, budget, lines, workers
 
 # Workers get the functions of this file: away from the repository they cannot import it.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from fide_plugins import fit
+from fide_plugins.fitting import workers as workers_module
 from fide_plugins.fitting.failures import GivenUpError, RenderFailedWarning
-from fide_plugins.fitting.workers import executors
-from fide_plugins.fitting.workers.executors import OfExecutor
+from fide_plugins.fitting.workers import OfExecutor
 
 from .scene import SPACE, disk, target
 
@@ -45,9 +45,9 @@ def test_a_worker_that_has_died_is_waited_for(monkeypatch: pytest.MonkeyPatch) -
     workers = OfExecutor(silent, abs, 1, own=False)
     assert not workers.abandon(workers.submit(1)), "nobody told that it began"
     assert workers.usable == 0 and not silent.future.cancelled()
-    monkeypatch.setattr(executors, "_RETURNS", 0.01)
+    monkeypatch.setattr(workers_module, "_RETURNS", 0.01)
     assert not workers.comes_back(None)
-    monkeypatch.setattr(executors, "_RETURNS", 60.0)
+    monkeypatch.setattr(workers_module, "_RETURNS", 60.0)
     threading.Timer(0.1, silent.future.set_exception, [OSError("its worker died")]).start()
     assert workers.comes_back(None) and workers.usable == 1
 
@@ -76,7 +76,7 @@ def hanging(gate: Path, times: int) -> Callable[[Any], Any]:
 def test_a_render_that_hangs_costs_one_candidate_and_its_worker(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(executors, "_RETURNS", 1.0)
+    monkeypatch.setattr(workers_module, "_RETURNS", 1.0)
     settings = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
     with distributed.LocalCluster(**settings) as cluster, distributed.Client(cluster) as client:
         arguments: dict[str, Any] = {"executor": client, "workers": 2, "seed": 0}

@@ -31,8 +31,7 @@ from fide_plugins.fitting.failures import (
     RenderFailedWarning,
 )
 from fide_plugins.fitting.rendering import Rendered, Renderer
-from fide_plugins.fitting.workers.executors import OfExecutor
-from fide_plugins.fitting.workers.threads import DaemonThreads
+from fide_plugins.fitting.workers import DaemonThreads, OfExecutor
 from fide_plugins.renderers import CommandRenderer
 
 from .scene import SPACE, disk, target

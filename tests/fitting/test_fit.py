@@ -24,7 +24,7 @@ from fide_plugins.fitting.fitting import Fitting
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.rendering import Portable, Rendered, Renderer
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.choice import workers_for
+from fide_plugins.fitting.workers import workers_for
 from fide_plugins.types import Float64
 
 from .scene import ANSWER, SPACE, disk, target
@@ -366,7 +366,6 @@ def test_asking_counts_as_search(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"executor": "ship"}, "executor must be 'processes', 'threads'"),
         ({"resume": True}, "resume=True needs the run directory"),
         ({"resume": "runs/first", "out": "x"}, "resume must be True or False, not 'runs/first'"),
-        ({"until_stalled": "no"}, "until_stalled must be True or False, not 'no'"),
         ({"callbacks": [3]}, "a callback must be a function or have one of on_start"),
         ({"progress": 3, "workers": 0}, "progress must be True, False, None or a function"),
         ({"popsiz": 3}, "fit has no option 'popsiz' .did you mean 'popsize'"),

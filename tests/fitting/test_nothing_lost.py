@@ -25,9 +25,8 @@ from fide_plugins.fitting.fitting import FitInterrupted
 from fide_plugins.fitting.one_call import prepare
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers.here import Here
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.run_checkpoint import read_checkpoint
+from fide_plugins.fitting.workers import InThisProcess
+from fide_plugins.recording.storage import RunDirectoryError, read_checkpoint, read_run
 from fide_plugins.runtime import checkpoint, files
 
 from .scene import SPACE, disk, target
@@ -192,7 +191,7 @@ def test_a_second_signal_stops_no_writing(
             owner, name = {
                 "checkpoint": (checkpoint, "write"),
                 "tables": (files, "write_bytes"),
-                "workers": (Here, "close"),
+                "workers": (InThisProcess, "close"),
                 "on_end": (ends, "on_end"),
             }[place]
             monkeypatch.setattr(owner, name, signals_while(getattr(owner, name)))
@@ -219,7 +218,7 @@ def test_signals_at_the_end_leave_the_result(
     def callback(event: Any) -> None:
         if event.evaluation == 59:
             monkeypatch.setattr(checkpoint, "write", signals_while(checkpoint.write))
-            monkeypatch.setattr(Here, "close", signals_while(Here.close))
+            monkeypatch.setattr(InThisProcess, "close", signals_while(InThisProcess.close))
 
     result = fit(disk(), target(), SPACE, **ARGUMENTS, out=tmp_path, callbacks=callback)
     np.testing.assert_array_equal(result.curve, whole.curve)

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from fide_plugins import fit
-from fide_plugins.fitting.workers.processes import _exit_code
+from fide_plugins.fitting.processes import _exit_code
 
 from .scene import SPACE, disk, target
 

@@ -11,7 +11,7 @@ import pytest
 from fide_lab.run import Progress
 from fide_plugins import fit
 from fide_plugins.errors import OptionError
-from fide_plugins.fitting import progress as bars
+from fide_plugins.fitting import callbacks as bars
 
 from .scene import SPACE, disk, target
 

@@ -15,7 +15,7 @@ import pytest
 
 from fide_plugins import Choice, Float, Int, Result, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, FideError, ImageError, OptionError, PointsError
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.runtime import checkpoint
 
 V, U = np.mgrid[0:12, 0:12] / 11

@@ -21,7 +21,7 @@ from fide_plugins import Choice, Float, Space, fit
 from fide_plugins.errors import CheckpointError, FideError
 from fide_plugins.fitting.fitting import FitInterrupted
 from fide_plugins.fitting.result import Result
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.types import Float32, Float64
 
 from .scene import SPACE, disk, target

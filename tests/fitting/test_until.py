@@ -166,14 +166,11 @@ def test_a_picture_that_cannot_be_drawn_is_not_solved_and_no_noise() -> None:
     assert result.stopped == "budget" and result.status.code not in ("solved", "noise")
 
 
-def test_the_former_name_and_wrong_ones() -> None:
+def test_wrong_rules() -> None:
     def few(**rules: Any) -> Result:
         return fit(draw, draw(TRUTH), SPACE, **rules, **HERE)
 
-    assert few(budget=None, until_stalled=True).stopped == "solved"
     with pytest.raises(OptionError, match="until must be 'solved', 'stalled', 'budget', not 'sol"):
         few(until="sol")
-    with pytest.raises(OptionError, match="former name of until='stalled'.*leave out one"):
-        few(until="budget", until_stalled=True)
     with pytest.raises(OptionError, match="give time or until='stalled'"):
         few(budget=None)

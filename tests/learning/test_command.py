@@ -15,8 +15,7 @@ import pytest
 from PIL import Image
 
 from fide_plugins.cli import learn_command, main
-from fide_plugins.learning import Model, rounds
-from fide_plugins.learning.judging import calibration
+from fide_plugins.learning import Model, hypotheses as rounds, judging as calibration
 
 SCENE = """
 import numpy as np
@@ -98,7 +97,7 @@ def test_head_and_groups_are_those_of_the_command() -> None:
 
 
 def test_all_heads_can_be_chosen() -> None:
-    from fide_plugins.learning.networks.network import HEADS
+    from fide_plugins.learning.networks import HEADS
 
     parser = argparse.ArgumentParser()
     learn_command.add_arguments(parser)

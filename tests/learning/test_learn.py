@@ -15,13 +15,10 @@ import pytest
 import torch
 
 from fide_plugins.errors import CheckpointError, OptionError, RenderError, UnknownNameError
-from fide_plugins.learning import LearnProgress, Model, learn
-from fide_plugins.learning.judging import calibration
-from fide_plugins.learning.renders import rendering
-from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.learning.renders.rendering import fill
-from fide_plugins.learning.renders.store import RenderStore
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning import LearnProgress, Model, judging as calibration, learn, rendering
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.renders import RenderStore, as_renderer
+from fide_plugins.learning.training import Training
 from fide_plugins.runtime import checkpoint
 from fide_plugins.space import Space
 from fide_plugins.types import Float64

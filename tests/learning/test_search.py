@@ -18,7 +18,7 @@ from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model
 from fide_plugins.learning.hypotheses import posterior_of
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.runtime.registry import of_file
 from fide_plugins.types import Float64
 

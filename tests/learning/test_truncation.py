@@ -14,7 +14,7 @@ from scipy.stats import kstest
 from fide_plugins import FIDE
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import Model, learn
-from fide_plugins.learning.truncation import Truncated, choose_evenly
+from fide_plugins.learning.pipeline import Truncated, choose_evenly
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk

@@ -18,7 +18,6 @@ SIZES = [(1, 1), (1, 9), (5, 4), (33, 57), (16, 512), (112, 112)]
 SMALLEST = {"lpips": 31}  # side of the smallest image, where there is one
 
 every_loss = pytest.mark.parametrize("name", losses.names())
-every_handmade_loss = pytest.mark.parametrize("name", [n for n in losses.names() if n != "lpips"])
 
 
 @pytest.fixture(autouse=True)
@@ -76,23 +75,6 @@ def test_symmetric(name: str) -> None:
     a, b = RNG.random((2, 32, 40, 3), dtype=np.float32)
     forth, back = losses.make(name, a)(b[None]), losses.make(name, b)(a[None])
     np.testing.assert_allclose(forth, back, rtol=1e-5)
-
-
-@every_handmade_loss
-@pytest.mark.parametrize("flip", [np.flipud, np.fliplr, lambda x: x.transpose(1, 0, 2)])
-def test_mirroring_both_changes_little(name: str, flip: Callable[[Any], Any]) -> None:
-    a, b = RNG.random((2, 56, 56, 3), dtype=np.float32)
-    value, mirrored = losses.make(name, a)(b[None]), losses.make(name, flip(a))(flip(b)[None])
-    np.testing.assert_allclose(mirrored, value, rtol=2e-2)
-
-
-@every_loss
-def test_a_step_away_costs_more_than_none(name: str) -> None:
-    target = RNG.random((40, 40, 3), dtype=np.float32)
-    other = RNG.random((40, 40, 3), dtype=np.float32)
-    path = [(1 - t) * target + t * other for t in np.linspace(0, 1, 11)]
-    values = losses.make(name, target)(path)
-    assert np.all(np.diff(values) > 0)
 
 
 @every_loss
@@ -199,11 +181,6 @@ def test_forms_of_values(give: Callable[[Any], object]) -> None:
     values = losses.resolve(give, TARGET)(IMAGES)
     assert values.dtype == np.float64 and values.shape == (3,)
     np.testing.assert_allclose(values, brightness(IMAGES), rtol=1e-6)
-
-
-def test_infinite_and_missing_values_are_values() -> None:
-    values = losses.resolve(lambda images: [np.nan, np.inf, -np.inf], TARGET)(IMAGES)
-    np.testing.assert_array_equal(values, [np.nan, np.inf, -np.inf])
 
 
 @pytest.mark.parametrize(

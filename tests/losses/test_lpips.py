@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ from fide_plugins.errors import (
 )
 from fide_plugins.fide import FIDE
 from fide_plugins.losses import lpips as lpips_module
-from fide_plugins.losses.lpips import VARIANTS, LPIPSLoss
+from fide_plugins.losses.lpips import VARIANTS
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(12)
@@ -116,43 +113,6 @@ def test_the_definition(variant: str, size: tuple[int, int], cached_weights: Pat
     np.testing.assert_allclose(value, expected, atol=1e-5)
 
 
-def test_a_part_of_an_image_counts_by_its_area(cached_weights: Path) -> None:
-    """Half as much is wrong in a picture twice as wide, but for the places along the seam."""
-    a, b = pair(64, 64)
-    alone = losses.make("lpips:vgg", a, device="cpu")(b[None])[0]
-    beside = losses.make("lpips:vgg", np.hstack([a, a]), device="cpu")(np.hstack([b, a])[None])[0]
-    assert 0.4 * alone < beside < 0.65 * alone
-
-
-@pytest.fixture
-def theirs() -> Any:
-    """The package `lpips`, where it and torchvision are installed and work."""
-    for name in ("torchvision", "lpips"):
-        try:
-            module = importlib.import_module(name)
-        except (ImportError, RuntimeError) as error:  # torchvision of another build than torch
-            pytest.skip(f"{name} cannot be used here: {error}")
-    return module
-
-
-@every_variant
-@pytest.mark.filterwarnings("ignore:.*pretrained.*:UserWarning")  # theirs calls torchvision so
-@pytest.mark.filterwarnings("ignore:Arguments other than a weight enum:UserWarning")
-def test_the_package_lpips_agrees(variant: str, theirs: Any, tmp_path: Path) -> None:
-    """With its own weights w_l, and a network whose weights are random."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        model = theirs.LPIPS(net=variant, pnet_rand=True, verbose=False)
-    state = {re.sub(r"^slice\d", "features", k): v for k, v in model.net.state_dict().items()}
-    torch.save(state, tmp_path / "network.pth")
-    images = RNG.random((3, 70, 64, 3), dtype=np.float32)
-    loss = LPIPSLoss(images[0], variant=variant, weights=tmp_path / "network.pth", device="cpu")
-    x = torch.from_numpy(images).permute(0, 3, 1, 2)
-    with torch.no_grad():
-        expected = model(x, x[:1].expand_as(x), normalize=True).flatten().numpy()
-    np.testing.assert_allclose(loss(images), expected, atol=1e-5)
-
-
 # -- what it takes ---------------------------------------------------------------------------------
 
 
@@ -232,15 +192,6 @@ def test_the_version_says_which_heads(cached_weights: Path, tmp_path: Path) -> N
     assert published.version != losses.make("lpips", target, heads=tmp_path / "heads.pth").version
 
 
-def test_heads_below_zero(cached_weights: Path, tmp_path: Path) -> None:
-    heads = weights.read(cached_weights / "lpips-v0.1-alex.pth")
-    heads["lin2.model.1.weight"][0, 7] = -0.25
-    torch.save(heads, tmp_path / "heads.pth")
-    message = r"heads\.pth: 'lin2\.model\.1\.weight', of shape \(1, 384, 1, 1\), .*least -0\.25"
-    with pytest.raises(WeightsMismatchError, match=message):
-        losses.make("lpips", np.zeros((40, 40, 3)), heads=tmp_path / "heads.pth")
-
-
 @pytest.mark.parametrize("who", ["FIDE", "FIDESampler", "ParametrizedFIDE"])
 def test_it_computes_where_the_optimizer_does(
     who: str, cached_weights: Path, monkeypatch: pytest.MonkeyPatch
@@ -270,36 +221,6 @@ def test_it_computes_where_the_optimizer_does(
     assert asked == [device]
 
 
-def test_heads_of_another_variant(cached_weights: Path) -> None:
-    heads = cached_weights / "lpips-v0.1-vgg.pth"
-    message = r"lpips-v0\.1-vgg\.pth: 'lin1\.model\.1\.weight' has the shape \(1, 128, 1, 1\)"
-    with pytest.raises(WeightsMismatchError, match=message):
-        losses.make("lpips", np.zeros((40, 40, 3)), heads=heads)
-
-
-def test_an_optimizer_minimizes_it_and_comes_back(cached_weights: Path, tmp_path: Path) -> None:
-    def render(X: Any) -> Float32:
-        images: Float32 = np.broadcast_to(
-            X[:, None, None, :3] * np.linspace(0, 1, 32)[:, None], (len(X), 32, 32, 3)
-        ).astype(np.float32)
-        return images
-
-    target = render(np.array([[0.9, 0.2, 0.6]]))[0]
-    opt = FIDE(3, target, loss="lpips:squeeze", popsize=6, seed=0)
-    for _ in range(3):
-        X = opt.ask()
-        opt.tell(X, render(X))
-    opt.save(tmp_path / "c")
-    copy = FIDE.load(tmp_path / "c")
-    for _ in range(2):
-        X = opt.ask()
-        np.testing.assert_array_equal(X, copy.ask())
-        opt.tell(X, render(X))
-        copy.tell(X[::-1], render(X[::-1]))
-    assert opt.best is not None and copy.best is not None
-    assert opt.best.loss == copy.best.loss > 0
-
-
 @pytest.mark.parametrize("name", ["lpips", "lpips:vgg"])
 @pytest.mark.usefixtures("cached_weights")
 def test_a_mask(name: str) -> None:
@@ -316,3 +237,12 @@ def test_a_mask(name: str) -> None:
     np.testing.assert_allclose(opt.evaluator.loss([image]), expected, rtol=1e-6)
     np.testing.assert_array_equal(opt.evaluator.loss([other]), opt.evaluator.loss([image]))
     assert opt.evaluator.loss([target])[0] == 0.0
+
+
+def test_heads_below_zero(cached_weights: Path, tmp_path: Path) -> None:
+    heads = weights.read(cached_weights / "lpips-v0.1-alex.pth")
+    heads["lin2.model.1.weight"][0, 7] = -0.25
+    torch.save(heads, tmp_path / "heads.pth")
+    message = r"heads\.pth: 'lin2\.model\.1\.weight', of shape \(1, 384, 1, 1\), .*least -0\.25"
+    with pytest.raises(WeightsMismatchError, match=message):
+        losses.make("lpips", np.zeros((40, 40, 3)), heads=tmp_path / "heads.pth")

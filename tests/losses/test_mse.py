@@ -12,12 +12,6 @@ def test_equals_numpy() -> None:
     np.testing.assert_allclose(MeanSquaredError(target)(images), expected, rtol=1e-14)
 
 
-def test_by_hand() -> None:
-    image = np.zeros((1, 2, 2, 3))
-    image[0, 0, 0] = (1.0, 0.5, 0.0)
-    assert MeanSquaredError(np.zeros((2, 2, 3)))(image)[0] == pytest.approx(1.25 / 12, rel=1e-14)
-
-
 def test_differences_below_single_precision_of_the_mean_count() -> None:
     target = np.full((112, 112, 3), 0.5, np.float32)
     image = target.copy()

@@ -92,42 +92,15 @@ def test_every_option_is_documented() -> None:
                 assert field.name in (group.__doc__ or ""), field.name
 
 
-@pytest.mark.parametrize(
-    ("former", "name", "value"),
-    [
-        ("share", "proposal_fraction", 0.4),
-        ("smallest_share", "smallest_fraction", 0.1),
-        ("largest_share", "largest_fraction", 0.7),
-        ("share_rate", "fraction_rate", 0.2),
-        ("views", "channel_subsets", (3, 16)),
-        ("memory", "buffer_generations", 5),
-        ("elite", "rank_weight_scale", 0.4),
-        ("noise", "sample_noise", 0.3),
-        ("evidence", "r2_threshold", 0.1),
-        ("overlap", "background_training", False),
-    ],
-)
-def test_names_of_version_0_1_are_understood(former: str, name: str, value: Any) -> None:
-    options = make_options("balanced", {former: value})
-    assert options == make_options("balanced", {name: value}) != PRESETS["balanced"]
-    assert flat(options)[name] == value and former not in flat(options)
-
-
-def test_a_value_of_version_0_1_is_understood_and_not_offered() -> None:
-    assert make_options("paper", {"restarts": "parts"}).restarts == "moves"
-    assert without_images({"restarts": "parts"})["restarts"] == "moves"
-    with pytest.raises(OptionError, match="restarts") as caught:
-        make_options("balanced", {"restarts": "always"})
-    assert "parts" not in str(caught.value)
-
-
-def test_one_option_by_two_names_is_refused() -> None:
-    with pytest.raises(OptionError, match="proposal_fraction is given twice"):
-        make_options("balanced", {"share": 0.3, "proposal_fraction": 0.5})
+def test_names_and_values_of_version_0_1_are_refused() -> None:
+    with pytest.raises(OptionError, match="share"):
+        make_options("balanced", {"share": 0.3})
+    with pytest.raises(OptionError, match="restarts must be one of moves"):
+        make_options("balanced", {"restarts": "parts"})
 
 
 def test_a_search_that_sees_no_image_has_no_options_of_a_network() -> None:
-    given = {"epochs": 5, "popsize": 8, "memory": 5}
+    given = {"epochs": 5, "popsize": 8, "buffer_generations": 5}
     kept = {"popsize": 8, "buffer_generations": 5, "proposer": "none", "encoder": "dense"}
     assert without_images(given) == kept
     make_options("paper", without_images({"epochs": 5}))

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from fide_plugins.recording import checkpointing
-from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
+from fide_plugins.recording import directory
+from fide_plugins.recording.directory import CheckpointTimer, note_unsaved
 
 IDLE: Any = SimpleNamespace(training=False)
 TRAINS: Any = SimpleNamespace(training=True)
@@ -26,7 +26,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    monkeypatch.setattr(checkpointing, "perf_counter", made)
+    monkeypatch.setattr(directory, "perf_counter", made)
     return made
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 
 
 @pytest.mark.parametrize("resume", [False, True])

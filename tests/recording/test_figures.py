@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from fide_plugins import Choice, Float, Space
 from fide_plugins.recording.figures import _time_bar, _title, draw_curve
-from fide_plugins.recording.outcome import Verdict, result_of
-from fide_plugins.recording.record import PARTS, Record
+from fide_plugins.recording.record import PARTS, Record, Verdict, result_of
 
 
 def drawn(*losses: float) -> Any:

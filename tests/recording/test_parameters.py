@@ -7,8 +7,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from fide_plugins import Choice, Float, Group, Int, Solution, Space
-from fide_plugins.recording.drawn import drawn
 from fide_plugins.recording.parameters import described, lines, rows
+from fide_plugins.recording.plots import drawn
 from fide_plugins.types import Estimated
 
 

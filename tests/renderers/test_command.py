@@ -23,7 +23,7 @@ import pytest
 from fide_plugins import Choice, Float, Group, Int, Space, fit
 from fide_plugins.errors import OptionError, RenderError
 from fide_plugins.renderers import CommandRenderer, child
-from fide_plugins.renderers.template import Template
+from fide_plugins.renderers.command import Template
 
 PROGRAM = """
 import os, sys, time

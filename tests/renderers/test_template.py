@@ -8,7 +8,7 @@ import pytest
 
 from fide_plugins import Float, Space
 from fide_plugins.errors import OptionError
-from fide_plugins.renderers.template import Template
+from fide_plugins.renderers.command import Template
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins.errors import OptionError
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.registry import fingerprint_of, version_of

@@ -218,7 +218,8 @@ def test_the_network_computes_in_as_many_as_set(
         return fit(*arguments, **options)
 
     monkeypatch.setattr("fide_plugins.proposers.diffusion.fit", counted)
-    opt = FIDE(DIM, TARGET, preset="paper", popsize=4, epochs=1, overlap=overlap, seed=0)
+    options: dict[str, Any] = {"popsize": 4, "epochs": 1, "background_training": overlap}
+    opt = FIDE(DIM, TARGET, preset="paper", seed=0, **options)
     for _ in range(2):
         X = opt.ask()
         opt.tell(X, render(X))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from fide_plugins.solutions.figure import _panel
+from fide_plugins.solutions import _panel
 
 
 def test_an_empty_panel_says_who_stores_images() -> None:

@@ -61,23 +61,6 @@ class Switches(GeneratedTask):
         return rng.random(4)
 
 
-def test_hidden_groups_are_drawn_again_and_the_others_kept() -> None:
-    task = Switches(8)
-    x = np.array([0.9, 0.1, 0.8, 0.7])
-    again = task._drawn_again(x, np.array([False, True, False, False]), np.random.default_rng(0))
-    assert again[1] != x[1]
-    np.testing.assert_array_equal(np.delete(again, 1), np.delete(x, 1))
-    np.testing.assert_array_equal(x, [0.9, 0.1, 0.8, 0.7])
-
-
-def test_a_hidden_parameter_of_no_group_has_all_drawn_again() -> None:
-    x = np.array([0.9, 0.1, 0.8, 0.2])
-    again = Switches(8)._drawn_again(
-        x, np.array([False, True, False, True]), np.random.default_rng(0)
-    )
-    assert (again != x).all()
-
-
 def test_targets_are_drawn_until_all_is_visible() -> None:
     for seed in range(10):
         x = Switches(8, seed).x_star

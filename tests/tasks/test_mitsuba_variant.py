@@ -34,12 +34,6 @@ def test_names_of_variants() -> None:
         choose("gpu")
 
 
-def test_auto_takes_the_first_that_runs() -> None:
-    running = [full for s, full in mitsuba_variant.VARIANTS.items() if problem_with(s) is None]
-    assert choose("auto") == running[0]
-    assert running[-1] == "scalar_rgb"
-
-
 @pytest.mark.usefixtures("forgetful")
 def test_without_a_gpu_or_llvm_it_is_scalar_and_says_so_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture

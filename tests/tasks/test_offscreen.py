@@ -19,14 +19,12 @@ import pytest
 from numpy.typing import NDArray
 
 import fide_tasks
-from fide_plugins.cli import availability
+from fide_plugins.cli import doctor_command
 from fide_tasks import offscreen, robot
-from fide_tasks.offscreen import OffscreenError, Stage
+from fide_tasks.offscreen import OffscreenError
 from fide_tasks.robot import Robot
 
 pytestmark = pytest.mark.usefixtures("opengl")
-
-Image = NDArray[np.float32]
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +67,10 @@ ctypes.util.find_library = lambda name: None if name == "EGL" else find(name)
 
 
 def test_fide_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(availability, "names", lambda kind: ["robot"])
-    assert availability.problems("tasks") == {"robot": None}
+    monkeypatch.setattr(doctor_command, "names", lambda kind: ["robot"])
+    assert doctor_command.problems("tasks") == {"robot": None}
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
-    problem = availability.problems("tasks")["robot"]
+    problem = doctor_command.problems("tasks")["robot"]
     assert problem is not None
     assert "apt-get install libegl1 libgl1-mesa-dri" in problem
 
@@ -149,17 +147,6 @@ def test_a_task_that_is_collected_leaves_the_frame_of_another_one_alone(
     np.testing.assert_array_equal(task.render(X), expected)
 
 
-def test_several_tasks_take_turns(task: Robot) -> None:
-    X = random_x(6, 8)
-    expected = task.render(X)
-    others = [Robot(size) for size in (16, 64, 100)]
-    for x, image in zip(X, expected, strict=True):
-        for other in others:
-            other.render(x[None])
-        np.testing.assert_array_equal(task.render(x[None])[0], image)
-        np.testing.assert_array_equal(others[1].render(x[None])[0], image)
-
-
 def test_threads_take_turns(task: Robot) -> None:
     X, wrong = random_x(5, 9), []
     expected, other = task.render(X), Robot(64)
@@ -197,30 +184,6 @@ np.testing.assert_array_equal(task.render(X), expected)
 @pytest.mark.parametrize("method", ["spawn", "fork"])
 def test_processes_have_contexts_of_their_own(method: str) -> None:
     alone(PROCESSES.replace("METHOD", repr(method)))
-
-
-FORKED = """
-import multiprocessing
-import numpy as np
-from fide_tasks.robot import Robot
-
-X = np.random.default_rng(0).random((3, 7))
-task = Robot(64)
-expected = task.render(X)
-context = multiprocessing.get_context("fork")
-receiver, sender = context.Pipe(duplex=False)
-child = context.Process(target=lambda: sender.send(task.render(X)))
-child.start()
-assert receiver.poll(60)
-images = receiver.recv()  # before joining: a pipe holds less than this
-child.join(timeout=60)
-assert child.exitcode == 0
-np.testing.assert_array_equal(images, expected)
-"""
-
-
-def test_a_forked_process_goes_on_with_what_was_open() -> None:
-    alone(FORKED)
 
 
 def alone(script: str) -> str:
@@ -296,22 +259,3 @@ def test_neither_frames_nor_contexts_leave_memory_behind_and_contexts_that_stay_
         "leaks(lambda: kept.append(Robot(64)) or kept[-1].render(X[:1]), 3, 5)",
     )
     assert max(frames, contexts) < 0.5 and kept > 5
-
-
-@needs_proc
-@pytest.mark.slow
-def test_ten_thousand_frames_leave_no_memory_behind() -> None:
-    frames, contexts = measured(
-        "added(lambda task=Robot(224): task.render(X), warm=10, n=100).sum()",
-        "added(lambda: Robot(224).render(X[:1]), warm=20, n=200).sum()",
-    )
-    assert frames < 4 and contexts < 16
-
-
-def test_a_stage_that_is_left_behind_is_freed() -> None:
-    one = Robot(16)
-    one.render(random_x(1))
-    assert isinstance(one._stage, Stage)
-    finalizer = one._stage._finalizer
-    del one
-    assert not finalizer.alive

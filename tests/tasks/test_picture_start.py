@@ -13,13 +13,6 @@ def error(task: fide_tasks.Task, x: object) -> float:
     return float(np.square(task.render(np.asarray(x)[None])[0] - task.target).mean())
 
 
-def test_one_cell_is_the_mean_color_at_the_middle() -> None:
-    picture = np.random.default_rng(0).random((20, 30, 3), np.float32)
-    (cell,) = cells_of(picture, 1)
-    np.testing.assert_allclose(cell[:2], 0.5, atol=1e-12)
-    np.testing.assert_allclose(cell[2:], picture.mean(axis=(0, 1)), atol=1e-6)
-
-
 def test_two_halves_are_two_cells() -> None:
     picture = np.zeros((40, 60, 3), np.float32)
     picture[:, 30:] = 1.0, 0.5, 0.0

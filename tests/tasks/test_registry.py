@@ -22,10 +22,6 @@ def test_names_are_sorted_and_can_all_be_made() -> None:
         assert task.name == name
 
 
-def test_by_default_names_are_the_scenes_of_the_paper() -> None:
-    assert fide_tasks.names() == ["beads", "robot", "san_miguel", "spline", "voronoi"]
-
-
 def test_groups_of_names() -> None:
     assert fide_tasks.names("exchangeable") == ["lamps", "sprites"]
     assert fide_tasks.names("folding") == ["arm", "lens", "stick_figure"]
@@ -80,15 +76,6 @@ def test_unknown_option_lists_the_known() -> None:
 def test_values_outside_their_range(name: str, arguments: dict[str, Any], rule: str) -> None:
     with pytest.raises(ValueError, match=rule):
         fide_tasks.make(name, **arguments)
-
-
-def test_importing_the_package_loads_no_renderer() -> None:
-    heavy = ["cv2", "scipy", "matplotlib", "PIL", "torch", "numba", "fide_plugins"]
-    code = f"import sys, fide_tasks; print([m for m in {heavy} if m in sys.modules])"
-    path = [p for p in sys.path if p]
-    script = f"import sys; sys.path[:0] = {path}; {code}"
-    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert result.stdout.strip() == "[]", result.stderr
 
 
 def test_no_task_needs_the_optimizer_or_torch() -> None:

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -65,15 +64,6 @@ def test_images_do_not_depend_on_the_number_of_processes(monkeypatch: pytest.Mon
     assert two.render(X[:0]).shape == (0, 24, 24, 3)
 
 
-def test_times_of_the_processes_are_added_up(shared: Any) -> None:
-    shared.render(random_x(1))
-    before = dict(shared.times)
-    shared.render(random_x(10))
-    assert shared.times["frames"] - before["frames"] == 10
-    assert shared.times["render"] > before["render"]
-    assert shared.times["load"] > 0
-
-
 def test_a_killed_process_is_an_error_at_once_and_the_next_render_works(shared: Any) -> None:
     expected = shared.render(random_x(3), seed=1)
     victim = pids(shared)[0]
@@ -85,17 +75,6 @@ def test_a_killed_process_is_an_error_at_once_and_the_next_render_works(shared: 
     assert issubclass(RenderWorkerError, RuntimeError)
     np.testing.assert_array_equal(shared.render(random_x(3), seed=1), expected)
     assert victim not in pids(shared)
-
-
-def test_a_process_killed_while_it_renders(shared: Any) -> None:
-    victim = pids(shared)[1]
-    killer = threading.Timer(0.1, os.kill, (victim, signal.SIGKILL))
-    killer.start()
-    with pytest.raises(RenderWorkerError, match="died while it drew frame"):
-        shared.render(random_x(1), seed=list(range(1)))
-        for _ in range(200):
-            shared.render(random_x(50))
-    killer.join()
 
 
 @pytest.mark.thorough
@@ -187,20 +166,6 @@ def test_wherever_a_process_gets_stuck_it_is_noticed(tmp_path: Path) -> None:
     assert "ValueError('xxx" in lines[3][3]
 
 
-def test_patience_follows_from_the_number_of_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A render of 145 s (scalar, 1600 x 1600, 64 samples per pixel) is not to be ended."""
-    granted = []
-    monkeypatch.setattr(render_workers, "_Worker", Idle)
-    for side, spp in ((112, 8), (1600, 64)):
-        pool = render_workers.RenderWorkers(make(1), 1, (side, side, 3))
-        monkeypatch.setattr(Idle, "send", lambda self, job, i, patience: granted.append(patience))
-        monkeypatch.setattr(pool, "_look", lambda: 1 / 0)
-        with pytest.raises(ZeroDivisionError):
-            pool.render([render_workers.Job(np.zeros(18), 0, spp, True)], np.empty(0, np.float32))
-    assert granted[0] < 30
-    assert granted[1] > 10 * 145
-
-
 class Idle:
     """A process that was never started."""
 
@@ -242,79 +207,12 @@ def test_processes_that_were_started_end_where_another_one_cannot_be(
     assert (Idle.made, Idle.ended) == (1, 1)
 
 
-def test_threads_share_one_pool(monkeypatch: pytest.MonkeyPatch) -> None:
-    pools = []
-
-    class Pool:
-        closed = False
-
-        def __init__(self, *arguments: Any) -> None:
-            time.sleep(0.05)
-            pools.append(self)
-
-        def render(self, jobs: Any, out: NDArray[np.float32]) -> None:
-            out[:] = 0.5
-
-    monkeypatch.setattr(mitsuba_task, "RenderWorkers", Pool)
-    task = make(2)
-    threads = [threading.Thread(target=task.render, args=(random_x(1),)) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(pools) == 1
-
-
-def test_a_forked_process_neither_uses_the_processes_nor_ends_them(
-    monkeypatch: pytest.MonkeyPatch, forked: Callable[[Callable[[], object]], str]
-) -> None:
-    monkeypatch.setattr(Idle, "made", 0)
-    monkeypatch.setattr(Idle, "ended", 0)
-    monkeypatch.setattr(render_workers, "_Worker", Idle)
-    pool = render_workers.RenderWorkers(make(1), 2, (8, 8, 3))
-    assert not pool.closed
-
-    def closes() -> tuple[bool, int]:
-        closed = pool.closed
-        pool.close()
-        return closed, Idle.ended
-
-    assert forked(closes) == "(True, 0)"
-    assert not pool.closed
-    pool.close()
-    assert (Idle.ended, pool.closed) == (2, True)
-
-
-def test_no_code_of_the_folder_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process that starts looks for modules in the folder in which this one is."""
-    (tmp_path / "multiprocessing.py").write_text("raise SystemExit('code of the folder')")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    make(2, size=8, spp=1, variant="scalar").render(random_x(1))
-    assert "PYTHONSAFEPATH" not in os.environ
-
-
 def test_an_error_in_a_process_is_raised_here() -> None:
     task = make(2)
     task.variant = "llvm_ad_nonsense"
     with pytest.raises((ImportError, ValueError, AttributeError), match="nonsense"):
         task.render(random_x(2))
     assert task._pool.closed
-
-
-def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        f"import sys; sys.path[:0] = {[p for p in sys.path if p]}\n"
-        "import fide_tasks\n"
-        "task = fide_tasks.make('beads', size=8, spp=1, workers=2, variant='scalar')\n"
-        "task.render([[0.5] * 18] * 2)\n"
-    )
-    run = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60)
-    assert run.returncode == 1
-    last = run.stderr.strip().splitlines()[-1]
-    assert last.startswith("fide_tasks.render_workers.RenderWorkerError: ")
-    assert "if __name__ == '__main__'" in last
 
 
 def test_processes_end_with_the_task_and_with_its_process(
@@ -357,13 +255,3 @@ def test_a_run_whose_renderer_was_killed_is_resumed(tmp_path: Path) -> None:
     resumed = harness.run(make(1, reference_spp=16), **settings, out=tmp_path, resume=True)
     assert resumed.losses.tolist() == whole.losses.tolist()
     assert resumed.reference_loss == whole.reference_loss
-
-
-def test_workers_may_change_when_a_run_is_resumed(tmp_path: Path) -> None:
-    options = {"spp": 1, "reference_spp": 16, "variant": "scalar"}
-    for workers, resume in ((1, False), (2, True)):
-        result = harness.run(
-            "beads", "cma", budget=10, size=16, out=tmp_path, resume=resume,
-            task_options={**options, "workers": workers},
-        )  # fmt: skip
-        assert result.evaluations == 10

@@ -119,16 +119,6 @@ def test_a_model_keeps_its_own_room_and_cameras(tmp_path: Path) -> None:
         Robot(64, camera="above")
 
 
-def test_a_model_without_a_floor_is_seen_in_our_light(tmp_path: Path) -> None:
-    lamp = '<worldbody><light pos="0 0 2" mode="trackcom"/></worldbody>'
-    X = random_x(4, 8)
-    images = []
-    for name, extra in (("a", ""), ("b", lamp)):
-        (tmp_path / name).mkdir()
-        images.append(Robot(48, model=arm(tmp_path / name, extra=extra)).render(X))
-    np.testing.assert_array_equal(images[0], images[1])
-
-
 def test_menagerie_is_found_by_robot_descriptions(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,13 +29,6 @@ def test_scenes_and_meshes_are_taken_by_their_absolute_path(
     assert checked_scene(Path("court.OBJ")) == tmp_path.resolve() / "court.OBJ"
 
 
-def test_the_home_folder_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "court.ply").touch()
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("USERPROFILE", str(tmp_path))
-    assert checked_scene("~/court.ply") == tmp_path.resolve() / "court.ply"
-
-
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path / "no.xml"))):
         checked_scene(tmp_path / "no.xml")
@@ -64,14 +57,6 @@ def test_a_scene_that_lacks_something_is_named(tmp_path: Path, text: str, rule: 
     path.write_text(text)
     with pytest.raises(ValueError, match=rf"{re.escape(repr(str(path)))}.*{rule}"):
         checked_scene(path)
-
-
-def test_parts_may_be_included_from_the_folder(tmp_path: Path) -> None:
-    (tmp_path / "parts").mkdir()
-    xml(tmp_path / "parts", SENSOR, "camera.xml")
-    xml(tmp_path / "parts", EMITTER + '<include filename="camera.xml"/>', "both.xml")
-    path = xml(tmp_path, '<default name="d" value="parts"/><include filename="$d/both.xml"/>')
-    assert checked_scene(path) == path
 
 
 def test_a_scene_that_includes_itself_is_refused(tmp_path: Path) -> None:

@@ -77,15 +77,6 @@ def test_the_file_is_the_one_that_mitsuba_finds(
     assert theirs.face_count() == faces
 
 
-def test_a_mesh_beside_an_included_file_is_not_found_as_by_mitsuba(tmp_path: Path, mi: Any) -> None:
-    mesh(write(tmp_path / "sub" / "inc.xml", SHAPE.format("two.obj")).with_name("two.obj"), 2)
-    path = write(tmp_path / "scene.xml", LIT + '<include filename="sub/inc.xml"/>')
-    with pytest.raises(FileNotFoundError, match=r"needs '.*two\.obj', which is missing"):
-        scene_file.checked_scene(path)
-    with pytest.raises(RuntimeError, match="two.obj"):
-        mi.load_file(str(path))
-
-
 @pytest.mark.parametrize(
     "root", ['include filename="c.xml"', 'path value="sub"', 'default name="file" value="one.obj"']
 )

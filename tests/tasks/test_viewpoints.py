@@ -62,13 +62,6 @@ def test_merit_of_an_empty_world_and_of_the_ground() -> None:
     assert hidden.lit == 0, "the light is under the ground"
 
 
-def test_merit_sees_the_edges_of_a_room_and_no_edge_on_its_wall() -> None:
-    wall = np.array([16.0, 5.5, 5, 90, 0, 20, 5.5, 5])
-    assert merit(wall, room, 30).edges == 0
-    corner = np.array([16.0, 5.5, 5, 90, 37, 20, 5.5, 5])
-    assert 0 < merit(corner, room, 60).edges < 0.5
-
-
 def test_shadows_are_seen() -> None:
     def roofed(origins: Array, directions: Array) -> tuple[Array, Array]:
         t, normal = ground(origins, directions)

@@ -13,7 +13,7 @@ from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate
-from fide_plugins.uncertainty.basin import of_twins
+from fide_plugins.uncertainty.samples import of_twins
 
 D, F, NOISE = 4, 60, 0.01
 HERE = np.array([0.3, 0.4, 0.5, 0.6])

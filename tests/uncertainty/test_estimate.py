@@ -16,10 +16,15 @@ from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.search.scene.axes import Axes
 from fide_plugins.space import Choice, Float, Int, Space
 from fide_plugins.types import Float32, Float64
-from fide_plugins.uncertainty import LocalEstimate, LocalFit, estimate, fit_locally, selection
-from fide_plugins.uncertainty.covariance import _inverse, deviations
-from fide_plugins.uncertainty.local_fit import FitToTarget
-from fide_plugins.uncertainty.selection import aligned
+from fide_plugins.uncertainty import (
+    LocalEstimate,
+    LocalFit,
+    estimate,
+    fit_locally,
+    samples as selection,
+)
+from fide_plugins.uncertainty.local_fit import FitToTarget, _inverse, deviations
+from fide_plugins.uncertainty.samples import aligned
 
 D, SIDE = 5, 16
 RAMPS = np.random.default_rng(2).uniform(-1, 1, (D, SIDE, SIDE, 3)) / D

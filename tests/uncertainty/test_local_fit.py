@@ -7,7 +7,7 @@ import pytest
 
 from fide_plugins.types import Float64
 from fide_plugins.uncertainty import FitToTarget, LocalFit, covariance, fit_locally
-from fide_plugins.uncertainty.covariance import WIDER
+from fide_plugins.uncertainty.local_fit import WIDER
 
 D, F, N = 6, 300, 400
 MIXING = np.random.default_rng(1).normal(size=(D, F))

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from fide_plugins import FIDE, losses
 from fide_plugins.losses.base import LossOfTarget
 from fide_plugins.losses.perceptual import PerceptualLoss
 from fide_plugins.types import Float32, Float64
-from fide_plugins.views import View, Views
+from fide_plugins.views import Views
 
 Render = Callable[[Float64], Float32]
 MASK = np.ones((16, 16), np.float32)
@@ -57,28 +56,6 @@ def test_the_run_is_the_same(
         np.testing.assert_array_equal(here, there)
 
 
-@pytest.mark.parametrize("preset", OPTIONS)
-def test_the_run_of_views_is_the_same(preset: str, render: Render, target: Float32) -> None:
-    def pair(X: Float64) -> list[Float32]:
-        return [render(X), render(X)[:, ::-1]]
-
-    runs = []
-    for side in (target[::-1], other_where(SOFT == 0, target[::-1])):
-        opt = FIDE(6, [target, side], mask=[None, SOFT], seed=0, **OPTIONS[preset])
-        runs.append(run(opt, pair, 6))
-    for here, there in zip(*runs, strict=True):
-        np.testing.assert_array_equal(here, there)
-
-
-@pytest.mark.parametrize("seen", [0.2, 1e-6])
-def test_a_pixel_that_counts_a_little_is_visible(seen: float, target: Float32) -> None:
-    tokens = [
-        FIDE(6, each, mask=np.where(MASK == 0, seen, 1.0)).target_tokens
-        for each in (target, other_where(MASK == 0, target))
-    ]
-    assert not torch.equal(*tokens)
-
-
 def test_hidden_pixels_have_the_color_of_what_counts(target: Float32) -> None:
     view = Views.read(target, SOFT).views[0]
     mean = target[:, :9].mean(axis=(0, 1))
@@ -113,14 +90,6 @@ def check_that_it_goes_on(opt: FIDE, render: Render, folder: Path) -> None:
         np.testing.assert_array_equal(here, there)
 
 
-def test_a_made_loss_goes_on_from_a_checkpoint(
-    render: Render, target: Float32, tmp_path: Path
-) -> None:
-    made = losses.make("perceptual", target)
-    opt = FIDE(6, target, mask=MASK, loss=made, seed=0, popsize=8)
-    check_that_it_goes_on(opt, render, tmp_path)
-
-
 class Absolute(LossOfTarget):
     """Mean absolute difference, weighed by itself."""
 
@@ -148,19 +117,3 @@ def test_a_made_loss_that_weighs_pixels_goes_on_from_a_checkpoint(
     made = losses.make("absolute-of-tests", target)
     opt = FIDE(6, target, weights=weights, loss=made, seed=0, popsize=8)
     check_that_it_goes_on(opt, render, tmp_path)
-
-
-def test_a_run_that_was_saved_before_goes_on(
-    render: Render, target: Float32, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its tokens are of images with the hidden pixels of the target itself."""
-    with monkeypatch.context() as former:
-        former.setattr(View, "filled", property(lambda view: view.target))
-        opt = FIDE(6, other_where(MASK == 0, target), mask=MASK, seed=0, popsize=8)
-        run(opt, render, 4)
-        opt.save(tmp_path / "c")
-    again = FIDE.load(tmp_path / "c")
-    assert again.best is not None and opt.best is not None
-    assert again.best.loss == opt.best.loss
-    run(again, render, 20)
-    assert again.evaluations == 24 * 8 and again.best.loss < opt.best.loss / 10

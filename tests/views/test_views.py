@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from fide_plugins import FIDE, losses
 from fide_plugins.errors import CheckpointError, ImageError, LossError
@@ -73,16 +72,6 @@ def test_tokens_are_joined_along_T(name: str) -> None:
     np.testing.assert_array_equal(opt.target_tokens.numpy(), tokens[0])
 
 
-def test_the_best_images_are_kept_as_they_were_told(render: Render, answer: Float64) -> None:
-    of = both(render)
-    opt = FIDE(6, [image[0] for image in of(answer[None])], seed=1, popsize=8)
-    run(opt, of, 5)
-    best = opt.best
-    assert best is not None and isinstance(best.image, list)
-    for image, rendered in zip(best.image, of(best.x[None]), strict=True):
-        np.testing.assert_array_equal(image, rendered[0])
-
-
 @pytest.mark.parametrize("loss", [None, "perceptual"])
 def test_a_checkpoint_goes_on_bit_for_bit(
     render: Render, answer: Float64, tmp_path: Path, loss: str | None
@@ -120,20 +109,6 @@ def test_a_callable_gets_a_list_and_is_given_again(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.evaluator.loss(images), darkest(images))
     with pytest.raises(LossError, match="callable as its loss"):
         FIDE.load(tmp_path / "c").tell(X, images)
-
-
-def test_paths_and_gray_pictures_are_views(tmp_path: Path) -> None:
-    Image.fromarray((A * 255).astype(np.uint8)).save(tmp_path / "a.png")
-    opt = FIDE(3, (tmp_path / "a.png", B[..., 0]), seed=0, popsize=4)
-    assert [view.size for view in opt.views.views] == [(20, 24), (12, 9)]
-    grays = np.zeros((4, 12, 9), np.float32)
-    opt.tell(opt.ask(), [np.zeros((4, 20, 24, 3), np.uint8), list(grays)])
-    assert opt.evaluations == 4
-
-
-def test_one_picture_of_nested_lists_is_no_list_of_views() -> None:
-    opt = FIDE(3, [[0.0, 1.0], [0.5, 0.5]], seed=0)
-    assert opt.target.shape == (2, 2, 3) and not opt.views.listed
 
 
 def images(n: int = 4) -> list[Any]:

@@ -164,8 +164,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         if cube.guess is not None and np.array_equal(x, cube.guess):
             candidate = initial_candidate(self.parametrization)
         else:
-            candidate = self.parametrization.spawn_child()
-            candidate.set_standardized_data(cube.from_cube(x), reference=self.parametrization)
+            candidate = cube.candidate(x)
         candidate._meta[self._asked_key] = x
         self._drawn.append(candidate)
         return candidate
@@ -252,7 +251,7 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
         evaluation, self._evaluation = self._evaluation or Evaluation(loss), None
         x = candidate._meta.pop(self._asked_key, None)
         if x is None:
-            x = cube.to_cube(candidate.get_standardized_data(reference=self.parametrization))
+            x = cube.point(candidate)
         failed, penalized = not loss < _FAILED, loss != candidate.loss
         valid = not (failed or penalized)
         self._search.tell(x, np.inf if failed else loss, evaluation, valid)
@@ -268,7 +267,9 @@ class Optimizer(base.Optimizer):  # type: ignore[misc]  # Nevergrad has no types
     def _internal_provide_recommendation(self) -> Float64 | None:
         if self.parametrization.function.deterministic or not self._search.started:
             return None  # the best candidate told
-        return self._start().from_cube(self.fide.recommend())
+        best = self._start().candidate(self.fide.recommend())
+        z: Float64 = best.get_standardized_data(reference=self.parametrization)
+        return z
 
     # -- minimize ----------------------------------------------------------------------------------
 

@@ -1,7 +1,17 @@
-"""Nevergrad's standardized space as a unit cube, and back.
+"""Nevergrad's parametrizations as a `fide_plugins.Space`, and candidates as points of its cube.
 
-Nevergrad describes each parametrization by a vector z in R^d: zero is the initial value, and one is
-the step size (sigma) of the parametrization.  FIDE searches x in [0, 1]^d.  For each axis:
+========================================  ==========================================================
+part of a parametrization (a leaf)        parameters of the space
+========================================  ==========================================================
+`Choice` of 2 to 1,000 values             a `Choice` for each repetition
+whole numbers between two bounds, and     an `Int` for each, with log for those of `Log`
+`TransitionChoice`
+`Angles`                                  a periodic `Float` for each
+all others, also logarithms               a `Float` for each axis, as below
+========================================  ==========================================================
+
+The first three are read and written as values.  The others by Nevergrad's standardized data z: zero
+is the initial value, and one is the step size (sigma) of the parametrization.  For each axis:
 
 ======================  =============================  ============================================
 bounds of the axis      x of z                         property
@@ -18,7 +28,7 @@ deviation of 1/6.  In general it begins at x(0), with the slope dx/dz there as s
 but at most 1/3.
 
 Axes whose bounds are at infinity in standardized space (methods `arctan` and `tanh`) count as
-unbounded, and so do the weights of a `Choice`.
+unbounded.
 
 An initial value that a user has chosen is a guess, which FIDE asks first.  Nevergrad chooses the
 middle of two bounds, and zero without bounds.  In standardized space each initial value is zero, so
@@ -31,8 +41,10 @@ import warnings
 from typing import Any
 
 import numpy as np
-from nevergrad.parametrization import helpers
+from nevergrad.parametrization import helpers, parameter as p
 
+from fide_plugins.errors import SpaceError
+from fide_plugins.space import Choice, Float, Int, Kind, Space
 from fide_plugins.types import Float64
 
 __all__ = ["Cube", "initial_candidate"]
@@ -43,51 +55,119 @@ _FARTHEST = 1e6  # steps to a bound; one that is farther away is ignored
 _NARROWEST = 1e-6  # steps between two bounds; closer ones are ignored
 _EDGE = 1e-9  # width at the end of an unbounded axis that is left out; 6e8 steps from its middle
 _INWARDS = 1e-12  # of a range, in case that rounding puts a bound outside
+_MOST_CHOICES = 1000  # of a `Choice`
+_UNIT = Float(0, 1)
 
 
 class Cube:
     """The unit cube of one parametrization.
 
-    mean, std: (d,), mean and standard deviation with which the first search begins.
-    guess: mean where a user has chosen the initial value; None where Nevergrad has.
+    space: of its parameters, which are called p0, p1, ...; None if there are none.
+    std: (dim,), standard deviation with which the first search begins.
+    guess: (dim,), the initial value where a user has chosen it; None where Nevergrad has.
     """
 
     def __init__(self, parametrization: Any) -> None:
-        lower, upper = _bounds(parametrization)
+        self._parametrization = parametrization
+        leaves = _leaves(parametrization)
+        axes = _Axes(*_bounds(leaves, parametrization.dimension))
+        numeric = np.ones(axes.dim, bool)  # axes of z that are read and written as such
+        initial = abs(_initial(leaves, axes.dim)) > _EDGE
+        given = axes.off_center | (axes.free & initial)
+        choices = _choices(parametrization)
+        kinds: list[Kind] = []
+        stds: list[Float64] = []
+        self._by_value: list[tuple[int, slice]] = []  # other leaves, and columns of their values
+        end = 0
+        for i, leaf in enumerate(leaves):
+            z = slice(end, end := end + leaf.dimension)
+            choice = choices.get(id(leaf))
+            found = _kinds(leaf, choice)
+            kinds += found or [_UNIT] * leaf.dimension
+            if not found or (choice is None and isinstance(found[0], Int)):
+                stds.append(axes.std[z])
+            else:
+                stds.append(np.full(sum(kind.width for kind in found), _SLOPE))
+                given[z] = initial[z] if choice is not None else bool(np.any(leaf.value))
+            if found:
+                numeric[z] = False
+                self._by_value.append((i, slice(len(kinds) - len(found), len(kinds))))
+        if not leaves:  # an unknown kind of parameter
+            kinds, stds = [_UNIT] * axes.dim, [axes.std]
+        self.space = Space({f"p{i}": kind for i, kind in enumerate(kinds)}) if kinds else None
+        self.std = np.concatenate(stds)
+        self._numeric = numeric
+        self._columns = np.ones(len(kinds), bool)
+        for _, columns in self._by_value:
+            self._columns[columns] = False
+        self._axes = _Axes(axes.lower[numeric], axes.upper[numeric])
+        self.guess = self.point(parametrization) if given.any() else None
+
+    def candidate(self, x: Float64) -> Any:
+        """New candidate for a point x (dim,) of the cube."""
+        assert self.space is not None
+        numbers = self.space.layout.numbers(x[None])[0]
+        z = np.zeros(len(self._numeric))
+        z[self._numeric] = self._axes.from_cube(numbers[self._columns])
+        made = self._parametrization.spawn_child()
+        made.set_standardized_data(z, reference=self._parametrization)
+        leaves = helpers.list_data(made) if self._by_value else []
+        for i, columns in self._by_value:
+            _assign(leaves[i], numbers[columns])
+        return made
+
+    def point(self, candidate: Any) -> Float64:
+        """Point x (dim,) of the cube for a candidate; standardized data are clipped to bounds."""
+        assert self.space is not None
+        z = candidate.get_standardized_data(reference=self._parametrization)
+        numbers = np.empty((1, len(self._columns)))
+        numbers[0, self._columns] = self._axes.to_cube(z[self._numeric])
+        leaves = helpers.list_data(candidate) if self._by_value else []
+        for i, columns in self._by_value:
+            numbers[0, columns] = np.ravel(leaves[i].value)
+        x: Float64 = self.space.layout.points(numbers)[0]
+        return x
+
+
+class _Axes:
+    """Axes of standardized data.
+
+    lower, upper: (d,), bounds; infinite where there are none.
+    free: (d,), which have no bounds.
+    std: (d,), slope dx/dz at z = 0, but at most 1/3.
+    off_center: (d,), where x(0) is not 1/2.
+    """
+
+    def __init__(self, lower: Float64, upper: Float64) -> None:
+        self.lower, self.upper, self.dim = lower, upper, len(lower)
         has_lower, has_upper = np.isfinite(lower), np.isfinite(upper)
         self._box = has_lower & has_upper
         self._is_box = bool(self._box.all())
         self._low = np.where(has_lower, lower, 0.0)
         self._range = np.where(self._box, upper - self._low, 1.0)
-        self._free = ~has_lower & ~has_upper
+        self.free = ~has_lower & ~has_upper
         self._sign = np.where(has_upper & ~has_lower, -1.0, 1.0)
         self._bound = np.where(has_lower, self._low, np.where(has_upper, upper, 0.0))
-        zero = np.zeros(len(lower))
-        self.mean = self.to_cube(zero)
-        self.std = np.minimum(self._slope(), _WIDEST_STD)
-        middle = np.isclose(self.mean, 0.5, rtol=0, atol=1e-12)
-        self.mean[middle] = 0.5
+        zero = np.zeros(self.dim)
+        self.off_center = ~np.isclose(self.to_cube(zero), 0.5, rtol=0, atol=1e-12)
+        distance = np.pi / 2 * _SLOPE * self._beyond_bound(zero)
+        half = _SLOPE / (1.0 + distance**2)
+        slope = np.where(self._box, 1.0 / self._range, np.where(self.free, _SLOPE, half))
+        self.std = np.minimum(slope, _WIDEST_STD)
         self.std[np.isclose(self.std, _SLOPE, rtol=1e-12)] = _SLOPE
-        given = not middle.all() or bool((self._free & (_initial(parametrization) != 0)).any())
-        self.guess = self.mean if given else None
-
-    @property
-    def dim(self) -> int:
-        """Number of axes d."""
-        return len(self._low)
 
     def to_cube(self, z: Float64) -> Float64:
-        """Point x (d,) of the cube for standardized data z (d,), which is clipped to the bounds."""
+        """Coordinates (d,) in [0, 1] for standardized data z (d,)."""
         box: Float64 = np.clip((z - self._low) / self._range, 0.0, 1.0)
         if self._is_box:
             return box
         free = 0.5 + np.arctan(np.pi * _SLOPE * z) / np.pi
         half = 2 / np.pi * np.arctan(np.pi / 2 * _SLOPE * np.maximum(self._beyond_bound(z), 0.0))
         half = np.where(self._sign > 0, half, 1.0 - half)
-        return np.where(self._box, box, np.where(self._free, free, half))
+        return np.where(self._box, box, np.where(self.free, free, half))
 
     def from_cube(self, x: Float64) -> Float64:
-        """Standardized data z (d,) for a point x (d,) of the cube."""
+        """Standardized data (d,) for coordinates x (d,)."""
         box: Float64 = self._low + x * self._range
         if self._is_box:
             return box
@@ -95,16 +175,61 @@ class Cube:
         free = np.tan(np.pi * (inside - 0.5)) / (np.pi * _SLOPE)
         from_bound = np.minimum(np.where(self._sign > 0, x, 1.0 - x), 1.0 - _EDGE)
         half = self._bound + self._sign * np.tan(np.pi / 2 * from_bound) / (np.pi / 2 * _SLOPE)
-        return np.where(self._box, box, np.where(self._free, free, half))
+        return np.where(self._box, box, np.where(self.free, free, half))
 
     def _beyond_bound(self, z: Float64) -> Float64:
         return self._sign * (z - self._bound)
 
-    def _slope(self) -> Float64:
-        """dx/dz at z = 0, (d,)."""
-        distance = np.pi / 2 * _SLOPE * self._beyond_bound(np.zeros(self.dim))
-        half = _SLOPE / (1.0 + distance**2)
-        return np.where(self._box, 1.0 / self._range, np.where(self._free, _SLOPE, half))
+
+# -- values ----------------------------------------------------------------------------------------
+
+
+def _choices(parametrization: Any) -> dict[int, Any]:
+    """`Choice` and `TransitionChoice` by the id of their leaf."""
+    found = (each for _, each in helpers.flatten(parametrization))
+    return {id(each.indices): each for each in found if isinstance(each, p.BaseChoice)}
+
+
+def _kinds(leaf: Any, choice: Any) -> list[Kind]:
+    """What the values of a leaf are; [] where it is read and written by its standardized data.
+
+    choice: that the leaf belongs to, or None.
+    """
+    if isinstance(choice, p.Choice):
+        n = len(choice)
+        return [Choice(*range(n))] * (leaf.dimension // n) if 1 < n <= _MOST_CHOICES else []
+    if any(bound is None for bound in leaf.bounds):
+        return []
+    shape = np.shape(leaf.value)
+    ends = np.sort([np.ravel(np.broadcast_to(_of_shape(b, shape), shape)) for b in leaf.bounds], 0)
+    try:
+        if leaf.integer and leaf.dimension == ends.shape[1]:
+            ends = np.round(ends + np.array([[0.5 - _INWARDS], [_INWARDS - 0.5]]))  # as Nevergrad
+            is_log = isinstance(leaf, p.Log)
+            return [Int(int(low), int(high), log=is_log) for low, high in ends.T]
+        # an angle is two numbers in standardized data
+        turns = (ends[1] - ends[0]) / (2 * np.pi), (ends[1] - ends[0]) / 360
+        if leaf.dimension == 2 * ends.shape[1] and any(np.allclose(t, 1) for t in turns):
+            return [Float(low, high, periodic=True) for low, high in ends.T]
+    except (SpaceError, OverflowError):  # one value only, too many, or no end
+        pass
+    return []
+
+
+def _assign(leaf: Any, numbers: Float64) -> None:
+    """Give a leaf of a candidate its values."""
+    inside = leaf.value
+    values = numbers.astype(np.int64) if leaf.integer else numbers
+    value = values.reshape(np.shape(inside)) if np.ndim(inside) else values[0].item()
+    try:
+        leaf.value = value
+    except ValueError:  # the logarithm of a bound is rounded to the outside
+        leaf.value = value + _INWARDS * (inside - value)
+
+
+def _of_shape(bound: Any, shape: tuple[int, ...]) -> Any:
+    """A bound for values of a shape; that of a number is an array of one."""
+    return np.ravel(bound)[0] if shape == () else bound
 
 
 def initial_candidate(parametrization: Any) -> Any:
@@ -117,19 +242,24 @@ def initial_candidate(parametrization: Any) -> Any:
     return candidate
 
 
-def _initial(parametrization: Any) -> Float64:
+# -- standardized data -----------------------------------------------------------------------------
+
+
+def _leaves(parametrization: Any) -> list[Any]:
+    """Parts in the order of the standardized data; [] for an unknown kind of parametrization."""
+    leaves: list[Any] = helpers.list_data(parametrization)
+    known = sum(leaf.dimension for leaf in leaves) == parametrization.dimension
+    return leaves if known else []
+
+
+def _initial(leaves: list[Any], dim: int) -> Float64:
     """Initial values (d,) of the leaves, before bounds and logarithms."""
-    values = [np.ravel(leaf._value) for leaf in helpers.list_data(parametrization)]
-    nothing = np.zeros(parametrization.dimension)
-    joined: Float64 = np.concatenate(values) if values else nothing
-    return joined if joined.shape == nothing.shape else nothing
+    return np.concatenate([np.ravel(leaf._value) for leaf in leaves]) if leaves else np.zeros(dim)
 
 
-def _bounds(parametrization: Any) -> tuple[Float64, Float64]:
+def _bounds(leaves: list[Any], dim: int) -> tuple[Float64, Float64]:
     """Lower and upper bounds (d,) in standardized space, infinite where there are none."""
-    leaves = helpers.list_data(parametrization)  # in the order of the standardized data
-    dim = parametrization.dimension
-    if sum(leaf.dimension for leaf in leaves) != dim:  # an unknown kind of parameter
+    if not leaves:
         return np.full(dim, -np.inf), np.full(dim, np.inf)
     ends = [[_end(leaf, bound) for bound in leaf.bounds] for leaf in leaves]
     first, second = (np.concatenate(side) for side in zip(*ends, strict=True))
@@ -148,7 +278,7 @@ def _end(leaf: Any, bound: Any) -> Float64:
     if bound is None:
         return nowhere
     inside = np.asarray(leaf.value, np.float64)
-    value = np.broadcast_to(np.ravel(bound)[0] if inside.ndim == 0 else bound, inside.shape)
+    value = np.broadcast_to(_of_shape(bound, inside.shape), inside.shape)
     for fraction in (0.0, _INWARDS):
         try:
             with warnings.catch_warnings():

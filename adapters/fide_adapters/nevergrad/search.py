@@ -98,11 +98,13 @@ class Search:
         if self.target is None:
             options = without_images(options)
         options = {"memory_mb": 0.0, **options}  # for the next target, which there never is
+        dim = 0 if cube.space is None else cube.space.dim
+        size = size or default_popsize(max(1, dim))
         self._fide = FIDE(
-            cube.dim,
+            cube.space or 0,  # which is refused
             _NO_TARGET if self.target is None else self.target.canonical,  # `_read` scales images
             loss=None if self.target is None else s["loss"],
-            popsize=max(size or default_popsize(cube.dim), self._workers),
+            popsize=max(size, self._workers),
             x0=cube.guess,
             sigma0=cube.std,
             preset=s["preset"],

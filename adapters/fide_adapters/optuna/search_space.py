@@ -1,16 +1,15 @@
-"""Optuna's search spaces: as a unit cube, and which parameters are searched together.
+"""Optuna's search spaces as a `fide_plugins.Space`, and which parameters are searched together.
 
-=======================  ======  ===================================================================
-distribution             axes    point of the cube
-=======================  ======  ===================================================================
-float                    1       (v - low) / (high - low); of the logarithms with `log`
-n values: float or int   1       the middle of the value's interval, 1/n of the axis
-with a step
-int with `log`           1       logarithm, from low - 1/2 to high + 1/2
-n choices                n       3/4 for the choice and 1/4 for the others; the largest coordinate
-                                 decides.  Two choices use one axis, like two values.
-one value only           0
-=======================  ======  ===================================================================
+=================================  =================================================================
+distribution                       parameter of the space
+=================================  =================================================================
+float; int with `log`              `Float`; `Int` with log
+int, or float with a step          `Int`, the number of steps from the lowest value
+n choices                          `Choice` of their indices; `Int` if there are more than 1,000
+one value only                     none
+=================================  =================================================================
+
+Where doubles cannot tell the values or the logarithms apart, a `Float` without that is used.
 
 Parameters are ordered by name: alphabetically, but x2 before x10.
 
@@ -30,27 +29,25 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution
 from optuna.trial import FrozenTrial, TrialState
 
 from fide_adapters.optuna.storage import WarnOnce
 from fide_plugins.errors import SpaceError
+from fide_plugins.space import Choice, Float, Int, Kind, Space
 from fide_plugins.types import Float64
 
-__all__ = ["RelativeSpace", "Space"]
+__all__ = ["RelativeSpace", "SearchSpace"]
 
 Distributions = Mapping[str, BaseDistribution]
 
-_CHOSEN, _NOT_CHOSEN = 0.75, 0.25
+_MOST_CHOICES = 1000  # of a `Choice`
 _RECENT = 10  # trials
 _MOST_SPACES = 8
 
@@ -65,68 +62,93 @@ def _by_name(name: str) -> tuple[tuple[str, int], ...]:
     return tuple((t, int(n or 0)) for t, n in zip(parts[::2], [*parts[1::2], ""], strict=True))
 
 
-def _single_value(distribution: BaseDistribution) -> Any:
-    """Value of a distribution that has only one."""
-    if isinstance(distribution, CategoricalDistribution):
-        return distribution.choices[0]
-    if isinstance(distribution, FloatDistribution | IntDistribution):
-        return distribution.low
-    raise TypeError(f"not a distribution of Optuna: {distribution!r}")
+@dataclass(frozen=True)
+class _Parameter:
+    """A distribution of several values: value = origin + step * number, numbers are of the kind."""
+
+    distribution: Any
+    kind: Kind
+    origin: Any = 0
+    step: Any = 1
+
+    @classmethod
+    def of(cls, name: str, d: Any) -> _Parameter:
+        """Parameter of a distribution; raises SpaceError for a range whose length is no double."""
+        if isinstance(d, CategoricalDistribution):
+            n = len(d.choices)
+            return cls(d, Choice(*range(n)) if n <= _MOST_CHOICES else Int(0, n - 1))
+        if not isfinite(d.high - d.low):
+            raise SpaceError(
+                f"parameter {name!r}, from {d.low} to {d.high}: high - low must be finite; take a "
+                "narrower range"
+            )
+        if d.log:
+            for kind in (Int, Float) if isinstance(d, IntDistribution) else (Float,):
+                with suppress(SpaceError):  # doubles do not tell the logarithms apart
+                    return cls(d, kind(d.low, d.high, log=True))
+        if d.step is None:
+            return cls(d, Float(d.low, d.high))
+        steps = round((d.high - d.low) / d.step)
+        with suppress(SpaceError):  # too many values
+            return cls(d, Int(0, steps), d.low, d.step)
+        return cls(d, Float(0, steps), d.low, d.step)
+
+    def value(self, number: float) -> Any:
+        """Value of a number, native."""
+        d = self.distribution
+        if isinstance(d, CategoricalDistribution):
+            return d.choices[int(number)]
+        if d.step is None:
+            return number
+        return min(max(self.origin + self.step * round(number), d.low), d.high)
+
+    def number(self, value: Any) -> float:
+        """Number of a value within the range."""
+        if isinstance(self.distribution, CategoricalDistribution):
+            return self.distribution.to_internal_repr(value)
+        if self.distribution.step is None:
+            return float(value)
+        return float(round((value - self.origin) / self.step))
 
 
-class Space:
-    """The unit cube of some distributions.
+class SearchSpace:
+    """Distributions by name as a `Space`, and the values of trials as points of its cube.
 
-    distributions: by name.
+    space: of those with several values; None if there are none.
+    dim: number of its axes.
     """
 
     def __init__(self, distributions: Distributions) -> None:
-        self.distributions = {
-            name: distributions[name] for name in sorted(distributions, key=_by_name)
+        ordered = sorted(distributions, key=_by_name)
+        self.distributions = {name: distributions[name] for name in ordered}
+        self._varied = {
+            name: _Parameter.of(name, d) for name, d in self.distributions.items() if not d.single()
         }
-        varied = {n: d for n, d in self.distributions.items() if not d.single()}
-        self._fixed = {n: _single_value(d) for n, d in self.distributions.items() if d.single()}
-        self._scale = _Scale(
-            {n: d for n, d in varied.items() if isinstance(d, FloatDistribution | IntDistribution)}
-        )
-        self._choices = {n: d for n, d in varied.items() if isinstance(d, CategoricalDistribution)}
-        self._axes: dict[str, slice] = {}
-        self.dim = 0
-        for name, distribution in varied.items():
-            width = 1
-            if isinstance(distribution, CategoricalDistribution):
-                width = len(distribution.choices) if len(distribution.choices) > 2 else 1
-            self._axes[name] = slice(self.dim, self.dim + width)
-            self.dim += width
-        self._columns = np.array([self._axes[n].start for n in self._scale.names], np.intp)
+        kinds = {f"p{i}": one.kind for i, one in enumerate(self._varied.values())}
+        self.space = Space(kinds) if kinds else None
+        self.dim = 0 if self.space is None else self.space.dim
 
     def decode(self, x: Float64) -> dict[str, Any]:
         """Parameters of a point x (dim,), as native numbers and choices."""
-        params = dict(self._fixed)
-        params.update(self._scale.values(x[self._columns]))
-        for name, distribution in self._choices.items():
-            params[name] = distribution.choices[_chosen(x[self._axes[name]])]
-        return {name: params[name] for name in self.distributions}
+        numbers = [] if self.space is None else self.space.layout.numbers(x[None])[0].tolist()
+        values = {
+            name: one.value(number)
+            for (name, one), number in zip(self._varied.items(), numbers, strict=True)
+        }
+        return {n: values[n] if n in values else _only(d) for n, d in self.distributions.items()}
 
     def encode(self, params: Mapping[str, Any]) -> Float64:
         """Point (dim,) of the parameters of a trial in this space."""
-        x = np.empty(self.dim)
-        values = np.array([params[name] for name in self._scale.names], np.float64)
-        x[self._columns] = self._scale.points(values)
-        for name, distribution in self._choices.items():
-            axes = x[self._axes[name]]
-            _choose(axes, int(distribution.to_internal_repr(params[name])))
-        return x
+        numbers = [one.number(params[name]) for name, one in self._varied.items()]
+        points = np.empty((1, 0))
+        if self.space is not None:
+            points = self.space.layout.points(np.array([numbers], np.float64))
+        point: Float64 = points[0]
+        return point
 
     def snap(self, x: Float64) -> Float64:
         """Point (dim,) that encodes the parameters of a point x (dim,)."""
-        snapped = x.copy()
-        values = self._scale.rounded(x[self._columns])
-        snapped[self._columns] = self._scale.points(values)
-        for name in self._choices:
-            axes = snapped[self._axes[name]]
-            _choose(axes, _chosen(axes))
-        return snapped
+        return self.encode(self.decode(x))
 
     def holds(self, trial: FrozenTrial) -> bool:
         """Whether the trial has all of these parameters, of these kinds and within these ranges."""
@@ -136,96 +158,25 @@ class Space:
 
     def contains(self, params: Mapping[str, Any]) -> bool:
         """Whether each of these parameters has a value, within its range."""
-        return (
-            all(name in params for name in self.distributions)
-            and all(params[name] == value for name, value in self._fixed.items())
-            and all(_is_choice(params[name], d) for name, d in self._choices.items())
-            and self._scale.holds([params[name] for name in self._scale.names])
-        )
+        own = self.distributions
+        return all(name in params and _is_within(params[name], d) for name, d in own.items())
 
 
-def _is_choice(value: Any, distribution: CategoricalDistribution) -> bool:
-    """Whether the value is one of the choices, as Optuna compares them: a NaN is a NaN."""
+def _only(distribution: Any) -> Any:
+    """Value of a distribution that has only one."""
+    choices = getattr(distribution, "choices", None)
+    return choices[0] if choices else distribution.low
+
+
+def _is_within(value: Any, distribution: Any) -> bool:
+    """Whether a distribution has the value, or, of numbers, one beside it; a NaN is a NaN."""
     try:
-        distribution.to_internal_repr(value)
-    except ValueError:
+        if isinstance(distribution, CategoricalDistribution):
+            distribution.to_internal_repr(value)
+            return True
+        return bool(distribution.low <= value <= distribution.high)
+    except (TypeError, ValueError):
         return False
-    return True
-
-
-def _chosen(axes: Float64) -> int:
-    """Choice that the coordinates of a categorical parameter encode."""
-    return int(axes[0] >= 0.5) if len(axes) == 1 else int(np.argmax(axes))
-
-
-def _choose(axes: Float64, choice: int) -> None:
-    """Write the coordinates of a choice."""
-    if len(axes) == 1:
-        axes[0] = _CHOSEN if choice else _NOT_CHOSEN
-    else:
-        axes[:] = _NOT_CHOSEN
-        axes[choice] = _CHOSEN
-
-
-class _Scale:
-    """All m numeric parameters at once; arrays are (m,)."""
-
-    def __init__(self, numeric: Mapping[str, FloatDistribution | IntDistribution]) -> None:
-        distributions = list(numeric.values())
-        self.names = list(numeric)
-        self._low = np.array([d.low for d in distributions], np.float64)
-        self._high = np.array([d.high for d in distributions], np.float64)
-        self._step = np.array([d.step or 0.0 for d in distributions], np.float64)
-        self._log = np.array([d.log for d in distributions], bool)
-        self._whole = {
-            name: (d.low, d.high) for name, d in numeric.items() if isinstance(d, IntDistribution)
-        }
-        self._check_lengths()
-        margin = self._step / 2  # 1/2 for each int, also with `log`
-        self._bottom = self._scaled(self._low - margin)
-        length = self._scaled(self._high + margin) - self._bottom
-        self._length = np.where(length > 0, length, 1.0)  # 0: doubles cannot tell the ends apart
-
-    def _check_lengths(self) -> None:
-        """Raise SpaceError, as a `Float` does, for a range whose length no double holds."""
-        with np.errstate(over="ignore"):
-            endless = ~np.isfinite(self._high - self._low)
-        for i in np.flatnonzero(endless)[:1]:
-            raise SpaceError(
-                f"parameter {self.names[i]!r}, from {self._low[i]} to {self._high[i]}: high - low "
-                "must be finite; take a narrower range"
-            )
-
-    def _scaled(self, values: Float64) -> Float64:
-        scaled = values.copy()
-        scaled[self._log] = np.log(values[self._log])
-        return scaled
-
-    def points(self, values: Float64) -> Float64:
-        return np.clip((self._scaled(values) - self._bottom) / self._length, 0.0, 1.0)
-
-    def rounded(self, points: Float64) -> Float64:
-        """Values of the distributions that are nearest to points in [0, 1]."""
-        values = self._bottom + points * self._length
-        values[self._log] = np.exp(values[self._log])
-        stepped = self._step > 0
-        low, step = self._low[stepped], self._step[stepped]
-        values[stepped] = low + np.round((values[stepped] - low) / step) * step
-        return np.clip(values, self._low, self._high)
-
-    def values(self, points: Float64) -> dict[str, float | int]:
-        """As `rounded`, by name, as native numbers."""
-        found = dict(zip(self.names, self.rounded(points).tolist(), strict=True))
-        for name, (low, high) in self._whole.items():  # beyond 2^53 doubles may miss both ends
-            found[name] = min(max(int(found[name]), low), high)
-        return found
-
-    def holds(self, values: list[Any]) -> bool:
-        try:
-            array: npt.NDArray[np.float64] = np.array(values, np.float64)
-        except (TypeError, ValueError):  # of an enqueued trial, which Optuna refuses
-            return False
-        return bool(((array >= self._low) & (array <= self._high)).all())
 
 
 class RelativeSpace:

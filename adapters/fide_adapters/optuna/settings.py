@@ -19,6 +19,7 @@ from fide_plugins.errors import OptionError
 from fide_plugins.evaluation import Evaluator
 from fide_plugins.fide import FIDE
 from fide_plugins.options import make_options, without_images
+from fide_plugins.space import Space
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_names
 from fide_plugins.validation.points import standard_deviation
@@ -102,12 +103,12 @@ class OptimizerSettings:
 
     def make(
         self,
-        dim: int,
+        space: Space,
         seed: int,
         images: ImageEvaluator | None = None,
         guess: Float64 | None = None,
     ) -> FIDE:
-        """Optimizer of at least one parameter, with the encoder and loss of `images` if given.
+        """Optimizer in a space, with the encoder and loss of `images` if given.
 
         guess: (dim,), its first candidate, around which it begins.
         """
@@ -120,7 +121,7 @@ class OptimizerSettings:
         elif images is not None:
             options["encoder"], loss = images.evaluator.encoder, images.evaluator.loss
         return FIDE(
-            dim,
+            space,
             target,
             loss=loss,
             seed=seed,
@@ -154,17 +155,17 @@ class Settings:
         """Digest of target and loss; None without a target."""
         return None if self.images is None else self.images.problem
 
-    def make_optimizer(self, dim: int, seed: int, guess: Float64 | None) -> FIDE:
-        """Optimizer of so many parameters; all share one encoder and one loss."""
-        return self.optimizer.make(dim, seed, self.images, guess)
+    def make_optimizer(self, space: Space, seed: int, guess: Float64 | None) -> FIDE:
+        """Optimizer in a space; all share one encoder and one loss."""
+        return self.optimizer.make(space, seed, self.images, guess)
 
-    def first_candidate(self, dim: int, seed: int) -> Float64:
-        """Coordinates (dim,) of the first candidate; the first ones are equal for any `dim`."""
+    def first_candidate(self, space: Space, seed: int) -> Float64:
+        """First candidate (dim,) in a space."""
         # without groups, which are of the parameters of the study, and do not change this one
         options = {
             name: value for name, value in self.optimizer.options.items() if name != "groups"
         }
-        made = replace(self.optimizer, options=options).make(dim, seed, self.images)
+        made = replace(self.optimizer, options=options).make(space, seed, self.images)
         first: Float64 = made.ask(1)[0]
         return first
 

@@ -17,11 +17,12 @@ from torch import Tensor
 
 from fide_adapters.optuna import storage
 from fide_adapters.optuna.features import ImageEvaluator
-from fide_adapters.optuna.search_space import RelativeSpace, Space
+from fide_adapters.optuna.search_space import RelativeSpace, SearchSpace
 from fide_adapters.optuna.settings import Settings
 from fide_adapters.optuna.storage import ASK, GUESS, IMAGE, SEED, TrialReader, Trials
 from fide_adapters.optuna.study_optimizer import Evaluation, StoredFeaturesNeeded, StudyOptimizer
 from fide_adapters.optuna.trials import History, loss_of
+from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64
 
 __all__ = ["StudyState", "StudyStates"]
@@ -86,7 +87,7 @@ class StudyState:
         self._optimizers: OrderedDict[str, StudyOptimizer] = OrderedDict()
         self._first = np.empty(0)  # coordinates of the first candidate
         self._distributions: dict[str, BaseDistribution] = {}  # the latest search space
-        self._space, self._digest = Space({}), ""
+        self._space, self._digest = SearchSpace({}), ""
 
     def is_of(self, study: Study) -> bool:
         """Whether this is the study, through the same connection."""
@@ -158,19 +159,16 @@ class StudyState:
     ) -> Any:
         """Value of one parameter of the first trial, whose search space is not known yet.
 
-        It is that of the first candidate of the search, as far as parameters are suggested in the
-        order of `Space`; otherwise it belongs to another candidate of the same distribution.
+        It is that of the first candidate of the search, as far as parameters are floats that are
+        suggested in the order of `SearchSpace`; otherwise it belongs to another candidate.
         """
         self._agree_on_seed(study)
-        before, space = Space(trial.distributions).dim, Space({name: distribution})
-        return space.decode(self._first_candidate(before + space.dim)[before:])[name]
-
-    def _first_candidate(self, dim: int) -> Float64:
-        """Coordinates (dim,) of the first candidate, which start alike for any number of them."""
-        if len(self._first) < dim:
-            most = max(_FIRST_DIM, 2 * dim)
-            self._first = self._settings.first_candidate(most, self._seed or 0)
-        return self._first[:dim]
+        before, space = SearchSpace(trial.distributions).dim, SearchSpace({name: distribution})
+        needed = before + space.dim
+        if len(self._first) < needed:  # the first coordinates are the same for any number of floats
+            numbers = {f"p{i}": Float(0, 1) for i in range(max(_FIRST_DIM, 2 * needed))}
+            self._first = self._settings.first_candidate(Space(numbers), self._seed or 0)
+        return space.decode(self._first[before:needed])[name]
 
     def ask(
         self, study: Study, trial: FrozenTrial, distributions: Mapping[str, BaseDistribution]
@@ -206,7 +204,7 @@ class StudyState:
     def _search(self, distributions: Mapping[str, BaseDistribution]) -> None:
         """Make these the current search space."""
         if distributions != self._distributions:
-            self._distributions, self._space = dict(distributions), Space(distributions)
+            self._distributions, self._space = dict(distributions), SearchSpace(distributions)
             self._digest = self._settings.optimizer.digest_of(self._space.distributions)
 
     def _optimizer(self) -> StudyOptimizer:
@@ -215,7 +213,8 @@ class StudyState:
         optimizer = self._optimizers.get(digest)
         if optimizer is None:
             seed, guess = self._seed or 0, self._guess()
-            make = partial(self._settings.make_optimizer, self._space.dim, seed, guess)
+            assert self._space.space is not None  # else there is nothing to search
+            make = partial(self._settings.make_optimizer, self._space.space, seed, guess)
             optimizer = StudyOptimizer(self._space, make, self._history, digest)
             self._optimizers[digest] = optimizer
         self._optimizers.move_to_end(digest)

@@ -11,7 +11,7 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import FrozenTrial
 from torch import Tensor
 
-from fide_adapters.optuna.search_space import Space
+from fide_adapters.optuna.search_space import SearchSpace
 from fide_adapters.optuna.storage import MOST_NAMED, Ask, Trials
 from fide_adapters.optuna.trials import History, News, TrialOrder
 from fide_plugins.distributed.replica import Replica, Role
@@ -48,7 +48,7 @@ class StudyOptimizer:
     """
 
     def __init__(
-        self, space: Space, make: Callable[[], FIDE], history: History, digest: str
+        self, space: SearchSpace, make: Callable[[], FIDE], history: History, digest: str
     ) -> None:
         self.space, self.digest = space, digest
         self._numbers = [

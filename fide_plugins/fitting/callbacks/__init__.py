@@ -16,7 +16,10 @@ Another exception ends the fit with a `FitError`, which has the result; a run di
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,12 +29,12 @@ import numpy as np
 
 from fide_plugins.errors import OptionError
 from fide_plugins.fitting.failures import CallbackError
+from fide_plugins.recording.record import Progress, Report
 from fide_plugins.types import Float64
 
 if TYPE_CHECKING:
     from fide_plugins.fide import FIDE
 
-__all__ = ["Callbacks", "Event", "Run", "StopFitting"]
 
 _METHODS = ("on_start", "on_evaluation", "on_improvement", "on_end")
 
@@ -132,3 +135,55 @@ class Callbacks:
             )
         for name, method in methods.items():
             self._methods[name].append(method)
+
+
+def check_progress(progress: object) -> None:
+    """Raise OptionError (a ValueError) unless it is True, False, None or a function."""
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
+        raise OptionError(f"progress must be True, False, None or a function, not {progress!r}")
+
+
+@contextmanager
+def reporting(progress: object) -> Iterator[Report | None]:
+    """Context that gives a function which shows progress; None: nothing is to be shown.
+
+    progress: None: a bar if standard error is a terminal; True: a bar; False: nothing; or a
+        function of a `Progress`.
+
+    Raises OptionError (a ValueError).
+    """
+    check_progress(progress)
+    if progress is None:
+        progress = sys.stderr is not None and sys.stderr.isatty()
+    if callable(progress):
+        yield progress
+    elif progress:
+        with _bar() as report:
+            yield report
+    else:
+        yield None
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bars, TextColumn, TimeElapsedColumn
+
+    columns = [  # without markup, since a remark may hold brackets
+        BarColumn(bar_width=16),
+        TextColumn("{task.completed}/{task.total}", markup=False),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    ]
+    console = Console(stderr=True)
+    with Bars(*columns, console=console, refresh_per_second=5, transient=True) as bar:
+        line = bar.add_task("", total=None)
+
+        def report(progress: Progress) -> None:
+            words = progress.doing or progress.remark
+            if not progress.doing and math.isfinite(progress.best_loss):
+                words = f"best {progress.best_loss:.3g}  {words}"
+            total = progress.budget or None
+            bar.update(line, total=total, completed=progress.evaluations, description=words)
+
+        yield report

@@ -122,7 +122,7 @@ class Exchangeability:
         """Largest difference of a parameter of x and y, (d,) each, blocks in the best order.
 
         The order is the one with the least sum of the blocks' largest differences: whoever asks
-        compares the largest with a bound.  `learning.judging.report.Distance`, which measures
+        compares the largest with a bound.  `learning.judging.Distance`, which measures
         models, sums the differences of all parameters instead; the two may match blocks
         differently.
         """

@@ -18,47 +18,53 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fide_lab.baselines.base import Baseline as Baseline
-    from fide_lab.baselines.bipop import BIPOP as BIPOP
-    from fide_lab.baselines.cma import CMA as CMA
-    from fide_lab.baselines.dfols import DFOLS as DFOLS
     from fide_lab.baselines.dibo import DiBO as DiBO
-    from fide_lab.baselines.dual_annealing import DualAnnealing as DualAnnealing
-    from fide_lab.baselines.eki import EKI as EKI
-    from fide_lab.baselines.fide_annealing import FIDEAnnealing as FIDEAnnealing
-    from fide_lab.baselines.frameworks import nevergrad as nevergrad, optuna as optuna
-    from fide_lab.baselines.inverse import Inverse as Inverse
-    from fide_lab.baselines.lq_cma import LQCMA as LQCMA
-    from fide_lab.baselines.npe.search import NPE as NPE
-    from fide_lab.baselines.pgpe import PGPE as PGPE
-    from fide_lab.baselines.random import Random as Random
-    from fide_lab.baselines.trust_region.composite import CompositeBO as CompositeBO
-    from fide_lab.baselines.trust_region.turbo import TuRBO as TuRBO
+    from fide_lab.baselines.evolution import (
+        BIPOP as BIPOP,
+        CMA as CMA,
+        LQCMA as LQCMA,
+        PGPE as PGPE,
+        Random as Random,
+    )
+    from fide_lab.baselines.image_based import (
+        EKI as EKI,
+        FIDEAnnealing as FIDEAnnealing,
+        Inverse as Inverse,
+    )
+    from fide_lab.baselines.libraries import (
+        DFOLS as DFOLS,
+        DualAnnealing as DualAnnealing,
+        nevergrad as nevergrad,
+        optuna as optuna,
+    )
+    from fide_lab.baselines.npe import NPE as NPE
+    from fide_lab.baselines.trust_region import CompositeBO as CompositeBO, TuRBO as TuRBO
     from fide_lab.baselines.zerograds import ZeroGrads as ZeroGrads
 
 PLACES: Mapping[str, str] = {
-    "bipop-cma-es": "fide_lab.baselines.bipop:BIPOP",
-    "cma": "fide_lab.baselines.cma:CMA",
-    "composite-bo": "fide_lab.baselines.trust_region.composite:CompositeBO",
-    "dfols": "fide_lab.baselines.dfols:DFOLS",
+    "bipop-cma-es": "fide_lab.baselines.evolution:BIPOP",
+    "cma": "fide_lab.baselines.evolution:CMA",
+    "composite-bo": "fide_lab.baselines.trust_region:CompositeBO",
+    "dfols": "fide_lab.baselines.libraries:DFOLS",
     "dibo": "fide_lab.baselines.dibo:DiBO",
-    "dual-annealing": "fide_lab.baselines.dual_annealing:DualAnnealing",
-    "eki": "fide_lab.baselines.eki:EKI",
-    "fide-annealing": "fide_lab.baselines.fide_annealing:FIDEAnnealing",
-    "inverse": "fide_lab.baselines.inverse:Inverse",
-    "lq-cma-es": "fide_lab.baselines.lq_cma:LQCMA",
-    "npe": "fide_lab.baselines.npe.search:NPE",
-    "pgpe": "fide_lab.baselines.pgpe:PGPE",
-    "random": "fide_lab.baselines.random:Random",
-    "turbo": "fide_lab.baselines.trust_region.turbo:TuRBO",
+    "dual-annealing": "fide_lab.baselines.libraries:DualAnnealing",
+    "eki": "fide_lab.baselines.image_based:EKI",
+    "fide-annealing": "fide_lab.baselines.image_based:FIDEAnnealing",
+    "inverse": "fide_lab.baselines.image_based:Inverse",
+    "lq-cma-es": "fide_lab.baselines.evolution:LQCMA",
+    "npe": "fide_lab.baselines.npe:NPE",
+    "pgpe": "fide_lab.baselines.evolution:PGPE",
+    "random": "fide_lab.baselines.evolution:Random",
+    "turbo": "fide_lab.baselines.trust_region:TuRBO",
     "zerograds": "fide_lab.baselines.zerograds:ZeroGrads",
 }
 """Where the classes of ours are."""
 FAMILIES = ("nevergrad", "optuna")
-"""First words of ``"FAMILY:NAME"``; functions of `baselines.frameworks`, which make classes."""
+"""First words of ``"FAMILY:NAME"``; functions of `libraries`, which make classes."""
 _PLACES = [
     f"{__name__}.base:Baseline",
     *PLACES.values(),
-    *(f"{__name__}.frameworks:{family}" for family in FAMILIES),
+    *(f"{__name__}.libraries:{family}" for family in FAMILIES),
 ]
 _MODULES = {name: module for module, _, name in (place.partition(":") for place in _PLACES)}
 

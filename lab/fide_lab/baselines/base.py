@@ -1,4 +1,4 @@
-"""What all baselines share: ask and tell, generations, the best point, saving.
+"""What all baselines share: ask and tell, generations, the best point, saving, features of images.
 
 A baseline says how it draws candidates (`_sample`), what it learns from a complete generation
 (`_update`), and where its search stands (`recommend`).
@@ -12,21 +12,26 @@ counted and can become `best`; they do not move the search.
 
 *Losses that are NaN or infinite* are counted, rank last, and never become `best`.
 
-A baseline is saved in one of two ways: `replay.Replayed` runs it again, `stateful.Stateful` stores
-what it knows.
+*Saving.*  `Replayed` is saved as what was asked and told, and loading runs it again: nothing of a
+library's inner state has to be stored.  `Stateful` stores what it knows, where decisions take too
+long to be made again.
 """
 
 from __future__ import annotations
 
+import sys
+import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
-from typing import Any
+from array import array as numbers
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from fide_plugins import losses as losses_module
-from fide_plugins.errors import LossError
+from fide_plugins.errors import ImageError, LossError, OptionError
 from fide_plugins.losses.base import as_losses
 from fide_plugins.population import Candidate, Population
 from fide_plugins.runtime.machine import timed
@@ -39,7 +44,35 @@ from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import as_points, new_seed, whole_number
 
-__all__ = ["Baseline"]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def worse_than(loss: float) -> float:
+    """A finite loss above a finite one, unless that is the largest number there is."""
+    return min(loss + 1.0 + abs(loss), sys.float_info.max)
+
+
+class Penalty:
+    """Finite losses in place of those that are not: worse than all before."""
+
+    def __init__(self) -> None:
+        self._worst: float | None = None
+
+    def __call__(self, loss: float) -> float:
+        """`loss` itself if it is finite."""
+        if np.isfinite(loss):
+            self._worst = loss if self._worst is None else max(loss, self._worst)
+            return loss
+        return worse_than(0.0 if self._worst is None else self._worst)
+
+
+@contextmanager
+def quietly() -> Iterator[None]:
+    """Without a library's warnings, as of flat or failed functions, which here are no error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 class Baseline(Saved):
@@ -60,6 +93,8 @@ class Baseline(Saved):
     DeviceError for a device that this machine does not have.
     """
 
+    own_options: ClassVar[tuple[str, ...]] = ()
+    """Arguments of a subclass's constructor that are attributes, beside those of its bases."""
     training = False
     """No baseline trains in the background."""
     status = None
@@ -82,7 +117,11 @@ class Baseline(Saved):
         self.popsize = self._default_popsize() if popsize is None else popsize
         self.sigma0 = positive("sigma0", sigma0)
         self.seed = new_seed(seed)
-        self.device = _checked_device(device)
+        if device != "auto":
+            from fide_plugins.runtime.devices import resolve_device  # PyTorch takes a second
+
+            resolve_device(device)
+        self.device = device
         self.target = None if target is None else as_target(target)
         self._loss = losses_module.resolve(loss, self.target, device=device)
         self.evaluations = 0
@@ -125,9 +164,15 @@ class Baseline(Saved):
         points = as_points(X, self.dim)
         if images is None and losses is None:
             raise LossError("tell needs images, losses, or both; got neither")
-        batch = self._as_batch(images, len(points))
+        shape, batch = None if self.target is None else self.target.shape, None
+        if images is not None:
+            batch = as_batch(images, shape, n=len(points))
         with self._timed("encode"):
-            values = self._compute(batch) if losses is None else as_losses(losses, len(points))
+            if losses is not None:
+                values = as_losses(losses, len(points))
+            else:
+                assert batch is not None
+                values = self._loss.compute(batch)
             features = self._encode(batch)
         with self._timed("search"):
             for i, (x, loss) in enumerate(zip(points, values.tolist(), strict=True)):
@@ -156,8 +201,9 @@ class Baseline(Saved):
         return None
 
     def _own_settings(self) -> dict[str, Any]:
-        """Arguments of the subclass's constructor, by name."""
-        return {}
+        """Arguments of the subclasses' constructors, by name."""
+        names = [name for kind in type(self).__mro__ for name in vars(kind).get("own_options", ())]
+        return {name: getattr(self, name) for name in names}
 
     @abstractmethod
     def _search_state(self) -> dict[str, Any]:
@@ -225,16 +271,6 @@ class Baseline(Saved):
         features = np.array([told[member.index] for member in members]) if told else None
         self._update(np.array([member.x for member in members]), losses, features)
 
-    def _as_batch(self, images: object, n: int) -> Float32 | None:
-        if images is None:
-            return None
-        return as_batch(images, None if self.target is None else self.target.shape, n=n)
-
-    def _compute(self, batch: Float32 | None) -> Float64:
-        if batch is None:
-            raise LossError("a loss of images needs images; got none")
-        return self._loss.compute(batch)
-
     # -- saving: see `saving.Saved` ---------------------------------------------------------------
 
     def settings(self) -> dict[str, Any]:
@@ -250,9 +286,10 @@ class Baseline(Saved):
     @one_at_a_time
     def state_dict(self) -> dict[str, Any]:
         """The best point, the counts, and what the search knows."""
+        names, best = ("x", "loss", "evaluation", "image"), self._best
         return {
             "evaluations": self.evaluations,
-            "best": None if self._best is None else _pack(self._best),
+            "best": None if best is None else {name: getattr(best, name) for name in names},
             "times": dict(self.times),
             "search": self._search_state(),
         }
@@ -264,19 +301,6 @@ class Baseline(Saved):
         self._load_search_state(state["search"])
         self.evaluations, self.times = state["evaluations"], dict(state["times"])
         self._best = None if state["best"] is None else Solution(**state["best"])
-
-
-def _pack(best: Solution) -> dict[str, Any]:
-    return {name: getattr(best, name) for name in ("x", "loss", "evaluation", "image")}
-
-
-def _checked_device(device: str) -> str:
-    """The device's name; DeviceError unless this machine has it."""
-    if device != "auto":
-        from fide_plugins.runtime.devices import resolve_device  # PyTorch takes a second
-
-        resolve_device(device)
-    return device
 
 
 _SCHEMA: Schema = {
@@ -292,3 +316,228 @@ _SCHEMA: Schema = {
     "times": {"encode": real(), "train": real(), "search": real()},
     "search": anything,  # the subclass checks its own
 }
+
+
+# -- saving by replay ------------------------------------------------------------------------------
+
+
+_INJECTED = -1
+
+
+class Replayed(Baseline):
+    """A baseline that is saved as the history of its run."""
+
+    keeps_features: ClassVar[bool] = True
+    """Whether the history holds the features of images, for the replay."""
+
+    def __init__(self, dim: int, target: object = None, **options: Any) -> None:
+        super().__init__(dim, target, **options)
+        # -(n + 1): n > 0 candidates were asked; i >= 0: candidate i was told; -1: an injected one.
+        self._events = numbers("q")
+        self._losses = numbers("d")  # told
+        self._injected = numbers("d")  # points told that were not pending
+        self._history: list[Float32] = []  # features told
+
+    def _hand_out(self, n: int | None) -> list[Candidate]:
+        handed_out = super()._hand_out(n)
+        self._events.append(-(len(handed_out) + 1))
+        return handed_out
+
+    def _record(
+        self, x: Float64, loss: float, image: Float32 | None, features: Float32 | None
+    ) -> int | None:
+        index = super()._record(x, loss, image, features)
+        self._events.append(_INJECTED if index is None else index)
+        self._losses.append(loss)
+        if index is None:
+            self._injected.extend(x.tolist())
+        if features is not None and self.keeps_features:
+            self._history.append(features)
+        return index
+
+    def _search_state(self) -> dict[str, Any]:
+        return {
+            "events": np.array(self._events, np.int64),
+            "losses": np.array(self._losses, np.float64),
+            "injected": np.array(self._injected, np.float64).reshape(-1, self.dim),
+            "features": np.array(self._history, np.float32) if self._history else None,
+        }
+
+    def _keep_history(self, state: dict[str, Any]) -> None:
+        """Take over a history without asking and telling it again."""
+        self._events = numbers("q", _checked_events(state, self._sides()))
+        self._losses = numbers("d", state["losses"].tolist())
+        self._injected = numbers("d", state["injected"].ravel().tolist())
+
+    def _load_search_state(self, state: dict[str, Any]) -> None:
+        """Ask and tell what the saved baseline was asked and told."""
+        events = _checked_events(state, self._sides())
+        pending: dict[int, Float64] = {}
+        injected, losses = iter(state["injected"]), iter(state["losses"].tolist())
+        features = iter(() if state["features"] is None else state["features"])
+        for event in events:
+            if event < _INJECTED:
+                pending |= {c.index: c.x for c in self._hand_out(-event - 1)}
+            else:
+                x = next(injected) if event == _INJECTED else pending.pop(event)
+                self._record(x, next(losses), None, next(features, None))
+
+
+def _checked_events(state: dict[str, Any], sides: dict[str, int]) -> list[int]:
+    """The events of a history; ValueError unless losses, points and features fit them."""
+    check(state, _HISTORY, sides, "history")
+    events: list[int] = state["events"].tolist()
+    told, injected = sum(event >= _INJECTED for event in events), events.count(_INJECTED)
+    if (told, injected) != (len(state["losses"]), len(state["injected"])):
+        raise ValueError(f"a history of {told} results, {injected} of them injected, lacks some")
+    return events
+
+
+_HISTORY: Schema = {
+    "events": array("e", kind="i", low=None),
+    "losses": array("t", low=None),
+    "injected": array("n", "d", low=0.0, high=1.0),
+    "features": maybe(array("t", "f")),
+}
+
+
+# -- saving by state -------------------------------------------------------------------------------
+
+
+class Stateful(Baseline):
+    """A baseline that is saved as what it knows; subclasses say what that is."""
+
+    own_schema: ClassVar[dict[str, Schema]]
+    """What `_own_state` looks like; sides: d, k = popsize, f = features of an image."""
+    _rng: np.random.Generator
+
+    def _own_state(self) -> dict[str, Any]:
+        """Everything that `_sample` and `_update` change; "rng" is the generator `_rng`."""
+        return {"rng": self._rng.bit_generator.state}
+
+    def _load_own_state(self, state: dict[str, Any]) -> None:
+        """Put back what `_own_state` gave; tensors have become arrays."""
+        self._rng.bit_generator.state = state["rng"]
+
+    def _search_state(self) -> dict[str, Any]:
+        told = self._told_features
+        return {
+            "own": self._own_state(),
+            "population": self._population.state_dict(),
+            "features_of": np.array(list(told), np.int64),
+            "features": np.array(list(told.values()), np.float32) if told else None,
+        }
+
+    def _load_search_state(self, state: dict[str, Any]) -> None:
+        sides = self._sides()
+        check(state, {**_STATE, "own": self.own_schema}, sides)
+        self._load_own_state(state["own"])
+        self._population = Population.from_state(state["population"], self.dim)
+        rows = () if state["features"] is None else state["features"]
+        self._told_features = dict(zip(state["features_of"].tolist(), rows, strict=True))
+
+
+_STATE: dict[str, Schema] = {
+    "population": anything,  # checks its own
+    "features_of": array("told", kind="i"),
+    "features": maybe(array("told", "f")),
+}
+
+
+# -- features of images ----------------------------------------------------------------------------
+
+
+class ImageBased(Baseline):
+    """A baseline to which images must be told; losses beside them are optional, as always.
+
+    target: image to fit, required.
+    encoder: name in `fide_plugins.encoders`.
+    channels: number of leading channels of its tokens that are used; None: all.  The first three of
+        "dense" are the mean colors of (at most) 14 x 14 patches.
+
+    Raises OptionError, ImageError without a target (ValueErrors), or what
+    `fide_plugins.encoders.make` raises.
+    """
+
+    own_options: ClassVar[tuple[str, ...]] = ("encoder", "channels")
+
+    def __init__(
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        encoder: str = "dense",
+        channels: int | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(dim, target, **options)
+        image = needed_target(self.name, self.target)  # (H, W, 3)
+        from fide_plugins import encoders  # PyTorch takes a second
+        from fide_plugins.runtime.devices import resolve_device
+
+        self.encoder = encoder
+        where = resolve_device(self.device, for_network=encoders.uses_network(encoder))
+        self._encoder = encoders.make(encoder, device=where)
+        self._tokens, most = self._encoder.shape(*image.shape[:2])
+        if channels is not None and whole_number("channels", channels, 1) > most:
+            raise OptionError(f"channels must be at most {most} for {encoder}, not {channels}")
+        self.channels = channels
+        self.target_features: Float32 = self._encode(image[None])[0]
+        """Features (f,) of the target."""
+
+    @property
+    def pretrained(self) -> tuple[str, str] | None:
+        """Name of the encoder and digest of its pretrained weights; None if it has none."""
+        digest = self._encoder.weights_digest
+        return None if digest is None else (self.encoder, digest)
+
+    @cached_property
+    def target_tokens(self) -> Tensor:
+        """Tokens (T, C) of the target."""
+        return self.tokens_of(self.target_features[None])[0]
+
+    def tokens_of(self, features: Float32) -> Tensor:
+        """Tokens (n, T, C) from features (n, f), f = T C."""
+        import torch  # takes a second
+
+        return torch.from_numpy(features).reshape(len(features), self._tokens, -1)
+
+    def _encode(self, batch: Float32 | None) -> Float32:
+        images = needed_images(self.name, batch)
+        tokens = self._encoder.compute(images)[..., : self.channels]  # (n, T, C)
+        features: Float32 = tokens.flatten(1).cpu().numpy().astype(np.float32)
+        return features
+
+    @one_at_a_time
+    def state_dict(self) -> dict[str, Any]:
+        """As that of any baseline, and the version of the encoder."""
+        return {**super().state_dict(), "encoder": self._encoder.version}
+
+    @one_at_a_time
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state_dict` was called; ValueError if `state` is impossible.
+
+        Raises CheckpointError (a ValueError) if the features are of another encoder, or of other
+        weights.
+        """
+        if isinstance(state, Mapping) and "encoder" in state:  # one that is older has none
+            self._encoder.check_version(state["encoder"])
+            state = {name: value for name, value in state.items() if name != "encoder"}
+        super().load_state_dict(state)
+
+    def _sides(self) -> Sides:
+        return super()._sides() | {"f": len(self.target_features)}
+
+
+def needed_target(name: str, target: Float32 | None) -> Float32:
+    """The target (H, W, 3) of the baseline `name`; ImageError (a ValueError) if it has none."""
+    if target is None:
+        raise ImageError(f"{name} learns from images and needs a target; got none")
+    return target
+
+
+def needed_images(name: str, batch: Float32 | None) -> Float32:
+    """The images (n, H, W, 3) told to the baseline `name`; ImageError (a ValueError) for None."""
+    if batch is None:
+        raise ImageError(f"{name} learns from images: tell them, losses alone are no use")
+    return batch

@@ -24,9 +24,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fide_lab.baselines.global_random import GlobalRandom
-from fide_lab.baselines.images_needed import needed_images
-from fide_lab.baselines.replay import Replayed
+from fide_lab.baselines.base import Replayed, needed_images
+from fide_lab.baselines.libraries import GlobalRandom
 from fide_plugins.errors import CheckpointError, OptionError, PointsError
 from fide_plugins.runtime.registry import Referent, module_fingerprint, shown_traceback
 from fide_plugins.runtime.schema import array, check, maybe

@@ -22,16 +22,16 @@ Where this deviates
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from fide_lab.baselines.networks import load_weights, make
-from fide_lab.baselines.stateful import Stateful
+from fide_lab.baselines.base import Stateful
 from fide_plugins.denoiser.training import adam_state, load_adam_state
 from fide_plugins.errors import OptionError
 from fide_plugins.runtime.schema import (
@@ -48,7 +48,37 @@ from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.options import positive
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Proxy", "ZeroGrads"]
+M = TypeVar("M", bound=nn.Module)
+
+
+def make(
+    build: Callable[[], M],
+    generator: torch.Generator,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str = "cpu",
+) -> M:
+    """Module that `build` describes, of linear layers and layer norms, with PyTorch's usual law.
+
+    Weights and offsets of a linear layer: uniform in +-1 / sqrt(inputs).
+    """
+    with torch.device("meta"):
+        module = build()
+    module.to_empty(device="cpu")
+    with torch.no_grad():
+        for part in module.modules():
+            if isinstance(part, nn.Linear):
+                bound = part.in_features**-0.5
+                part.weight.uniform_(-bound, bound, generator=generator)
+                part.bias.uniform_(-bound, bound, generator=generator)
+            elif isinstance(part, nn.LayerNorm):
+                part.reset_parameters()
+    return module.to(device, dtype)
+
+
+def load_weights(module: nn.Module, weights: Mapping[str, Any]) -> None:
+    """Put back what ``module.state_dict()`` gave, be it tensors or arrays."""
+    module.load_state_dict({key: torch.as_tensor(value) for key, value in weights.items()})
+
 
 BATCH = 10  # offsets a step
 HIDDEN, LAYERS = 64, 3
@@ -96,6 +126,7 @@ class ZeroGrads(Stateful):
     """
 
     name: ClassVar[str] = "zerograds"
+    own_options = ("batch", "smooth", "scale", "learning_rate", "proxy_rate")
     own_schema: ClassVar[dict[str, Schema]] = {
         "theta": array("d", low=0.0, high=1.0),
         "weights": table(numbers),
@@ -192,10 +223,6 @@ class ZeroGrads(Stateful):
     def _default_popsize(self) -> int:
         return 2 * self.batch + 1
 
-    def _own_settings(self) -> dict[str, Any]:
-        rates = {"learning_rate": self.learning_rate, "proxy_rate": self.proxy_rate}
-        return {"batch": self.batch, "smooth": self.smooth, "scale": self.scale, **rates}
-
     def _own_state(self) -> dict[str, Any]:
         pairs = self._unshifted.items()
         return {
@@ -205,7 +232,7 @@ class ZeroGrads(Stateful):
             "scale": self._scale,
             "rendered": np.array([np.frombuffer(y) for y, _ in pairs]),
             "unshifted": np.array([x for _, x in pairs]),
-            "rng": self._rng.bit_generator.state,
+            **super()._own_state(),
         }
 
     def _load_own_state(self, state: dict[str, Any]) -> None:
@@ -216,4 +243,4 @@ class ZeroGrads(Stateful):
         self._scale = state["scale"]
         pairs = zip(state["rendered"], state["unshifted"], strict=True)
         self._unshifted = {y.tobytes(): x for y, x in pairs}
-        self._rng.bit_generator.state = state["rng"]
+        super()._load_own_state(state)

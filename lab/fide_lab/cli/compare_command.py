@@ -21,13 +21,20 @@ import argparse
 import time
 from typing import Any
 
-from fide_lab.cli.grid_arguments import add_grid_arguments, thresholds
-from fide_lab.cli.own_task import add_own_task, options_of, task_of
+from fide_lab.cli.arguments import (
+    add_grid_arguments,
+    add_own_task,
+    add_suite_arguments,
+    check_no_suite,
+    options_of,
+    suite_plan,
+    task_of,
+    thresholds,
+)
 from fide_lab.cli.running import execute_comparisons, execute_each
-from fide_lab.cli.suite_arguments import add_suite_arguments, check_no_suite, suite_plan
 from fide_plugins.cli.arguments import names, setting, whole
-from fide_plugins.cli.messages import note, number, plain
 from fide_plugins.cli.progress import interval
+from fide_plugins.cli.terminal import note, number, plain
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from fide_plugins.cli.arguments import free_directory, optimizer_options
 from fide_plugins.cli.fit_command import MODELS
-from fide_plugins.cli.live import page_of
-from fide_plugins.cli.messages import complain
+from fide_plugins.cli.progress import page_of
+from fide_plugins.cli.terminal import complain
 from fide_plugins.errors import OptionError
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ def options_of(args: argparse.Namespace) -> dict[str, Any]:
 
     `args.size` is None where no --size is given.
     """
-    from fide_plugins.fitting.durations import seconds_of
+    from fide_plugins.validation.options import seconds_of
 
     if args.timeout is not None and args.template is None:
         raise OptionError("--timeout is of --command; leave it out")

@@ -20,7 +20,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from fide_lab.cli.own_task import add_own_task, options_of, task_of
+from fide_lab.cli.arguments import add_own_task, options_of, task_of
 from fide_plugins.cli.arguments import (
     add_run_arguments,
     free_directory,
@@ -28,7 +28,7 @@ from fide_plugins.cli.arguments import (
     setting,
     whole,
 )
-from fide_plugins.cli.messages import complain, note
+from fide_plugins.cli.terminal import complain, note
 from fide_plugins.errors import OptionError
 
 __all__ = ["add_arguments", "execute"]

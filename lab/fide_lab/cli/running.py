@@ -9,9 +9,10 @@ import os
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
-from fide_plugins.cli.messages import (
+from fide_plugins.cli.terminal import (
     USAGE_ERRORS,
     complain,
     continuation,
@@ -20,6 +21,7 @@ from fide_plugins.cli.messages import (
     notices,
     number,
     paragraph,
+    picture_in,
     plain,
     warnings_as_notes,
 )
@@ -66,7 +68,7 @@ def execute_run(
             summary = result.summary() | ({} if more is None else more(run, result))
             print(json.dumps(summary, allow_nan=False), flush=True)
         else:
-            _report(result, out)
+            _report(result, run.out)
         return 0
 
     def stopped(run: Any) -> tuple[str, str]:
@@ -184,7 +186,7 @@ def _resumable(run: Any) -> bool:
     return bool(getattr(run.optimizer, "resumable", True))
 
 
-def _report(result: Any, out: str) -> None:
+def _report(result: Any, out: Path) -> None:
     parts = "  ".join(f"{part} {duration(s)}" for part, s in result.times.items() if s >= 0.05)
     mse = "" if result.loss == "mse" else f", MSE {number(result.mse)}"
     print(f"best {result.loss} {number(result.best_loss)}{mse} after {result.evaluations} renders")
@@ -194,6 +196,6 @@ def _report(result: Any, out: str) -> None:
             f"the recommended candidate {number(result.recommended_loss)}"
         )
     print(f"{duration(result.wall_s)}: {parts}" if parts else duration(result.wall_s))
-    print(f"look at {out}/summary.png")
+    print(f"look at {picture_in(out)}")
     if result.status is not None:
         print(plain(result.status))

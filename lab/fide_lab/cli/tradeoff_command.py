@@ -18,10 +18,10 @@ import argparse
 import json
 from typing import Any
 
-from fide_lab.cli.grid_arguments import add_grid_arguments
+from fide_lab.cli.arguments import add_grid_arguments
 from fide_lab.cli.running import execute_comparisons, execute_each
 from fide_plugins.cli.arguments import names, whole
-from fide_plugins.cli.messages import note, plain
+from fide_plugins.cli.terminal import note, plain
 
 __all__ = ["add_arguments", "execute"]
 
@@ -67,8 +67,7 @@ def execute(args: argparse.Namespace, command: list[str]) -> int:
 
 def _prepare(args: argparse.Namespace, command: list[str]) -> list[Any]:
     from fide_lab.compare.driver import prepare
-    from fide_lab.sweep import Grid
-    from fide_lab.sweep.grid import OPTIONS
+    from fide_lab.sweep import OPTIONS, Grid
 
     options = {name: getattr(args, name) for name in OPTIONS}
     grid = Grid(
@@ -89,10 +88,10 @@ def _prepare(args: argparse.Namespace, command: list[str]) -> list[Any]:
 
 def _write(args: argparse.Namespace) -> int:
     """Write tables, figures and recommendations; returns the exit code."""
-    from fide_lab.sweep import read, tables
+    from fide_lab.sweep import read, write_tables
 
     combinations = read(args.out)
-    text = tables.write(args.out, combinations)
+    text = write_tables(args.out, combinations)
     if args.json:
         note(text)
         print(json.dumps(_summary(combinations), allow_nan=False), flush=True)
@@ -104,7 +103,7 @@ def _write(args: argparse.Namespace) -> int:
 
 def _summary(combinations: list[Any]) -> dict[str, Any]:
     """Recommended combination and its loss, by task and time."""
-    from fide_lab.sweep.tables import advice
+    from fide_lab.sweep import advice
 
     summary: dict[str, Any] = {}
     for task in dict.fromkeys(each.task for each in combinations):

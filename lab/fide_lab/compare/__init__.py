@@ -10,26 +10,19 @@
 The package `fide_lab.report` reports the results.
 
 ================  ===============================================================
-`configuration`   an optimizer with its options, written as one word
 `plan`            tasks x losses x configurations x seeds, checked before the start
-`driver`          executes the missing runs of a plan
+`driver`          executes the missing runs of a plan, here, in processes, by Dask
 `one_run`         state of one run's directory, and its execution
-`processes`       runs in several processes of this machine
-`cluster`         runs on a Dask cluster
 `directory`       the directory of a comparison, and its record `study.json`
-`versions`        results of a file of the user that was edited since
 `results`         reads a comparison back
 ================  ===============================================================
 """
 
 from __future__ import annotations
 
-from fide_lab.compare.configuration import Configuration
 from fide_lab.compare.driver import run
 from fide_lab.compare.one_run import Outcome
-from fide_lab.compare.plan import Plan, RunKey
+from fide_lab.compare.plan import Configuration, Plan, RunKey
 from fide_lab.compare.results import Results, StoredRun, read
 
 __all__ = ["Configuration", "Outcome", "Plan", "Results", "RunKey", "StoredRun", "read", "run"]
-
-Arm, Cell, CellResult = Configuration, RunKey, StoredRun  # their names in version 0.1.0

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import secrets
+import signal
+import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fide_lab.compare import processes
-from fide_lab.compare.cluster import on_dask
 from fide_lab.compare.directory import ComparisonDirectory
 from fide_lab.compare.one_run import ERROR, Outcome, State, run_one
 from fide_lab.compare.plan import Checked, Plan, RunKey
@@ -18,9 +22,175 @@ from fide_lab.run import Interrupted, Progress
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.signals import Interrupts
 from fide_plugins.runtime import files, machine
+from fide_plugins.runtime.machine import connected
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["Comparison", "prepare", "run"]
+Lost = Callable[[Any], Any]
+
+
+def in_processes(
+    work: Callable[[Any], Any], items: Sequence[Any], jobs: int, lost: Lost
+) -> Iterator[Any]:
+    """Results of `work` for all items by `jobs` processes, in order of completion.
+
+    work: a function that can be pickled.
+    lost: gives the result for an item whose process died.
+
+    When the iterator is closed, or an exception is raised into it, the processes are told to stop.
+    Results that still arrive are dropped: the work has written them to files.
+    """
+    waiting, workers = list(reversed(items)), [_Worker() for _ in range(min(jobs, len(items)))]
+    running: dict[Future[Any], tuple[_Worker, Any]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < len(workers):
+                idle = next(
+                    w for w in workers if all(w is not busy for busy, _ in running.values())
+                )
+                item = waiting.pop()
+                running[idle.submit(work, item)] = idle, item
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                worker, item = running.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    worker.restart()
+                    result = lost(item)
+                yield result
+    finally:
+        _stop(workers)
+
+
+def _stop(workers: Sequence[_Worker]) -> None:
+    """Tell all workers to save and stop, and wait for them; a second Ctrl-C does not wait."""
+    try:
+        for worker in workers:
+            worker.signal(signal.SIGTERM)
+        for worker in workers:
+            worker.join()
+    except BaseException:
+        for worker in workers:
+            worker.signal(getattr(signal, "SIGKILL", signal.SIGTERM))
+        raise
+
+
+class _Worker:
+    """One process."""
+
+    def __init__(self) -> None:
+        self._pool, self._pid = _pool(), 0
+
+    def submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
+        """Start `work` on an item; where no process starts, its future has the error."""
+        try:
+            return self._submit(work, item)
+        except BrokenProcessPool:  # the process died while it was idle
+            self.restart()
+        try:
+            return self._submit(work, item)
+        except BrokenProcessPool as error:
+            failed: Future[Any] = Future()
+            failed.set_exception(error)
+            return failed
+
+    def _submit(self, work: Callable[[Any], Any], item: Any) -> Future[Any]:
+        self._pid = self._pid or self._pool.submit(os.getpid).result()  # for `signal`
+        return self._pool.submit(_busy, work, item)
+
+    def restart(self) -> None:
+        """Replace the process after it died."""
+        self._pool.shutdown(wait=False)
+        self._pool, self._pid = _pool(), 0
+
+    def signal(self, signum: int) -> None:
+        """Send a signal to the process."""
+        if self._pid:
+            with suppress(ProcessLookupError):
+                os.kill(self._pid, signum)
+
+    def join(self) -> None:
+        """Wait until the process has ended."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _pool() -> ProcessPoolExecutor:
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(1, context, initializer=_begin)
+
+
+_AT_WORK = threading.Lock()
+
+
+def _busy(work: Callable[[Any], Any], item: Any) -> Any:
+    with _AT_WORK:
+        return work(item)
+
+
+def _begin() -> None:
+    """In a new process: leave the terminal's process group, and end when the parent ends."""
+    if hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+    threading.Thread(target=_follow, daemon=True).start()
+
+
+def _follow() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)  # the work in progress saves its state and stops
+    with _AT_WORK:
+        os._exit(1)
+
+
+def on_dask(
+    work: Callable[[Any], Any],
+    items: Sequence[Any],
+    address: str,
+    out: Path,
+    lost: Callable[[Any, str], Any],
+) -> Iterator[Any]:
+    """Results of `work` for all items, in order of completion.
+
+    work: a function that can be pickled.
+    out: a folder that every worker must see.
+    lost: gives the result for an item that Dask gives up, from the item and the reason.
+
+    Raises DependencyError (an ImportError) without Dask, OptionError (a ValueError) if the cluster
+    cannot be used.
+    """
+    with connected(address) as client:
+        from distributed import as_completed
+
+        _check(client, out)
+        futures = {client.submit(work, item, pure=False): item for item in items}
+        completed: Any = as_completed(futures, loop=client.loop)  # type: ignore[no-untyped-call]
+        for future in completed:
+            if future.status == "finished":
+                yield future.result()
+            else:
+                yield lost(futures[future], f"Dask gave up this run: {future.exception()!r}")
+
+
+def _check(client: Any, out: Path) -> None:
+    """Raise OptionError unless every worker sees the folder."""
+    probe = out / f".probe.{secrets.token_hex(6)}.tmp"
+    probe.touch()
+    try:
+        for name, seen in client.run(_sees, str(probe)).items():
+            if not seen:
+                raise OptionError(
+                    f"the Dask worker {name} does not see {out.resolve()}; name a folder that all "
+                    "machines share under the same path"
+                )
+    finally:
+        probe.unlink()
+
+
+def _sees(path: str) -> bool:
+    return Path(path).exists()
+
 
 Item = tuple[RunKey, dict[str, Any]]
 OnOutcome = Callable[[Outcome], None]
@@ -124,11 +294,11 @@ class Comparison:
         items = list(self._checked.settings.items())
         checked = self._checked
         work = partial(_work, self._plan, self.out, self._command, checked.versions, checked.said)
-        lost = partial(_lost, self.out)
+        lost = partial(_note_lost, self.out)
         if self._dask is not None:
             yield from on_dask(work, items, self._dask, self.out, lost)
         elif self._jobs > 1:
-            yield from _interruptible(processes.in_processes(work, items, self._jobs, lost))
+            yield from _interruptible(in_processes(work, items, self._jobs, lost))
         else:
             for item in items:
                 report = None if on_progress is None else partial(on_progress, item[0])
@@ -148,7 +318,7 @@ def _work(
     return run_one(plan, key, settings, out, command, on_progress, versions, said)
 
 
-def _lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:
+def _note_lost(out: Path, item: Item, why: str = "the process that ran it died") -> Outcome:
     """Outcome of a run whose process died."""
     folder = out / item[0].folder
     folder.mkdir(parents=True, exist_ok=True)  # it may have died before the run began

@@ -17,11 +17,16 @@ from typing import Any, Literal
 from fide_lab.compare.plan import Plan, RunKey, target_file
 from fide_lab.run import Interrupted, Progress, Run, prepare
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import TABLES, results_in
-from fide_plugins.recording.json_record import RunDirectoryError, check_settings, checksum, read_run
 from fide_plugins.recording.record import PARTS
 from fide_plugins.recording.sources import edited, file_of, versions_there
+from fide_plugins.recording.storage import (
+    RunDirectoryError,
+    check_settings,
+    checksum,
+    read_run,
+    read_target,
+)
 from fide_plugins.runtime import files
 from fide_plugins.runtime.messages import said_once
 
@@ -156,7 +161,7 @@ def _prepare(plan: Plan, key: RunKey, out: Path, command: list[str] | None) -> t
     """The run, continued if possible; otherwise a new one, and the reason."""
     folder = out / key.folder
     configuration = plan.configuration(key.configuration)
-    kept = kept_target.read(target_file(out, key.task))
+    kept = read_target(target_file(out, key.task))
     target = None if kept is None else kept.image
 
     def attempt() -> Run:

@@ -1,4 +1,14 @@
-"""The plan of a comparison: tasks x losses x configurations x seeds, checked before the start."""
+"""The plan of a comparison: tasks x losses x configurations x seeds, checked before the start.
+
+A configuration is an optimizer with its options, written as one word.
+
+>>> Configuration.parse("cma:popsize=50:restarts=none").options
+{'popsize': 50, 'restarts': 'none'}
+>>> Configuration.parse("nevergrad:CMA").name
+'nevergrad:CMA'
+>>> Configuration.parse("dibo:budget=2000").budget
+2000
+"""
 
 from __future__ import annotations
 
@@ -7,23 +17,85 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from fide_lab import optimizers
-from fide_lab.compare.configuration import Configuration, as_file_name
-from fide_lab.run import Keep, renderer_task
+from fide_lab.run import Keep
 from fide_lab.run.prepare import kept_of, make_task, settings_of, target_of
-from fide_lab.run.task import Task, TaskInfo
+from fide_lab.run.task import Task, TaskInfo, is_function
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import OptionError
 from fide_plugins.learning.hypotheses import model_for
-from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.storage import KeptTarget
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.messages import said_once, warn_user
-from fide_plugins.validation.options import check_names
+from fide_plugins.validation.options import check_names, parse_key_value
 from fide_plugins.validation.points import whole_number
 
-__all__ = ["TARGETS", "Checked", "Plan", "RunKey", "target_file"]
+
+@dataclass(frozen=True)
+class Configuration:
+    """An optimizer with its options.
+
+    label: the word itself, with its options in alphabetical order; the name in tables and plots.
+    name: name of the optimizer in `fide_lab.optimizers`.
+    options: options of this configuration only, such as popsize.
+    budget: number of renders; None for the budget of the comparison.
+    """
+
+    label: str
+    name: str
+    options: dict[str, Any]
+    budget: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Configuration:
+        """Parse a text ``NAME[:KEY=VALUE]...``; `budget` is one of the keys.
+
+        Raises OptionError (a ValueError).
+        """
+        name, words = split(text)
+        pairs = [parse_key_value(word) for word in words]
+        options = dict(sorted(pairs))
+        misplaced = "=" in name and ".py:" not in name  # only a path may have one
+        if not name or misplaced or len(options) < len(pairs):
+            raise OptionError(f"an optimizer is NAME or NAME:KEY=VALUE:..., not {text!r}")
+        label = ":".join([name, *(f"{key}={value}" for key, value in options.items())])
+        budget = options.pop("budget", None)
+        if budget is not None and (not isinstance(budget, int) or budget < 1):
+            raise OptionError(f"budget must be a whole number >= 1, not {budget!r}, in {text!r}")
+        return cls(label, name, options, budget)
+
+
+def split(text: str) -> tuple[str, list[str]]:
+    """Split ``NAME[:KEY=VALUE]...`` into the name and its options; both may hold colons.
+
+    >>> split("nevergrad:CMA:popsize=50"), split("fide:encoder=vgg19:relu4_1")
+    (('nevergrad:CMA', ['popsize=50']), ('fide', ['encoder=vgg19:relu4_1']))
+    >>> split("/runs/a=1/mine.py:Search:step=2")
+    ('/runs/a=1/mine.py:Search', ['step=2'])
+    """
+    first, *words = text.split(":")
+    parts = [first]  # the name, then options
+    for word in words:
+        key, equals, _ = word.partition("=")
+        if equals and key.isidentifier():
+            parts.append(word)
+        else:
+            parts[-1] += f":{word}"
+    return parts[0], parts[1:]
+
+
+def as_file_name(text: str) -> str:
+    """Encode `text` as a file name; different texts give different names.
+
+    >>> as_file_name("nevergrad:CMA"), as_file_name("cma:popsize=50"), as_file_name("..")
+    ('nevergrad+CMA', 'cma+popsize=50', '%2E%2E')
+    """
+    name = quote(text, safe="=").replace("%3A", "+")
+    return name.replace(".", "%2E") if name.startswith(".") else name
+
 
 TARGETS = "targets"
 """Folder of the targets in that of a comparison."""
@@ -137,7 +209,7 @@ class Plan:
         names = {configuration.name for configuration in self.configurations}
         found = {name: optimizers.source_of(name) for name in sorted(names)}
         for task in self.tasks:
-            if renderer_task.is_function(task, self.task_options):
+            if is_function(task, self.task_options):
                 found[task] = FunctionRenderer(task).fingerprint
         options = map(self.options_of, self.configurations)
         return of_files(found) | of_models(*options)

@@ -13,14 +13,12 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from fide_lab.compare.configuration import Configuration
-from fide_lab.compare.directory import digest, read_record, runs_of
+from fide_lab.compare.directory import digest, read_record, runs_of, warn_of_mixed
 from fide_lab.compare.one_run import ERROR, examine
-from fide_lab.compare.plan import RunKey
-from fide_lab.compare.versions import warn_of_mixed
+from fide_lab.compare.plan import Configuration, RunKey
 from fide_plugins.errors import FideError, UnknownNameError
-from fide_plugins.recording.json_record import RunDirectoryError, read_run
-from fide_plugins.recording.parallel import WORKERS
+from fide_plugins.recording.record import WORKERS
+from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.runtime.files import read_regular
 from fide_plugins.types import Float64
 

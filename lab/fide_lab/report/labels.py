@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from fide_lab.compare.configuration import split
+from fide_lab.compare.plan import split
 
 __all__ = ["fitted", "short_names"]
 

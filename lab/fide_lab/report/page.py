@@ -1,4 +1,4 @@
-"""One self-contained HTML page with its style, script, charts and pictures.
+"""The report: one self-contained HTML page with its style, script, charts and pictures; and files.
 
 Jinja2 escapes all text from files and names.  The only markup that passes unescaped is the SVG of
 our own figures, whose text matplotlib has escaped.
@@ -6,20 +6,26 @@ our own figures, whose text matplotlib has escaped.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 
-from fide_lab.compare.plan import target_file
-from fide_lab.compare.results import AXES, Results, StoredRun
-from fide_lab.report import pictures, plots, sentences, svg, tables
-from fide_lab.report.panel import Panel
+from fide_lab.compare.plan import as_file_name, target_file
+from fide_lab.compare.results import AXES, AllFailedError, NoResultsError, Results, StoredRun
+from fide_lab.report import plots, sentences, tables
+from fide_lab.report.panel import Panel, check_thresholds, panels
+from fide_plugins.errors import OptionError
+from fide_plugins.runtime import files
 from fide_plugins.runtime.machine import missing
 
-__all__ = ["environment", "render"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,7 @@ def environment() -> Any:
     """
     try:
         import jinja2
+        import matplotlib  # noqa: F401  the charts need it: nothing is written without
     except ImportError as error:
         raise missing("report", "a report needs Jinja2") from error
     from markupsafe import Markup
@@ -94,7 +101,7 @@ def environment() -> Any:
 def _section(
     results: Results, panel: Panel, charts: dict[str, bytes], number: int
 ) -> dict[str, Any]:
-    marks, strips = pictures.film(panel)
+    marks, strips = plots.film(panel)
     return {
         "panel": panel,
         "anchor": f"panel-{number}",
@@ -104,14 +111,14 @@ def _section(
         "abbreviations": sentences.abbreviations(panel),
         "shorter": len({row.budget for row in panel.rows}) > 1,
         "charts": [_chart(panel, axis, charts[axis], f"p{number}-{axis}") for axis in AXES],
-        "times": svg.markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
+        "times": plots.markup(charts["times"], f"p{number}-times", plots.describe_times(panel)),
         "ranking": tables.ranking(panel),
         "time_table": tables.times(panel),
         "losses": tables.losses(panel),
-        "target": pictures.picture(
+        "target": plots.picture(
             target_file(results.path, panel.task, "png"), f"target of {panel.task}", "target"
         ),
-        "found": pictures.rows_of(panel),
+        "found": plots.rows_of(panel),
         "marks": marks,
         "film": strips,
     }
@@ -120,7 +127,7 @@ def _section(
 def _chart(panel: Panel, axis: str, file: bytes, name: str) -> Chart:
     title = plots.AXIS_NAMES[axis]
     description = f"{plots.describe(panel)} Along: {title}."
-    return Chart(axis, title, svg.markup(file, name, description))
+    return Chart(axis, title, plots.markup(file, name, description))
 
 
 def _call(call: dict[str, Any]) -> dict[str, Any]:
@@ -149,3 +156,120 @@ def _load(runs: Sequence[StoredRun]) -> dict[str, float] | None:
     recorded = (result.run.get("load") for result in runs if result.curve is not None)
     loads = [load for load in recorded if isinstance(load, int | float)]
     return {"median": float(np.median(loads)), "highest": max(loads)} if loads else None
+
+
+@dataclass(frozen=True)
+class Written:
+    """The page that was written; overview: the ranking of every panel, for a terminal."""
+
+    page: Path
+    overview: str
+
+
+def write(
+    results: Results,
+    page: str | os.PathLike[str],
+    thresholds: dict[str, float] | None = None,
+) -> Written:
+    """Write the page, report.md, results.csv, curves.csv and figures/ into one folder.
+
+    page: path of report.html.  For another name, the names of the other files start with it:
+        a.html, a.md, a-results.csv.
+    thresholds: loss that counts as success, by "task/loss" or "loss"; by default the second best
+        median of a panel.
+
+    Raises NoResultsError (a FileNotFoundError) if no run is finished, AllFailedError (one of them)
+    if some failed, OptionError (a ValueError)
+    for a page without the suffix .html or a threshold of a loss that was not compared,
+    DependencyError (an ImportError) without Jinja2, OSError if a file cannot be written.
+    """
+    path = page_path(page)
+    check_thresholds(thresholds or {}, [run.key for run in results.runs])
+    found = panels(results, thresholds or {})
+    AllFailedError.check(results)
+    if not found:
+        raise NoResultsError(f"no run in {results.path} is finished; run: fide compare --resume")
+    environment()  # raises without Jinja2, before anything is written
+    figures = companion(path, "figures")
+    figures.mkdir(parents=True, exist_ok=True)
+    charts = [_write_figures(results, panel, figures) for panel in found]
+    files.write_text(companion(path, "results.csv"), tables.results_csv(results))
+    files.write_text(companion(path, "curves.csv"), tables.curves_csv(results))
+    files.write_text(path.with_suffix(".md"), _markdown(results, found, figures.name))
+    files.write_text(path, render(results, found, charts))
+    parts = [*map(_in_terminal, found), *_beside(results)]
+    return Written(path, "\n\n".join(parts) + "\n")
+
+
+def page_path(page: str | os.PathLike[str]) -> Path:
+    """Path of a page; OptionError (a ValueError) without the suffix .html."""
+    path = Path(page)
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise OptionError(f"the page must be a file NAME.html, not {path.name!r}")
+    return path
+
+
+def companion(page: Path, name: str) -> Path:
+    """Path of the file `name` of the report `page`: reports in one folder do not share files."""
+    return page.with_name(name if page.stem == "report" else f"{page.stem}-{name}")
+
+
+def _write_figures(results: Results, panel: Panel, folder: Path) -> dict[str, bytes]:
+    """Write the figures of a panel; returns the SVG files of its charts by name, see `_charts`."""
+    name = _file_name(panel)
+    for kind, figure in _charts(panel, legend=True).items():
+        stem = f"times-{name}" if kind == "times" else f"convergence-{name}-{kind}"
+        files.write_bytes(folder / f"{stem}.svg", plots.as_file(figure))
+        files.write_bytes(folder / f"{stem}.png", plots.png(figure))
+    images = plots.grid(panel, target_file(results.path, panel.task, "png"))
+    files.write_bytes(folder / f"images-{name}.png", plots.png(images))
+    return {kind: plots.as_file(figure) for kind, figure in _charts(panel, legend=False).items()}
+
+
+def _charts(panel: Panel, legend: bool) -> dict[str, Figure]:
+    """Charts of a panel, by axis and "times"."""
+    charts = {axis: plots.convergence(panel, axis, legend) for axis in AXES}
+    return {**charts, "times": plots.times(panel, legend)}
+
+
+def _markdown(results: Results, found: list[Panel], figures: str) -> str:
+    """The report in Markdown; figures: name of the folder of its figures."""
+    calls = (sentences.command(call).replace("\n", "\n    ") for call in results.calls)
+    parts = ["# Comparison", *(f"    {call}" for call in calls)]
+    for panel in found:
+        name = _file_name(panel)
+        curves, images = (
+            quote(f"{figures}/{stem}.png", safe="/=+")
+            for stem in (f"convergence-{name}-renders", f"images-{name}")
+        )
+        parts += [
+            f"## {tables.escaped(panel.name)}",
+            tables.escaped(_summary(panel)),
+            tables.markdown(tables.ranking(panel)),
+            f"![{tables.escaped(plots.describe(panel))}]({curves})",
+            f"![Target, best, median and worst run of each]({images})",
+            tables.markdown(tables.times(panel)),
+            tables.markdown(tables.losses(panel)),
+        ]
+    parts += map(tables.escaped, _beside(results))
+    parts += ["## How to read it", *sentences.METHOD]
+    return "\n\n".join(parts) + "\n"
+
+
+def _beside(results: Results) -> list[str]:
+    """Sentences on what is in no panel."""
+    return [*sentences.without_results(results), *sentences.not_shown(results.not_shown)]
+
+
+def _in_terminal(panel: Panel) -> str:
+    """A panel for a terminal."""
+    return f"{panel.name}: {_summary(panel)}\n\n{tables.plain(tables.ranking(panel))}"
+
+
+def _summary(panel: Panel) -> str:
+    said = sentences.verdict, sentences.threshold, sentences.failures, sentences.abbreviations
+    return " ".join(filter(None, (say(panel) for say in said)))
+
+
+def _file_name(panel: Panel) -> str:
+    return f"{as_file_name(panel.task)}-{as_file_name(panel.loss)}"

@@ -12,15 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
-from fide_lab.compare.plan import RunKey
+from fide_lab.compare.plan import RunKey, split
 from fide_lab.compare.results import Results, StoredRun
 from fide_lab.report import statistics
-from fide_lab.report.labels import short_names
 from fide_lab.report.statistics import Paired, Success
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.record import PARTS
-
-__all__ = ["SIGNIFICANT", "Panel", "Row", "check_thresholds", "panels"]
 
 SIGNIFICANT = 0.05
 """Adjusted p below which a difference is called significant."""
@@ -244,3 +241,30 @@ def check_thresholds(thresholds: Collection[str], runs: Iterable[RunKey]) -> Non
             f"a threshold is given for {unknown[0]!r}, which is not compared; choose from "
             f"{', '.join(sorted(known))}"
         )
+
+
+# -- short names of configurations for figures and tables ------------------------------------------
+
+
+def short_names(labels: Iterable[str]) -> dict[str, str]:
+    """Short name of each label: without the options that all labels of an optimizer share.
+
+    Different labels keep different names, since labels of one optimizer differ in some option.
+    """
+    words = {label: split(label) for label in labels}
+    shared: dict[str, set[str]] = {}
+    for name, options in words.values():
+        shared[name] = shared.get(name, set(options)) & set(options)
+    return {
+        label: ":".join([name, *(option for option in options if option not in shared[name])])
+        for label, (name, options) in words.items()
+    }
+
+
+def fitted(text: str, room: int) -> str:
+    """`text`, cut to at most `room` characters.
+
+    >>> fitted("fide-annealing:budget=2000", 12)
+    'fide-anneal…'
+    """
+    return text if len(text) <= room else text[: room - 1] + "…"

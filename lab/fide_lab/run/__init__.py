@@ -9,18 +9,13 @@
 
 `run` does everything.  `prepare` checks the arguments, opens the run directory and resumes; it
 returns a `Run` to execute.  Errors of `prepare` are usage errors, errors of `execute` failed runs.
-What a run records, and its directory, are in `recording`.
 
 ================  ==================================================================
 `prepare`         makes a `Run` from names and options, all checked
-`task`            what is fitted: the protocol of a task
-`renderer_task`   a user's renderer as a task
+`task`            what is fitted: the protocol of a task, a user's renderer as a task
 `user_optimizer`  any object with `ask` and `tell` as an optimizer
-`loop`            the run loop
-`judge`           noise-free evaluation of the result
-`pixel_samples`   rule for the number of samples per pixel
-`fidelity`        applies that rule in a run
-`film`            the film of a run: which images it keeps
+`loop`            generations, rendered in pieces; the loop is that of `fit`
+`pixel_samples`   the number of samples per pixel, where it rises
 ================  ==================================================================
 """
 

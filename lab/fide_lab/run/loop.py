@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -25,24 +25,90 @@ from typing import Any
 
 import numpy as np
 
-from fide_lab.run import film
-from fide_lab.run.fidelity import Fidelity
-from fide_lab.run.judge import judge
+from fide_lab.run.pixel_samples import Fidelity
 from fide_lab.run.task import Task, TaskInfo
+from fide_plugins import losses as losses_module
 from fide_plugins.errors import FideError, PointsError, RenderError
-from fide_plugins.learning.rounds import Rounds
+from fide_plugins.learning.hypotheses import Rounds
 from fide_plugins.losses.base import ImageLoss
-from fide_plugins.recording.checkpointing import CheckpointTimer, note_unsaved
-from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.outcome import Verdict, result_of
-from fide_plugins.recording.record import Keep, Progress, Record, Report, RunResult
+from fide_plugins.recording.directory import CheckpointTimer, RunDirectory, note_unsaved
+from fide_plugins.recording.record import (
+    Keep,
+    Progress,
+    Record,
+    Report,
+    RunResult,
+    Verdict,
+    result_of,
+)
 from fide_plugins.recording.signals import Interrupted, Interrupts
 from fide_plugins.types import Float32, Float64, Optimizer
-from fide_plugins.validation.images import as_batch
+from fide_plugins.validation.images import as_batch, as_target
 from fide_plugins.validation.pixels import Clipping
 from fide_plugins.validation.points import as_points
 
-__all__ = ["PIECE", "Run"]
+
+def judge(
+    reference: Callable[[Float64], Any] | None,
+    target: Float32,
+    loss: ImageLoss,
+    x_best: Float64 | None,
+    image: Float32 | None,
+    x_recommended: Float64 | None = None,
+    metrics: Mapping[str, ImageLoss] | None = None,
+) -> Verdict:
+    """Evaluate the best candidate and, if given, the recommended candidate.
+
+    reference: of the task, see `TaskInfo`.
+    metrics: other losses by name, for the best one.
+    """
+    start = time.perf_counter()
+    if x_best is None or image is None:
+        return Verdict()
+    best = image if reference is None else as_target(reference(x_best))
+    value, others = _loss(loss, best), {k: _loss(m, best) for k, m in (metrics or {}).items()}
+    if reference is None:
+        return Verdict(best, value, _mse(target, best), metrics=others)
+    recommended = value
+    if x_recommended is not None and not np.array_equal(x_recommended, x_best):
+        recommended = _loss(loss, as_target(reference(x_recommended)))
+    seconds = time.perf_counter() - start
+    return Verdict(best, value, _mse(target, best), x_recommended, recommended, others, seconds)
+
+
+def _loss(loss: ImageLoss, image: Float32) -> float:
+    return float(loss.compute(image[None])[0])
+
+
+def _mse(target: Float32, image: Float32) -> float:
+    return float(losses_module.make("mse", target)(image[None])[0])
+
+
+def marks(budget: int) -> list[int]:
+    """Numbers of renders after which a frame is kept; the last one is `budget`.
+
+    >>> marks(500)
+    [1, 3, 10, 30, 100, 300, 500]
+    """
+    decades = (factor * 10**power for power in range(len(str(budget))) for factor in (1, 3))
+    return [mark for mark in decades if mark < budget] + [budget]
+
+
+def frames(
+    first: int, before: Float32 | None, batch: Float32, improved: Sequence[int], budget: int
+) -> Iterator[tuple[int, Float32]]:
+    """Marks that a piece of candidates passes, each with the best image (H, W, 3) by then.
+
+    first: renders before the piece; before: best image before the piece, or None.
+    batch: images of the piece, (n, H, W, 3); improved: indices of images that were the best so far.
+    """
+    for mark in marks(budget):
+        if first < mark <= first + len(batch):
+            better = [i for i in improved if first + i < mark]
+            image = batch[better[-1]] if better else before
+            if image is not None:
+                yield mark, image
+
 
 PIECE = 32
 """Largest number of candidates that are rendered before their results are told, where the task does
@@ -210,7 +276,7 @@ class Run:
             if improved:
                 values.extend(metric.compute(batch[improved]).tolist())
         if self._keep.film and self._directory is not None:
-            for mark, image in film.frames(first, before, batch, improved, self._budget):
+            for mark, image in frames(first, before, batch, improved, self._budget):
                 self._directory.write_frame(mark, image)
         self._clock = time.perf_counter()
         self.record.watch_s += self._clock - start

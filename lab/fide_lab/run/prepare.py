@@ -10,23 +10,25 @@ from pathlib import Path
 from typing import Any
 
 from fide_lab import optimizers
-from fide_lab.run import renderer_task
-from fide_lab.run.fidelity import Fidelity
 from fide_lab.run.loop import Run
-from fide_lab.run.task import Task, TaskInfo
+from fide_lab.run.pixel_samples import Fidelity
+from fide_lab.run.task import Task, TaskInfo, is_own, make_renderer_task, source_of_target
 from fide_lab.run.user_optimizer import AskTell, UserOptimizer, complete
 from fide_lab.suite import read as read_suite
 from fide_plugins import losses as losses_module
 from fide_plugins.errors import CheckpointError, FideError, OptionError, RenderError
-from fide_plugins.learning.hypotheses import with_model
-from fide_plugins.learning.rounds import Rounds, rounds_of, search_options
+from fide_plugins.learning.hypotheses import Rounds, rounds_of, search_options, with_model
 from fide_plugins.losses.base import ImageLoss
-from fide_plugins.recording import kept_target
 from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.kept_target import KeptTarget
 from fide_plugins.recording.record import Keep, Progress, Record, RunResult
-from fide_plugins.recording.run_checkpoint import is_saved
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
+from fide_plugins.recording.storage import (
+    TARGET_FILE,
+    KeptTarget,
+    is_saved,
+    read_target,
+    same_target,
+)
 from fide_plugins.runtime.registry import fingerprint_of, own_name
 from fide_plugins.types import Float32, Optimizer
 from fide_plugins.validation.images import as_target
@@ -80,7 +82,7 @@ def prepare(
     ----------
     task
         name in `fide_tasks`; ``FILE.py:NAME``, or any name with the option `command`, for a user's
-        renderer, see `renderer_task.make`; or a `Task`.
+        renderer, see `task.make_renderer_task`; or a `Task`.
     size, task_seed, task_options
         arguments of a task that is given by name; a user's renderer has its own size.  The option
         `least_spp` is the initial number of samples per pixel; that of the task is the largest, see
@@ -129,7 +131,7 @@ def prepare(
     resumed = resume and out is not None and is_saved(out)
     search_options = _options_of(optimizer, options, task, resumed)
     fidelity = Fidelity(task, task_options["least_spp"]) if "least_spp" in task_options else None
-    file = None if out is None or target is not None else Path(out) / kept_target.NAME
+    file = None if out is None or target is not None else Path(out) / TARGET_FILE
     target = target_of(task, file) if target is None else as_target(target)
     judge = losses_module.resolve(loss, target, device=options.get("device"))
     metrics = {name: losses_module.make(name, target) for name in keep.metrics}
@@ -274,8 +276,8 @@ def make_task(
             raise OptionError(f"a suite is fixed and does not leave {others[0]} open; leave it out")
         scene, target_seed = read_suite(options["suite"]).problem(name)
         return make_task(scene.task or scene.name, scene.size, target_seed, scene.options)
-    if renderer_task.is_own(name, options):
-        return renderer_task.make(name, seed, options)
+    if is_own(name, options):
+        return make_renderer_task(name, seed, options)
     import fide_tasks
 
     own = {key: value for key, value in options.items() if key != "least_spp"}
@@ -342,7 +344,7 @@ def _depends_on_budget(optimizer: str | Callable[..., AskTell]) -> bool:
 
 def kept_of(task: Task, target: Float32) -> KeptTarget:
     """A target of the task, as it is kept."""
-    return KeptTarget(target, renderer_task.source_of_target(task))
+    return KeptTarget(target, source_of_target(task))
 
 
 def target_of(task: Task, file: Path | None = None) -> Float32:
@@ -353,12 +355,8 @@ def target_of(task: Task, file: Path | None = None) -> Float32:
 
     Raises RenderError if the renderer fails; CheckpointError if the file is damaged.
     """
-    kept = None if file is None else kept_target.read(file)
-    if (
-        kept is not None
-        and kept.source is not None
-        and kept.source == renderer_task.source_of_target(task)
-    ):
+    kept = None if file is None else read_target(file)
+    if kept is not None and kept.source is not None and kept.source == source_of_target(task):
         return kept.image
     try:
         target = as_target(task.target)
@@ -366,7 +364,7 @@ def target_of(task: Task, file: Path | None = None) -> Float32:
         raise
     except RuntimeError as error:
         raise RenderError(f"{own_name(task)} failed to render its target: {error}") from error
-    return kept.image if kept is not None and kept_target.agree(kept.image, target) else target
+    return kept.image if kept is not None and same_target(kept.image, target) else target
 
 
 def _words(command: Sequence[str] | None) -> list[str] | None:

@@ -1,18 +1,28 @@
-"""What is fitted: the protocol of a task, and what a task may say of itself."""
+"""What is fitted: the protocol of a task, what a task may say of itself, a user's renderer as a task."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol
+from functools import cached_property
+from typing import Any, Protocol
 
-from fide_plugins.runtime.registry import own_name
-from fide_plugins.types import Float64
+import numpy as np
 
-if TYPE_CHECKING:
-    from fide_plugins.space import Space
-
-__all__ = ["Task", "TaskInfo"]
+from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.renderers import CommandRenderer, FunctionRenderer
+from fide_plugins.renderers.command import TIMEOUT
+from fide_plugins.runtime.registry import (
+    fingerprint_of,
+    is_reference,
+    kind_of,
+    own_name,
+    version_of,
+)
+from fide_plugins.space import Space
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.images import as_batch, as_target
 
 
 class Task(Protocol):
@@ -66,3 +76,137 @@ class TaskInfo:
         optional = [field.name for field in fields(cls) if field.name != "name"]
         said = {name: getattr(task, name) for name in optional if hasattr(task, name)}
         return cls(own_name(task), **said)
+
+
+_OF_BOTH = ("space", "target")
+_OF_COMMAND = (*_OF_BOTH, "command", "timeout")
+
+
+class RendererTask:
+    """Task whose target is the image of random parameters, or a picture.
+
+    name: of the task.
+    renderer: function of a dictionary of parameters that returns an image (H, W, C) or (H, W); of
+        x, (dim,) in [0, 1], where `space` is a number.
+    space: the parameters; or their number.
+    seed: chooses the parameters, which are uniform in the unit cube.
+    picture: target instead of that of random parameters, as `validation.images.as_target` takes it.
+
+    search_space: `space`, for optimizers that handle integers and choices as such.
+    x_star: (dim,), the parameters of the target, integers and choices in the middle of their cells;
+        None for a picture.
+    """
+
+    piece = 1  # renders are independent, and may be slow or fail: none waits for others
+
+    def __init__(
+        self,
+        name: str,
+        renderer: Callable[[Any], Any],
+        space: Space | int,
+        seed: int = 0,
+        picture: object = None,
+    ) -> None:
+        self.name, self.seed, self._render = name, seed, renderer
+        self.search_space = space if isinstance(space, Space) else None
+        self.dim = space.dim if isinstance(space, Space) else space
+        # A stream of its own: many optimizers begin with `default_rng(seed).random`.
+        x = np.random.default_rng((seed, self.dim)).random(self.dim)
+        x = x if self.search_space is None else self.search_space.snap(x)
+        self.x_star: Float64 | None = x if picture is None else None
+        self._picture: Float32 | None = None if picture is None else as_target(picture)
+
+    @property
+    def fingerprint(self) -> str | None:
+        """That of the renderer."""
+        return fingerprint_of(self._render)
+
+    @property
+    def version(self) -> str | None:
+        """That of the renderer."""
+        return version_of(self._render)
+
+    @cached_property
+    def target(self) -> Float32:
+        """Picture (H, W, 3); or the image of `x_star`, in the renderer's size.
+
+        One image is rendered: that of `x_star`, or of the middle of the cube, to compare sizes.
+        Raises ImageError (a ValueError) for a picture of another size than the renderer's images.
+        """
+        if self._picture is None:
+            assert self.x_star is not None, "without a picture there are parameters"
+            return as_target(self._render(self.decode(self.x_star)))
+        self._check_size(self._picture)
+        return self._picture
+
+    def _check_size(self, picture: Float32) -> None:
+        """Raise ImageError if the renderer's images have another size."""
+        try:
+            image = self._render(self.decode(np.full(self.dim, 0.5)))
+            found = as_batch([image], on_clip=lambda message: None).shape[1:3]
+        except Exception:  # the run says so if others fail, too
+            return
+        if found != picture.shape[:2]:
+            (height, width), (h, w) = picture.shape[:2], found
+            raise ImageError(
+                f"the picture has {width} x {height} pixels, and {self.name} renders {w} x {h}: "
+                "give a picture of that size, or render that of the picture"
+            )
+
+    def render(self, X: Float64, seed: Any = None) -> list[Any]:
+        """Images of candidates (n, dim); the seed is for other tasks."""
+        return [self._render(self.decode(x)) for x in X]
+
+    def decode(self, x: Float64) -> Any:
+        """What the renderer is given for a point (dim,)."""
+        return x.copy() if self.search_space is None else self.search_space.decode(x)
+
+
+def source_of_target(task: object) -> str | None:
+    """From which file, and from which parameters, a function renders the target of this task.
+
+    None for a picture, and for what a program or another task renders: nobody knows whether that
+    was changed.
+    """
+    if not isinstance(task, RendererTask) or task.x_star is None:
+        return None
+    file, space = task.fingerprint, task.search_space
+    if file is None or kind_of(file) != "file":
+        return None
+    parameters = task.x_star.tolist(), None if space is None else space.to_dict()
+    return json.dumps([task.name, file, *parameters])
+
+
+def is_own(name: str, options: Mapping[str, Any]) -> bool:
+    """Whether a task of this name and these options is a user's renderer."""
+    return "command" in options or is_reference(name)
+
+
+def is_function(name: str, options: Mapping[str, Any]) -> bool:
+    """Whether it is a function of a file or a module of the user's."""
+    return is_own(name, options) and not {"command", "suite"} & set(options)
+
+
+def make_renderer_task(name: str, seed: int, options: Mapping[str, Any]) -> RendererTask:
+    """Task of the function ``FILE.py:NAME`` or ``module:NAME``; or of the program in `options`.
+
+    options: `space` is the path of a TOML file; without it the space is beside the function.
+        `target` is the path of a picture.  `command` is the template of a command line, see
+        `renderers.template`, and `timeout` the seconds until it is stopped; then the space is
+        required, and `name` is only a name.
+
+    Raises OptionError, SpaceError and ImageError (ValueErrors), OSError if a file cannot be read.
+    """
+    known = _OF_COMMAND if "command" in options else _OF_BOTH
+    for option in options:
+        if option not in known:
+            raise OptionError(f"{name} has no option {option!r}; it has {', '.join(known)}")
+    given = Space.read(options["space"]) if "space" in options else None
+    if "command" not in options:
+        function = FunctionRenderer(name)
+        space = function.space_or(given)
+        return RendererTask(name, function, space, seed, options.get("target"))
+    if given is None:
+        raise OptionError("a command needs a space (--space FILE.toml), its parameters and ranges")
+    program = CommandRenderer(options["command"], given, options.get("timeout", TIMEOUT))
+    return RendererTask(name, program, given, seed, options.get("target"))

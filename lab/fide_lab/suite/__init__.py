@@ -5,12 +5,8 @@
 ============  ====================================================================
 `definition`  a suite as data, read from NAME.toml; `scenes/` has its files
 `problems`    the plan of a comparison that runs them
-`profiles`    data profiles and performance profiles
-`scores`      renders to solve each problem, of a comparison's results
-`remarks`     what is said of failed runs and of what is left out
-`figures`     both profiles, drawn
-`tables`      counts of solved problems and of lowest losses
-`page`        the page
+`scores`      renders to solve each problem, and profiles of them
+`page`        the page: both profiles, tables, remarks
 ============  ====================================================================
 """
 

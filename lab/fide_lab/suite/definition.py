@@ -25,7 +25,7 @@ class Scene:
 
     group: such as "folding"; loss: that is minimized; solved: the loss from which on it is solved.
     task: name in `fide_tasks`, made with `size` in pixels and `options`; or None for a program,
-        whose task has the `options` of `run.renderer_task.make`.
+        whose task has the `options` of `run.task.make_renderer_task`.
     """
 
     name: str

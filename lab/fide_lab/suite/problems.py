@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from fide_lab.compare.configuration import Configuration
-from fide_lab.compare.plan import Plan, RunKey
+from fide_lab.compare.plan import Configuration, Plan, RunKey
 from fide_lab.run import Keep
 from fide_lab.run.prepare import make_task, target_of
 from fide_lab.suite.definition import Suite

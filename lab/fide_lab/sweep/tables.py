@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fide_lab.compare.configuration import as_file_name
-from fide_lab.report import plots, svg
-from fide_lab.sweep.front import AXES, Combination, Point, best_within, front
+from fide_lab.compare.plan import as_file_name
+from fide_lab.report import plots
+from fide_lab.sweep import AXES, Combination, Point, best_within, front
 from fide_plugins.runtime import files
 
 __all__ = ["TIMES", "advice", "short_labels", "write"]
@@ -42,8 +42,8 @@ def write(out: Path, combinations: Sequence[Combination]) -> str:
         for axis in AXES:
             figure = plots.tradeoff(_curves(mine, axis), _staircase(mine, axis), axis, _loss(mine))
             stem = out / f"tradeoff-{as_file_name(task)}-{axis}"
-            files.write_bytes(stem.with_name(stem.name + ".svg"), svg.as_file(figure))
-            files.write_bytes(stem.with_name(stem.name + ".png"), svg.png(figure))
+            files.write_bytes(stem.with_name(stem.name + ".svg"), plots.as_file(figure))
+            files.write_bytes(stem.with_name(stem.name + ".png"), plots.png(figure))
         sections.append(_section(task, mine))
     text = "\n\n".join(["# Speed against accuracy", *sections]) + "\n"
     files.write_text(out / "tradeoff.md", text)

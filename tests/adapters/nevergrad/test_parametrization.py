@@ -7,10 +7,11 @@ from typing import Any
 import nevergrad as ng
 import numpy as np
 import pytest
+from nevergrad.parametrization import helpers
 
 from fide_adapters.nevergrad import FIDE, IMAGE, ParametrizedFIDE
-from fide_adapters.nevergrad.parametrization import Cube
-from fide_plugins import FIDE as Core
+from fide_adapters.nevergrad.parametrization import Cube, _Axes
+from fide_plugins import FIDE as Core, Choice, Float, Int, Space
 from fide_plugins.types import Float32
 
 from .conftest import TARGET, box, fide, mse, render
@@ -39,47 +40,50 @@ AXES: dict[str, tuple[Any, list[float], list[float]]] = {
     "off center": (P.Scalar(init=0.2, lower=0.1, upper=0.7), [-1], [5]),
     "log": (P.Log(lower=1e-3, upper=10), [-3], [3]),
     "log without bounds": (P.Log(init=2.0), [-INF], [INF]),
-    "whole": (P.Scalar(lower=0, upper=9).set_integer_casting(), [-3], [3]),
-    "choice": (P.Choice(["a", "b", "c"]), [-INF] * 3, [INF] * 3),
+    "whole without bounds": (P.Scalar().set_integer_casting(), [-INF], [INF]),
     "nested": (
         P.Instrumentation(
             P.Array(shape=(2,), lower=0, upper=1),
-            P.Choice([1, 2]),
             b=P.Dict(z=P.Scalar(), a=P.Log(lower=1, upper=2)),
             a=P.Tuple(P.Scalar(init=5, lower=4, upper=10), 3),
         ),
-        [-3, -3, -INF, -INF, -1, -3, -INF],
-        [3, 3, INF, INF, 5, 3, INF],
+        [-3, -3, -1, -3, -INF],
+        [3, 3, 5, 3, INF],
     ),
 }
 
 
+def standardized(cube: Cube, kind: str, x: Any) -> Any:
+    parametrization = AXES[kind][0]
+    return cube.candidate(x).get_standardized_data(reference=parametrization)
+
+
 @pytest.mark.parametrize("kind", AXES)
-def test_the_bounds_of_the_cube_are_those_of_the_parametrization(kind: str) -> None:
+def test_numbers_are_axes_from_bound_to_bound(kind: str) -> None:
     parametrization, lower, upper = AXES[kind]
     cube = Cube(parametrization)
-    for corner, expected in ((np.zeros(cube.dim), lower), (np.ones(cube.dim), upper)):
-        z = cube.from_cube(corner)
-        finite = np.isfinite(expected)
-        np.testing.assert_allclose(z[finite], np.array(expected)[finite], atol=1e-9)
+    assert cube.space is not None and not cube.space.layout.discrete.any()
+    for end, bounds in ((0, lower), (1, upper)):
+        axes = _Axes(np.array(lower, float), np.array(upper, float))
+        z = axes.from_cube(np.full(cube.space.dim, float(end)))
+        finite = np.isfinite(bounds)
+        np.testing.assert_allclose(z[finite], np.array(bounds)[finite], atol=1e-9)
         assert (np.abs(z[~finite]) > 1e8).all() and np.isfinite(z).all()
-
-
-@pytest.mark.parametrize("kind", AXES)
-def test_there_and_back(kind: str) -> None:
-    cube = Cube(AXES[kind][0])
-    for x in np.random.default_rng(0).random((50, cube.dim)):
-        np.testing.assert_allclose(cube.to_cube(cube.from_cube(x)), x, atol=1e-12)
+    for x in np.random.default_rng(0).random((20, cube.space.dim)):
+        np.testing.assert_allclose(cube.point(cube.candidate(x)), x, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", AXES)
 def test_it_begins_where_the_user_does_and_as_wide(kind: str) -> None:
     """The deviation is the width in the cube of one natural step, measured."""
-    cube = Cube(AXES[kind][0])
-    np.testing.assert_allclose(cube.from_cube(cube.mean), 0.0, atol=1e-12)
+    parametrization, lower, upper = AXES[kind]
+    cube, axes = Cube(parametrization), _Axes(np.array(lower, float), np.array(upper, float))
+    start = np.full(len(lower), 0.5) if cube.guess is None else cube.guess
+    np.testing.assert_allclose(axes.from_cube(start), 0.0, atol=1e-12)
+    np.testing.assert_allclose(standardized(cube, kind, start), 0.0, atol=1e-9)
     h = 1e-6
-    one_sided = (cube.to_cube(np.full(cube.dim, h)) - cube.mean) / h
-    other = (cube.mean - cube.to_cube(np.full(cube.dim, -h))) / h
+    one_sided = (axes.to_cube(np.full(axes.dim, h)) - start) / h
+    other = (start - axes.to_cube(np.full(axes.dim, -h))) / h
     slope = np.maximum(one_sided, other)  # at a bound, one of them is zero
     np.testing.assert_allclose(cube.std, np.minimum(slope, 1 / 3), rtol=1e-4)
 
@@ -91,25 +95,112 @@ def test_the_cube_itself_is_the_one_of_fide() -> None:
         P.Dict(a=P.Log(lower=1e-3, upper=10), b=P.Scalar(lower=-7, upper=3), c=P.Scalar()),
     ):
         cube = Cube(parametrization)
-        np.testing.assert_array_equal(cube.mean, np.full(3, 0.5))
+        assert cube.guess is None
         np.testing.assert_array_equal(cube.std, np.full(3, 1 / 6))
 
 
 @pytest.mark.parametrize("kind", AXES)
 def test_it_keeps_the_order(kind: str) -> None:
-    cube = Cube(AXES[kind][0])
-    x = np.linspace(0, 1, 101)
-    z = np.array([cube.from_cube(np.full(cube.dim, value)) for value in x])
+    _, lower, upper = AXES[kind]
+    axes = _Axes(np.array(lower, float), np.array(upper, float))
+    z = np.array([axes.from_cube(np.full(axes.dim, value)) for value in np.linspace(0, 1, 101)])
     assert (np.diff(z, axis=0) >= 0).all()
     assert (np.diff(z[1:-1], axis=0) > 0).all()
 
 
-def test_angles_have_no_bounds() -> None:
-    from nevergrad.parametrization._datalayers import Angles
+VALUES: dict[str, tuple[Any, list[Any]]] = {
+    "whole": (P.Scalar(lower=-3, upper=9).set_integer_casting(), [Int(-3, 9)]),
+    "whole, between fractions": (P.Scalar(lower=0.3, upper=4.6).set_integer_casting(), [Int(1, 4)]),
+    "whole, array": (
+        P.Array(init=[[3.0], [3.0]]).set_bounds(0, 7).set_integer_casting(),
+        [Int(0, 7)] * 2,
+    ),
+    "whole, no bounds in its own space": (
+        P.Array(shape=(2,)).set_bounds(-2, 2, method="arctan").set_integer_casting(),
+        [Int(-2, 2)] * 2,
+    ),
+    "whole, log": (P.Log(lower=1, upper=64).set_integer_casting(), [Int(1, 64, log=True)]),
+    "whole, log, odd": (P.Log(lower=3, upper=50).set_integer_casting(), [Int(3, 50, log=True)]),
+    "ordered": (P.TransitionChoice([3, 5, 7]), [Int(0, 2)]),
+    "choice": (P.Choice(["a", "b", "c"]), [Choice(0, 1, 2)]),
+    "choices": (P.Choice([5, 6], repetitions=3, deterministic=True), [Choice(0, 1)] * 3),
+    "angles": (P.Angles(shape=(2,)), [Float(-np.pi, np.pi, periodic=True)] * 2),
+    "degrees": (P.Angles(shape=(1,), deg=True), [Float(-180, 180, periodic=True)]),
+    "one value": (P.Choice(["a"]), [Float(0, 1)]),
+}
 
-    cube = Cube(Angles(shape=(2,)))
-    np.testing.assert_array_equal(cube.mean, np.full(4, 0.5))
-    assert (np.abs(cube.from_cube(np.ones(4))) > 1e8).all()
+
+@pytest.mark.parametrize("kind", VALUES)
+def test_other_parameters_are_those_of_a_space(kind: str) -> None:
+    parametrization, kinds = VALUES[kind]
+    cube = Cube(parametrization)
+    assert cube.space is not None and list(cube.space.parameters.values()) == kinds
+    assert cube.guess is None or kind == "whole, array"  # 3 is not the middle of 0 and 7
+    leaf = helpers.list_data(cube.candidate(np.full(cube.space.dim, 0.5)))[0]
+    for x in np.random.default_rng(0).random((40, cube.space.dim)):
+        candidate = cube.candidate(x)
+        leaf = helpers.list_data(candidate)[0]
+        if kinds != [Float(0, 1)]:
+            own = [kind.value(n) for kind, n in zip(kinds, np.ravel(leaf.value), strict=True)]
+            np.testing.assert_allclose(own, list(cube.space.decode(x).values()), atol=1e-9)
+        snapped = cube.space.snap(x)
+        np.testing.assert_allclose(cube.point(candidate), snapped, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["whole", "whole, log", "whole, log, odd", "ordered", "angles"])
+def test_the_ends_of_a_range_are_reached(kind: str) -> None:
+    parametrization, kinds = VALUES[kind]
+    cube = Cube(parametrization)
+    for end, bound in ((0.0, kinds[0].low), (1.0, kinds[0].high)):
+        leaf = helpers.list_data(cube.candidate(np.full(len(kinds), end)))[0]
+        np.testing.assert_allclose(np.ravel(leaf.value), bound)
+
+
+def test_a_choice_that_a_user_has_made_is_where_the_search_begins() -> None:
+    parametrization = P.Dict(
+        a=P.Choice(["a", "b", "c"]),
+        n=P.Scalar(lower=0, upper=9).set_integer_casting(),
+        x=P.Scalar(lower=0, upper=1),
+    )
+    parametrization.value = {"a": "c", "n": 7, "x": 0.25}
+    cube = Cube(parametrization)
+    assert cube.space is not None and cube.guess is not None
+    expected = cube.space.encode({"p0": 2, "p1": 7, "p2": 0.25})
+    np.testing.assert_allclose(cube.guess, expected)
+    optimizer = fide(parametrization)
+    assert optimizer.ask().value == {"a": "c", "n": 7, "x": 0.25}
+
+
+def test_mixed_parameters_are_searched_as_by_fide_itself() -> None:
+    """Integers, choices, logarithms and angles: the same candidates, bit for bit."""
+    space = Space(
+        a=Float(0, 1),
+        b=Int(0, 20),
+        c=Choice(*"uvw"),
+        d=Int(1, 64, log=True),
+        e=Float(-180, 180, periodic=True),
+        f=Choice(False, True),
+    )
+    parametrization = P.Dict(
+        a=P.Scalar(lower=0, upper=1),
+        b=P.Scalar(lower=0, upper=20).set_integer_casting(),
+        c=P.Choice(list("uvw")),
+        d=P.Log(lower=1, upper=64).set_integer_casting(),
+        e=P.Angles(shape=(1,), deg=True),
+        f=P.Choice([False, True]),
+    )
+    ours = fide(parametrization)
+    core = Core(space, TARGET, seed=0, memory_mb=0)
+    for _ in range(120):
+        asked = ours.ask()
+        x = core.ask(1)
+        params = core.space.decode(x[0])  # type: ignore[union-attr]
+        assert {**asked.value, "a": 0, "e": 0} == {**params, "a": 0, "e": 0}
+        assert asked.value["a"] == pytest.approx(params["a"], abs=1e-12)
+        assert asked.value["e"].item() == pytest.approx(params["e"], abs=1e-9)
+        image = picture({**params, "c": ord(params["c"])})
+        ours.tell(asked, image)
+        core.tell(x, image[None])
 
 
 # -- candidates ------------------------------------------------------------------------------------

@@ -103,9 +103,3 @@ def test_an_unexpected_layer(cached_weights: Path, tmp_path: Path) -> None:
     torch.save(state | {"features.1.running_mean": torch.ones(64)}, tmp_path / "a.pth")
     with pytest.raises(WeightsMismatchError, match=r"a\.pth has 'features\.1\.running_mean', of"):
         backbones.load(backbones.ALEXNET, tmp_path / "a.pth")
-
-
-def test_no_random_numbers_are_used(cached_weights: Path) -> None:
-    before = torch.get_rng_state()
-    backbones.load(backbones.SQUEEZENET)
-    assert torch.equal(torch.get_rng_state(), before)

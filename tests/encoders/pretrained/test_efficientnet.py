@@ -19,12 +19,10 @@ from fide_plugins import encoders
 from fide_plugins.encoders.pretrained.efficientnet import MEAN, STD, EfficientNetEncoder
 from fide_plugins.errors import (
     DependencyError,
-    ImageError,
     OptionError,
     WeightsMismatchError,
     WeightsNotFoundError,
 )
-from fide_plugins.fide import FIDE
 from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(27)
@@ -85,14 +83,6 @@ def test_it_has_learned_to_see(library: EfficientNet) -> None:
     assert best == 985, "number of 'daisy' among ImageNet's classes"
 
 
-def test_the_default_has_the_grid_of_the_other_encoders() -> None:
-    encoder = encoders.make("efficientnet")
-    assert encoder.shape(224, 224) == (196, 112)
-    assert encoder.shape(112, 100) == (7 * 6, 112)
-    with pytest.raises(ImageError, match=r"efficientnet encoder needs .* 8 x 8 .*got 7 x 9"):
-        encoder(np.zeros((1, 7, 9, 3)))
-
-
 def test_versions(tmp_path: Path) -> None:
     default, stage = encoders.make("efficientnet"), encoders.make("efficientnet:stage4")
     assert default.version.startswith("efficientnet-lite0-1-stage5-")
@@ -105,17 +95,6 @@ def test_versions(tmp_path: Path) -> None:
     torch.save(state, tmp_path / "mine.pth")
     mine = EfficientNetEncoder(weights=tmp_path / "mine.pth")
     assert mine.version[:-8] == default.version[:-8] and mine.version != default.version
-
-
-def test_making_it_draws_no_random_numbers() -> None:
-    before = torch.random.get_rng_state()
-    encoders.make("efficientnet")
-    assert torch.equal(torch.random.get_rng_state(), before)
-
-
-def test_an_optimizer_sees_with_it() -> None:
-    opt = FIDE(3, np.zeros((32, 32, 3)), encoder="efficientnet:stage4", seed=0)
-    assert opt.features_shape == (4, 80)
 
 
 @pytest.mark.parametrize("stage", ["stage0", "stage8", "stage55", "5", "", "stage5x"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -13,9 +12,8 @@ import torch
 from fide_plugins import encoders
 from fide_plugins.encoders.pretrained import backbones
 from fide_plugins.encoders.pretrained.vgg19 import VGG19Encoder
-from fide_plugins.errors import ImageError, OptionError, WeightsNotFoundError
+from fide_plugins.errors import OptionError, WeightsNotFoundError
 from fide_plugins.fide import FIDE
-from fide_plugins.types import Float32
 
 RNG = np.random.default_rng(14)
 LAYERS = {  # name: number in torchvision's `features`, pixels of a patch, channels
@@ -48,22 +46,6 @@ def test_tokens_are_places_of_the_layer(layer: str, cached_weights: Path) -> Non
             rtol=1e-4,
         )
     assert tokens.min() == 0 < tokens.max()
-
-
-def test_the_default_has_the_grid_of_the_other_encoders(
-    cached_weights: Path,
-    checkerboard: Callable[[int, int], Float32],
-    antialiased: Callable[[Float32, int, int], Float32],
-) -> None:
-    encoder = encoders.make("vgg19")
-    assert encoder.shape(224, 224) == (196, 512)
-    assert encoder.shape(112, 100) == (7 * 6, 512)
-    for height, width in [(39, 23), (40, 24)]:  # downsized, and enlarged
-        board = checkerboard(height, width)
-        fitting = antialiased(board, *(round(side / 16 + 1e-6) * 16 for side in (height, width)))
-        torch.testing.assert_close(encoder(board), encoder(fitting), atol=1e-4, rtol=1e-3)
-    with pytest.raises(ImageError, match=r"vgg19 encoder needs .* 8 x 8 .*got 7 x 9"):
-        encoder(np.zeros((1, 7, 9, 3)))
 
 
 def test_versions(cached_weights: Path, tmp_path: Path) -> None:

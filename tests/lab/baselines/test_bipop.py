@@ -5,7 +5,7 @@ from __future__ import annotations
 import cma
 import numpy as np
 
-from fide_lab.baselines.bipop import BIPOP
+from fide_lab.baselines.evolution import BIPOP
 from fide_plugins.types import Float64
 
 from .global_state import recorded

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_lab import baselines
-from fide_lab.baselines.cma import CMA
+from fide_lab.baselines.evolution import CMA
 from fide_plugins.errors import DependencyError
 from fide_plugins.types import Float64
 

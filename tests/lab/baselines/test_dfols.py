@@ -9,7 +9,7 @@ import dfols
 import numpy as np
 import pytest
 
-from fide_lab.baselines.dfols import DFOLS
+from fide_lab.baselines.libraries import DFOLS
 from fide_plugins import encoders
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.types import Float32, Float64

@@ -9,12 +9,19 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_lab.baselines.dibo import DiBO, Diffusion, Round, RoundOptions
-from fide_lab.baselines.dibo.diffusion import program_betas
-from fide_lab.baselines.dibo.likelihood import program_likelihood, program_sigmas
-from fide_lab.baselines.dibo.networks import Ensemble, NoisePredictor
-from fide_lab.baselines.dibo.round import trajectory_balance
-from fide_lab.baselines.networks import make
+from fide_lab.baselines.dibo import (
+    DiBO,
+    Diffusion,
+    Ensemble,
+    NoisePredictor,
+    Round,
+    RoundOptions,
+    program_betas,
+    program_likelihood,
+    program_sigmas,
+    trajectory_balance,
+)
+from fide_lab.baselines.zerograds import make
 from fide_plugins.errors import OptionError
 
 DOUBLE = torch.float64

@@ -11,8 +11,8 @@ from scipy.optimize import dual_annealing
 
 from fide_lab import optimizers
 from fide_lab.baselines.base import Baseline
-from fide_lab.baselines.dual_annealing import DualAnnealing
-from fide_lab.baselines.fide_annealing import FIDEAnnealing, Visits
+from fide_lab.baselines.image_based import FIDEAnnealing, Visits
+from fide_lab.baselines.libraries import DualAnnealing
 from fide_plugins.errors import OptionError, ProtocolError
 from fide_plugins.types import Float64
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_lab.baselines.eki import EKI, annealed, kalman_update
+from fide_lab.baselines.image_based import EKI, annealed, kalman_update
 from fide_plugins.types import Float32, Float64
 
 

@@ -57,8 +57,7 @@ def test_optuna_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "known"),
-    [("nevergrad:NGOptt", "NGOpt"), ("optuna:TPESample", "TPESampler")],
+    ("name", "known"), [("nevergrad:NGOptt", "NGOpt"), ("optuna:TPESample", "TPESampler")]
 )
 def test_unknown_names_are_named(name: str, known: str) -> None:
     with pytest.raises(UnknownNameError, match=f"did you mean '{known}"):

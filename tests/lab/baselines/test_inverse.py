@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.baselines.inverse import Inverse
+from fide_lab.baselines.image_based import Inverse
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float32, Float64
 

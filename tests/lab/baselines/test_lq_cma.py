@@ -8,8 +8,7 @@ import cma
 import numpy as np
 import pytest
 
-from fide_lab.baselines.cma import CMA
-from fide_lab.baselines.lq_cma import LQCMA
+from fide_lab.baselines.evolution import CMA, LQCMA
 from fide_plugins.types import Float64
 
 from .global_state import recorded

@@ -13,11 +13,8 @@ import torch
 from torch import Tensor
 
 from fide_lab import optimizers
-from fide_lab.baselines.npe.canonical import canonical
-from fide_lab.baselines.npe.flow import Flow, seeded
-from fide_lab.baselines.npe.search import NPE
-from fide_lab.baselines.npe.truncated import draw_truncated
-from fide_lab.baselines.penalty import quietly
+from fide_lab.baselines.base import quietly
+from fide_lab.baselines.npe import NPE, Flow, canonical, draw_truncated, seeded
 from fide_plugins.errors import DependencyError, ImageError, OptionError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.space import Float, Group, Space

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from fide_lab import optimizers
-from fide_lab.baselines.cma import CMA
+from fide_lab.baselines.evolution import CMA
 from fide_plugins.errors import CheckpointError, ImageError, OptionError, PointsError
 
 TARGET = np.full((4, 4, 3), 0.3, np.float32)
 MINE = """
 import numpy as np
-from fide_lab.baselines.cma import CMA
+from fide_lab.baselines.evolution import CMA
 
 
 class Least:

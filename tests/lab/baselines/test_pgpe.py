@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_lab.baselines.pgpe import PGPE
+from fide_lab.baselines.evolution import PGPE
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float64
 

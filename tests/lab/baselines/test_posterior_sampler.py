@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fide_lab.baselines.posterior_sampler import PosteriorSampler
+from fide_lab.baselines.image_based import PosteriorSampler
 from fide_plugins.errors import OptionError
 
 Floats = NDArray[np.float64]

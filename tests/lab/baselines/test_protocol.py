@@ -12,14 +12,8 @@ import pytest
 import torch
 
 from fide_lab import baselines, optimizers
-from fide_lab.baselines.random import Random
-from fide_plugins.errors import (
-    ImageError,
-    LossError,
-    OptionError,
-    PointsError,
-    UnknownNameError,
-)
+from fide_lab.baselines.evolution import Random
+from fide_plugins.errors import ImageError, LossError, OptionError, PointsError, UnknownNameError
 from fide_plugins.space import Float, Int, Space
 from fide_plugins.types import Float64
 

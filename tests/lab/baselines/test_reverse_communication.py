@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.baselines.reverse_communication import ReverseCommunication
+from fide_lab.baselines.libraries import ReverseCommunication
 
 
 def count(function: Callable[[Any], Any]) -> None:
@@ -125,7 +125,7 @@ def test_the_surroundings_are_those_of_the_library_after_ctrl_c_too(
 
 def test_python_exits_while_a_search_waits() -> None:
     program = (
-        "from fide_lab.baselines.reverse_communication import ReverseCommunication\n"
+        "from fide_lab.baselines.libraries import ReverseCommunication\n"
         "caller = ReverseCommunication(lambda function: [function([0.0]) for _ in range(9)])\n"
         "print(caller.point())\n"
     )

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from fide_lab import optimizers
-from fide_lab.baselines.base import Baseline
-from fide_lab.baselines.random import Random
-from fide_lab.baselines.replay import Replayed
-from fide_lab.baselines.stateful import Stateful
+from fide_lab.baselines.base import Baseline, Replayed, Stateful
+from fide_lab.baselines.evolution import Random
 from fide_plugins import losses as losses_module
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError, DeviceError, LossError, UnknownNameError

@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from fide_lab.baselines.penalty import quietly
-from fide_lab.baselines.trust_region.composite import (
+from fide_lab.baselines.base import quietly
+from fide_lab.baselines.trust_region import (
+    FIRST,
+    SMALLEST,
     CompositeBO,
     ImageModel,
+    LossModel,
+    Region,
+    TuRBO,
+    candidates,
     principal_components,
 )
-from fide_lab.baselines.trust_region.region import FIRST, SMALLEST, Region, candidates
-from fide_lab.baselines.trust_region.turbo import LossModel, TuRBO
 from fide_plugins.errors import DependencyError, OptionError
 from fide_plugins.runtime.threads import one_thread
 from fide_plugins.types import Float32, Float64

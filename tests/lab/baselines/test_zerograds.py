@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from fide_lab.baselines.networks import make
-from fide_lab.baselines.zerograds import Proxy, ZeroGrads
+from fide_lab.baselines.zerograds import Proxy, ZeroGrads, make
 from fide_plugins.errors import OptionError
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import parse_key_value

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_lab import optimizers
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_lab.compare import Configuration, Plan
 
 SMALL = Plan(

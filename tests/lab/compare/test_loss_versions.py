@@ -15,7 +15,7 @@ from fide_lab.compare.driver import prepare
 from fide_plugins import losses
 from fide_plugins.errors import CheckpointError
 from fide_plugins.losses.mse import MeanSquaredError
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .conftest import small
 

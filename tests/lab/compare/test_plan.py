@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from fide_lab.compare import Configuration, Plan, RunKey
-from fide_lab.compare.configuration import as_file_name
+from fide_lab.compare.plan import as_file_name
 from fide_plugins.errors import OptionError, UnknownNameError
 
 from .conftest import small

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from fide_lab.compare import processes
-from fide_lab.compare.processes import in_processes
+from fide_lab.compare import driver as processes
+from fide_lab.compare.driver import in_processes
 
 HERE = str(Path(__file__).parent)
 
@@ -87,7 +87,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {folder!r})
 if __name__ == "__main__":
-    from fide_lab.compare.processes import in_processes
+    from fide_lab.compare.driver import in_processes
     from child_work import lost, work
     list(in_processes(work, [Path({out!r})], 2, lost))
 """

@@ -15,11 +15,11 @@ import pytest
 
 from fide_lab import compare
 from fide_lab.compare import Configuration, Plan
-from fide_lab.compare.configuration import as_file_name
 from fide_lab.compare.driver import prepare
+from fide_lab.compare.plan import as_file_name
 from fide_plugins.cli import main
 from fide_plugins.learning import learn
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.renderers import FunctionRenderer
 from fide_plugins.runtime.registry import of_file
 

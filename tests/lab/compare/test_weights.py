@@ -15,7 +15,7 @@ from fide_lab.compare.driver import prepare
 from fide_plugins import encoders
 from fide_plugins.encoders.patch import RawPatchEncoder
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .conftest import contents, small
 

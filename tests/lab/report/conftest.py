@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_lab import compare, optimizers, report
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_lab.compare import Configuration, Plan, Results, RunKey, StoredRun
 from fide_lab.compare.results import Curve
 from fide_plugins import losses

@@ -19,9 +19,8 @@ from PIL import Image
 from fide_lab import compare, report
 from fide_lab.compare import Configuration, Plan, StoredRun
 from fide_lab.compare.results import NoResultsError
-from fide_lab.report import pictures, plots, sentences, svg, tables
-from fide_lab.report.labels import short_names
-from fide_lab.report.panel import panels
+from fide_lab.report import plots, sentences, tables
+from fide_lab.report.panel import panels, short_names
 from fide_plugins.errors import OptionError
 
 from .conftest import NASTY, failed, missing, result, results
@@ -96,7 +95,7 @@ def test_colors_of_text_and_lines_stand_out() -> None:
     light, dark = (
         dict(re.findall(r"--([\w-]+): (#\w{6})", part)) for part in css.split("@media")[:2]
     )
-    assert set(light) == set(dark) >= set(svg.VARIABLES.values())
+    assert set(light) == set(dark) >= set(plots.VARIABLES.values())
     for theme in (light, dark):
         for name in ("ink", "muted", "accent"):
             assert contrast(theme[name], theme["paper"]) >= 4.5  # WCAG 2.2, text
@@ -163,7 +162,7 @@ def test_curves_csv_has_the_best_loss_at_marks(written: Path, study: Path) -> No
 
 
 def test_formulas_of_a_spreadsheet_are_led_by_an_apostrophe() -> None:
-    text = report.export.results_csv(results([result("=cmd|' /C calc'!A0", 0, 0.1)]))
+    text = tables.results_csv(results([result("=cmd|' /C calc'!A0", 0, 0.1)]))
     assert next(iter(csv.reader(io.StringIO(text.splitlines()[1]))))[2] == "'=cmd|' /C calc'!A0"
 
 
@@ -273,7 +272,7 @@ def test_the_end_of_a_shorter_run_is_filmed_under_the_next_mark(tmp_path: Path) 
     plan = Plan(("spline",), configurations, seeds=1, budget=40, size=16)
     compare.run(plan, tmp_path)
     (panel,) = panels(compare.read(tmp_path), {})
-    marks, (long, short) = pictures.film(panel)
+    marks, (long, short) = plots.film(panel)
     assert marks == [1, 3, 10, 30, 40]
     assert [p is not None for p in long.pictures] == [True] * 5
     assert [p is not None for p in short.pictures] == [True] * 4 + [False]
@@ -321,7 +320,7 @@ def test_one_run_of_one_optimizer_is_a_report_too(tmp_path: Path) -> None:
 def test_the_same_results_give_the_same_chart(study: Path, written: Path) -> None:
     (panel,) = panels(compare.read(study), {})
     (file,) = (written.parent / "figures").glob("convergence-*-renders.svg")
-    assert svg.as_file(plots.convergence(panel, "renders")) == file.read_bytes()
+    assert plots.as_file(plots.convergence(panel, "renders")) == file.read_bytes()
 
 
 def test_what_cannot_be_reported_is_named(study: Path, tmp_path: Path) -> None:
@@ -352,7 +351,7 @@ def test_losses_that_never_were_finite_can_be_drawn(tmp_path: Path) -> None:
     stored = result("a", 0, None)
     assert stored.curve is not None
     (panel,) = panels(results([replace(stored, curve=curve([], [], 100))]), {})
-    text = svg.in_page(svg.as_file(plots.convergence(panel, "seconds")), "p", "nothing")
+    text = plots.in_page(plots.as_file(plots.convergence(panel, "seconds")), "p", "nothing")
     assert "no optimizer has a finite median" in text
     assert tables.ranking(panel).rows[0][2].text == "none"
 
@@ -455,7 +454,7 @@ def test_a_median_that_is_infinite_leaves_a_gap_and_its_band_reaches_the_top() -
     ends = [float(np.asarray(line.get_ydata())[-1]) for line in figure.axes[0].lines]
     assert ends == [np.inf, 0.2]
     assert np.isfinite(figure.axes[0].get_ylim()).all()
-    text = svg.in_page(svg.as_file(figure), "p", "x").lower()
+    text = plots.in_page(plots.as_file(figure), "p", "x").lower()
     assert "inf" not in text.replace("infinit", "") and "nan" not in text
     assert plots.describe(panel).endswith("medians at the end: b 0.2, a none.")
 

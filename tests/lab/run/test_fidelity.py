@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fide_lab import run as harness
-from fide_lab.run.fidelity import Fidelity
+from fide_lab.run.pixel_samples import Fidelity
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
 from fide_plugins.recording.record import Record

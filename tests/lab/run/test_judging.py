@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from fide_lab import optimizers, run as harness
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_lab.run.loop import PIECE
 from fide_plugins import losses
 from fide_plugins.errors import (

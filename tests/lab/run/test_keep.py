@@ -15,11 +15,17 @@ import pytest
 from PIL import Image
 
 from fide_lab import optimizers, run as harness
-from fide_lab.baselines.random import Random
+<<<<<<< HEAD
+from fide_lab.baselines.evolution import Random
+from fide_lab.run import Keep
+from fide_lab.run.loop import marks
+=======
+from fide_lab.baselines.evolution import Random
 from fide_lab.run import Keep, film
+>>>>>>> main
 from fide_plugins import losses
 from fide_plugins.errors import PointsError
-from fide_plugins.recording.parallel import rounds
+from fide_plugins.recording.record import rounds
 from fide_plugins.types import Float64
 
 TARGET = np.random.default_rng(0).random((6, 8, 3)).astype(np.float32)
@@ -80,7 +86,7 @@ def test_the_film_shows_the_best_image_at_each_mark(tmp_path: Path) -> None:
     task = Tint()
     result = harness.run(task, "cma", budget=120, out=tmp_path, keep=KEEP)
     assert {int(p.stem[6:]) for p in tmp_path.glob("frame-*.png")} == {1, 3, 10, 30, 100, 120}
-    for mark in film.marks(120):
+    for mark in marks(120):
         best = task.images[int(result.losses[:mark].argmin())]
         with Image.open(tmp_path / f"frame-{mark}.png") as png:
             np.testing.assert_array_equal(np.asarray(png), np.rint(best * 255).astype(np.uint8))

@@ -11,10 +11,9 @@ from PIL import Image
 
 from fide_lab import run as harness
 from fide_lab.run.prepare import make_task
-from fide_lab.run.renderer_task import source_of_target
+from fide_lab.run.task import source_of_target
 from fide_plugins.errors import CheckpointError
-from fide_plugins.recording.json_record import RunDirectoryError
-from fide_plugins.recording.kept_target import agree
+from fide_plugins.recording.storage import RunDirectoryError, same_target
 
 from .tint import Tint, same
 
@@ -64,10 +63,10 @@ def test_some_values_of_8_bits_may_be_a_step_off() -> None:
     one = (np.random.default_rng(0).integers(0, 255, (64, 64, 3)) / 255).astype(np.float32)
     other = one.copy()
     other[::32, 7, 0] += np.float32(1 / 255)
-    assert agree(one, other) and agree(one, one)
-    assert not agree(one, one + np.float32(1 / 255))  # a change that all pixels show
+    assert same_target(one, other) and same_target(one, one)
+    assert not same_target(one, one + np.float32(1 / 255))  # a change that all pixels show
     other[3, 3] += np.float32(3 / 255)
-    assert not agree(one, other) and not agree(one, one[:32])
+    assert not same_target(one, other) and not same_target(one, one[:32])
 
 
 def test_it_is_kept_before_the_first_checkpoint(tmp_path: Path) -> None:

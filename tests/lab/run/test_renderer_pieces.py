@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_lab import run as harness
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins import Float, Space
 from fide_plugins.errors import RenderError
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fide_lab import optimizers, run as harness
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import Random
 from fide_plugins import losses
 from fide_plugins.errors import (
     CheckpointError,
@@ -20,9 +20,8 @@ from fide_plugins.errors import (
     RenderError,
 )
 from fide_plugins.fide import FIDE
-from fide_plugins.recording.checkpointing import CheckpointTimer
-from fide_plugins.recording.directory import RunDirectory
-from fide_plugins.recording.json_record import RunDirectoryError
+from fide_plugins.recording.directory import CheckpointTimer, RunDirectory
+from fide_plugins.recording.storage import RunDirectoryError
 
 from .tint import TARGET, NoisyTint, Tint, raise_interrupt, same
 

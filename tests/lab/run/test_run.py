@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 from fide_lab import run as harness
-from fide_lab.baselines.cma import CMA
-from fide_lab.baselines.random import Random
+from fide_lab.baselines.evolution import CMA, Random
 from fide_lab.run.loop import PIECE
 from fide_plugins.errors import (
     ImageError,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fide_lab import optimizers, run as harness
-from fide_lab.baselines.cma import CMA
+from fide_lab.baselines.evolution import CMA
 from fide_lab.run.task import TaskInfo
 from fide_lab.run.user_optimizer import UserOptimizer, complete
 from fide_plugins.errors import OptionError

@@ -11,14 +11,14 @@ import pytest
 from fide_lab.compare.plan import RunKey
 from fide_lab.compare.results import Curve, NoResultsError, Results, StoredRun
 from fide_lab.report import plots
-from fide_lab.suite.profiles import (
+from fide_lab.suite.page import by_scene, lowest, sign_test, totals
+from fide_lab.suite.scores import (
     data_profile,
     performance_profile,
     performance_ratios,
+    scores,
     within,
 )
-from fide_lab.suite.scores import scores
-from fide_lab.suite.tables import by_scene, lowest, sign_test, totals
 
 INF = np.inf
 T = np.array([[10, 20], [INF, 30], [INF, INF], [40, 40.0]])

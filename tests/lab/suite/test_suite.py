@@ -15,12 +15,12 @@ import pytest
 from fide_lab import suite as suites
 from fide_lab.run.prepare import make_task
 from fide_lab.suite import definition, page, problems
-from fide_lab.suite.remarks import remarks
+from fide_lab.suite.page import remarks
 from fide_lab.suite.scores import Scores
 from fide_plugins import Float, Space, losses
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
-from fide_plugins.renderers.template import Template
+from fide_plugins.renderers.command import Template
 
 pytestmark = pytest.mark.figures
 

@@ -13,8 +13,7 @@ import pytest
 import fide_tasks
 from fide_lab.compare import RunKey, StoredRun
 from fide_lab.compare.results import Curve
-from fide_lab.sweep import Combination, Grid, best_within, front, read
-from fide_lab.sweep.front import AXES
+from fide_lab.sweep import AXES, Combination, Grid, best_within, front, read
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
 

@@ -13,9 +13,8 @@ from torch import Tensor
 
 from fide_plugins.errors import CheckpointError
 from fide_plugins.learning import Model, learn
-from fide_plugins.learning.judging.calibration import LARGEST_SCALE, fitted_scale, split_held_out
-from fide_plugins.learning.networks.axes import Components
-from fide_plugins.learning.networks.network import Network, as_input
+from fide_plugins.learning.judging import LARGEST_SCALE, fitted_scale, split_held_out
+from fide_plugins.learning.networks import Components, Network, as_input
 from fide_plugins.runtime import checkpoint
 from tests.learning.conftest import SIDE
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_plugins.learning.hypotheses import unlike_all
-from fide_plugins.learning.judging.familiarity import Familiarity
+from fide_plugins.learning import Model
+from fide_plugins.learning.judging import Familiarity
 from fide_plugins.types import Float64
 
 
@@ -48,4 +48,4 @@ def test_the_bound_is_finite_for_the_least_held_out_renders(held_out: int) -> No
 def test_how_unlike_a_picture_is_has_three_digits(far: float, shown: str) -> None:
     """Of renders that are all equal every other picture is any number of times too far."""
     model: Any = SimpleNamespace(renderer="scene")
-    assert f"its features are {shown} as far" in unlike_all(model, far)
+    assert f"its features are {shown} as far" in Model.unlike_all(model, far)

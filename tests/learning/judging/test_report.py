@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from fide_plugins.learning.judging.calibration import split_held_out
-from fide_plugins.learning.judging.report import Report
-from fide_plugins.learning.training.one_training import is_held_out
+from fide_plugins.learning.judging import Report, split_held_out
+from fide_plugins.learning.training import is_held_out
 
 REPORT = Report(
     renders=980, failed=0, held_out=20, seconds=3.0, nll=-1.25, within=(0.4, 0.75), coverage=0.9,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.learning import learn
-from fide_plugins.learning.judging.seen import are_shown, of_any_block, scores
+from fide_plugins.learning.judging import are_shown, of_any_block, scores
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Indices
 from tests.learning.conftest import SIDE

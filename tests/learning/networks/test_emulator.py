@@ -12,14 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from fide_plugins.errors import CheckpointError, OptionError
-from fide_plugins.learning import LearnProgress, Model, learn
+from fide_plugins.learning import LearnProgress, Model, emulator as inversion, learn
+from fide_plugins.learning.emulator import Emulator, _bounded, _free, inverted
 from fide_plugins.learning.hypotheses import posterior_of
-from fide_plugins.learning.networks import inversion
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.inversion import _bounded, _free, inverted
-from fide_plugins.learning.networks.network import as_input
-from fide_plugins.learning.renders.renderer import Pixels
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning.networks import as_input
+from fide_plugins.learning.renders import Pixels
+from fide_plugins.learning.training import Training
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
@@ -161,7 +159,7 @@ def test_errors_of_many_are_the_same_in_parts(
 
     emulator.register_forward_hook(note)
     for numbers in (2**14, 2**18, 2**25):
-        monkeypatch.setattr("fide_plugins.learning.networks.emulator._NUMBERS", numbers)
+        monkeypatch.setattr("fide_plugins.learning.emulator._NUMBERS", numbers)
         errors = emulator.errors_of_many(images, u, EVERYWHERE)
         torch.testing.assert_close(errors, whole)
         assert max(seen) <= numbers

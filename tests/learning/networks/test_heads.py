@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from fide_plugins.learning.networks.heads import Autoregressive
+from fide_plugins.learning.networks import Autoregressive
 
 WIDTH = 16
 

@@ -9,12 +9,11 @@ import pytest
 import torch
 
 from fide_plugins import Float, Group, Int, Space
-from fide_plugins.learning.judging.report import Distance
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.inversion import inverted
-from fide_plugins.learning.networks.network import as_input
-from fide_plugins.learning.renders.renderer import Pixels
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning.emulator import Emulator, inverted
+from fide_plugins.learning.judging import Distance
+from fide_plugins.learning.networks import as_input
+from fide_plugins.learning.renders import Pixels
+from fide_plugins.learning.training import Training
 from fide_plugins.types import Float64
 
 SIDE = 16

@@ -10,9 +10,9 @@ import fide_tasks
 from fide_plugins.errors import OptionError
 from fide_plugins.learning import learn
 from fide_plugins.learning.hypotheses import _middle
-from fide_plugins.learning.networks.head_choice import kind_of
-from fide_plugins.learning.networks.sets import Blocks
-from fide_plugins.learning.renders.renderer import as_renderer
+from fide_plugins.learning.networks import Blocks
+from fide_plugins.learning.pipeline import kind_of
+from fide_plugins.learning.renders import as_renderer
 from fide_plugins.space import Float, Space
 
 

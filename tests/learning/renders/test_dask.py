@@ -14,11 +14,9 @@ import pytest
 import fide_tasks
 from fide_plugins.cli import main
 from fide_plugins.errors import RenderError
-from fide_plugins.learning import LearnProgress, Model, learn
-from fide_plugins.learning.renders import rendering
-from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.learning.renders.rendering import fill
-from fide_plugins.learning.renders.store import RenderStore
+from fide_plugins.learning import LearnProgress, Model, learn, rendering
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.renders import RenderStore, as_renderer
 from fide_plugins.runtime import machine as cluster_module
 from fide_plugins.types import Float64
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.fitting.workers.choice import DAEMON
+from fide_plugins.fitting.workers import DAEMON
 from fide_plugins.learning import learn
-from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.learning.renders.rendering import fill
-from fide_plugins.learning.renders.store import RenderStore
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.renders import RenderStore, as_renderer
 from fide_plugins.types import Float64
 
 SIDE = 16

@@ -15,8 +15,7 @@ import pytest
 import torch
 
 from fide_plugins.cli import main
-from fide_plugins.learning import Model, learn
-from fide_plugins.learning.renders import store
+from fide_plugins.learning import Model, learn, renders as store
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.types import Float64
 from tests.learning.conftest import SIDE
@@ -111,9 +110,7 @@ def render(x):
 
 
 def test_the_command_says_how_to_go_on(
-    empty_folder: Path,
-    forked_command: Callable[..., Any],
-    capsys: pytest.CaptureFixture[str],
+    empty_folder: Path, forked_command: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("scene.py").write_text(SCENE)
     Path("full").touch()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fide_lab import run as harness
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins import fit
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError
@@ -98,10 +98,7 @@ def test_a_model_of_another_version_is_refused(
     [("1", "1", False), ("1", None, True), (None, "1", True), (None, None, True)],
 )
 def test_a_changed_source_is_a_warning_where_no_version_vouches_for_it(
-    search: Callable[[Gradient, object], None],
-    learned: str | None,
-    here: str | None,
-    warned: bool,
+    search: Callable[[Gradient, object], None], learned: str | None, here: str | None, warned: bool
 ) -> None:
     model = learn(Gradient(learned), 2, **ARGUMENTS)
     with warnings.catch_warnings(record=True) as caught:

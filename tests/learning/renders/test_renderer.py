@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fide_lab.run.renderer_task import RendererTask
+from fide_lab.run.task import RendererTask
 from fide_plugins.errors import ImageError, RenderError
 from fide_plugins.learning import learn
-from fide_plugins.learning.renders.renderer import Pixels, as_renderer
-from fide_plugins.learning.renders.rendering import fill
-from fide_plugins.learning.renders.store import RenderStore
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.renders import Pixels, RenderStore, as_renderer
 from fide_plugins.types import Float64
 
 SIDE = 16

@@ -11,12 +11,9 @@ import pytest
 
 from fide_plugins.cli import main
 from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.learning import Model, learn
-from fide_plugins.learning.renders import identity
-from fide_plugins.learning.renders.identity import check_images
-from fide_plugins.learning.renders.renderer import as_renderer
-from fide_plugins.learning.renders.rendering import fill
-from fide_plugins.learning.renders.store import SHARD, RenderStore
+from fide_plugins.learning import Model, learn, renders as identity
+from fide_plugins.learning.rendering import fill
+from fide_plugins.learning.renders import SHARD, RenderStore, as_renderer, check_images
 from fide_plugins.renderers import CommandRenderer
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64

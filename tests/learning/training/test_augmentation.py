@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from fide_plugins.errors import DependencyError
-from fide_plugins.learning.training import augmentation
-from fide_plugins.learning.training.augmentation import AUGMENT, augmented, check_installed
+from fide_plugins.learning import augmentation
+from fide_plugins.learning.augmentation import AUGMENT, augmented, check_installed
 
 Change = Callable[[Tensor, torch.Generator], Tensor]
 CHANGES: list[Change] = [change for change, _ in augmentation._CHANGES["photograph"]]

@@ -18,14 +18,11 @@ from torch import Tensor
 
 from fide_plugins.cli import main
 from fide_plugins.errors import DeviceError, DeviceMemoryError
-from fide_plugins.learning import learn
-from fide_plugins.learning.networks import sets
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.networks.encoder import Encoder
-from fide_plugins.learning.networks.network import Network, as_input
-from fide_plugins.learning.networks.trainable import Trainable
-from fide_plugins.learning.training.augmentation import AUGMENT, augmented
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning import learn, networks as sets
+from fide_plugins.learning.augmentation import AUGMENT, augmented
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.networks import Encoder, Network, Trainable, as_input
+from fide_plugins.learning.training import Training
 from tests.learning.conftest import SIDE, SPACE, disk
 
 BLOCKS = [[0, 1], [2, 3]]
@@ -245,10 +242,7 @@ def test_a_full_gpu_is_an_error_with_a_remedy(
     ],
 )
 def test_an_earlier_training_for_which_there_is_no_memory_is_no_damaged_file(
-    error: Exception,
-    raised: type[Exception],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+    error: Exception, raised: type[Exception], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     options: dict[str, Any] = {"renders": 100, "size": SIDE, "out": tmp_path / "m"}
     learn(disk, SPACE, **options, passes=1, device="cpu")

@@ -11,8 +11,8 @@ import pytest
 from torch import Tensor
 
 from fide_plugins.learning import learn
-from fide_plugins.learning.networks.emulator import Emulator
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning.emulator import Emulator
+from fide_plugins.learning.training import Training
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float64
 
@@ -45,7 +45,7 @@ class Clock:
         patch.setattr(time, "monotonic", lambda: self.now)
         patch.setattr(Training, "_step", timed)
         # time alone ends it
-        patch.setattr("fide_plugins.learning.training.one_training._PATIENCE", 1000)
+        patch.setattr("fide_plugins.learning.training._PATIENCE", 1000)
 
     def render(self, x: Float64) -> Float64:
         """As bright as the sum of two lamps."""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from torch import Tensor
 
-from fide_plugins.learning.networks.network import Network
-from fide_plugins.learning.training.one_training import Training
+from fide_plugins.learning.networks import Network
+from fide_plugins.learning.training import Training
 
 PERIOD = 10.0  # seconds of a step, by a clock of our own
 

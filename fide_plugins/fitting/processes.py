@@ -1,0 +1,274 @@
+"""Processes of our own that render, each of which can be killed without harm to the others.
+
+Each worker is a `ProcessPoolExecutor` of one process.  A common pool shares one pipe and its lock:
+a worker that is killed while it holds the lock (out of memory, say) would stop all.
+
+- They are started afresh (`spawn`), so they inherit no thread, no lock and no graphics context.
+- They do not import the user's script: its functions travel by value.  So a script needs no
+  ``if __name__ == "__main__":``, and a notebook works too.
+- Each is a process group of its own: what its render has started (a program, say) is killed with
+  it, and Ctrl-C in a terminal reaches this process alone, which saves and stops them.
+- They end when this process does, however it ends.
+- Each has a folder for its files (`renderers.scratch`), which this process removes after its end,
+  and the worker where this process is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
+from contextlib import ExitStack, suppress
+from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
+from typing import Any
+
+from fide_plugins.fitting.rendering import Failed, Outcome, Portable, Task, restored, unpack
+from fide_plugins.renderers.child import use_folder
+
+_START_LIMIT = 60.0  # seconds to start a worker, after which the clock of its render runs
+_STARTING = threading.Lock()
+
+
+class Processes:
+    """Worker processes; `number` of them, started when they are first needed.
+
+    Raises what the renderer raises if it cannot be pickled.
+    """
+
+    def __init__(self, renderer: Callable[[Any], Outcome], number: int) -> None:
+        self.number = self.usable = number
+        self._portable = Portable.of(renderer, number)
+        self._workers: list[_Worker] = []
+        self._of: dict[Task, _Worker] = {}
+
+    def submit(self, x: Any) -> Task:
+        """Render the point x (d,), or whatever the renderer takes, in a free worker."""
+        worker = self._free()
+        try:
+            task = worker.submit(x)
+        except BrokenExecutor:  # it was killed while it had nothing to do
+            self._workers.remove(worker)
+            worker.kill()
+            worker = self._free()
+            task = worker.submit(x)
+        self._of[task] = worker
+        return task
+
+    def outcome(self, task: Task) -> Outcome:
+        """Image, or what went wrong."""
+        worker = self._of.pop(task)
+        try:
+            return unpack(task.result())
+        except (BrokenExecutor, CancelledError) as error:
+            self._workers.remove(worker)
+            end = worker.end()
+            worker.kill()
+            reason = f"its worker process died{end}"
+            return Failed(reason, str(error), broken=True, killed=True)
+        except Exception as error:
+            return Failed.by(error)
+
+    def began(self, task: Task) -> float | None:
+        """Time at which its worker was there, at the latest a minute after it was asked."""
+        return self._of[task].began()
+
+    def abandon(self, task: Task) -> bool:
+        """Kill its worker; another one takes its place."""
+        worker = self._of.pop(task)
+        self._workers.remove(worker)
+        worker.kill()
+        return True
+
+    def comes_back(self, seconds: float | None) -> bool:
+        """Whether a worker is usable: always."""
+        return True
+
+    def close(self) -> None:
+        """Kill all workers."""
+        for worker in self._workers:
+            worker.kill()
+        self._workers, self._of = [], {}
+
+    def _free(self) -> _Worker:
+        busy = {id(worker) for worker in self._of.values()}
+        for worker in self._workers:
+            if id(worker) not in busy:
+                return worker
+        self._workers.append(_Worker(self._portable))
+        return self._workers[-1]
+
+
+class _Worker:
+    """One process, and the executor that feeds it."""
+
+    def __init__(self, portable: Portable) -> None:
+        _check_directory()
+        self._context = _Context()
+        self._ready_at: float | None = None
+        self._asked_at = time.monotonic()
+        self._folder = tempfile.mkdtemp(prefix="fide-worker-")
+        with ExitStack() as failed:
+            failed.callback(_remove, self._folder)
+            self._executor = ProcessPoolExecutor(
+                1, mp_context=self._context, initializer=_begin, initargs=(portable, self._folder)
+            )
+            failed.callback(self._executor.shutdown, wait=False)
+            self._executor.submit(_ready).add_done_callback(self._note_ready)
+            _leave_results_to_the_process(self._executor)
+            failed.pop_all()
+
+    def _note_ready(self, _: object) -> None:
+        self._ready_at = time.monotonic()
+
+    def submit(self, x: Any) -> Task:
+        self._asked_at = time.monotonic()
+        return self._executor.submit(_render, x)
+
+    def began(self) -> float | None:
+        if self._ready_at is not None:
+            return max(self._ready_at, self._asked_at)
+        limit = self._asked_at + _START_LIMIT
+        return limit if time.monotonic() > limit else None
+
+    def end(self) -> str:
+        """How a process that has died did so, in words; empty if that is not known."""
+        process = self._context.started
+        if process is None:
+            return ""
+        code = _exit_code(process)
+        if code is None:
+            return ""
+        if code < 0:
+            with suppress(ValueError):
+                return f", killed by {signal.Signals(-code).name}"
+        return f" with exit code {code}"
+
+    def kill(self) -> None:
+        """Kill the process and all that it has started, and remove its folder."""
+        process = self._context.started
+        if process is not None:
+            with suppress(ProcessLookupError, PermissionError):
+                if hasattr(os, "killpg") and process.pid is not None:
+                    os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+        _remove(self._folder)
+
+
+def _remove(folder: str) -> None:
+    """Remove a folder and all in it; an empty one also where no more files can be opened."""
+    with suppress(OSError):
+        os.rmdir(folder)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _check_directory() -> None:
+    """Raise FileNotFoundError, with a remedy, if a process would have no directory to start in."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise FileNotFoundError(
+            error.errno,
+            "no worker can start, since the working directory no longer exists; change to one that "
+            "does (os.chdir), or give workers=0",
+        ) from error
+
+
+def _leave_results_to_the_process(executor: ProcessPoolExecutor) -> None:
+    """Close our copy of the end of the pipe into which the process writes.
+
+    With it open, a process that is killed while it sends an image would leave the executor waiting
+    for the rest for ever, and with it `shutdown`.  The executor has no public name for the pipe.
+    """
+    writer = getattr(getattr(executor, "_result_queue", None), "_writer", None)
+    if writer is not None:
+        writer.close()
+
+
+def _exit_code(process: SpawnProcess) -> int | None:
+    """Exit code of a process that ends, if it is known within a second; its pipe closes before.
+
+    A thread of the executor waits for the process, too.  Where that one gets the code from the
+    system, `join` returns at once, and a moment later the code is known here.
+    """
+    limit = time.monotonic() + 1.0
+    process.join(1.0)
+    while process.exitcode is None and time.monotonic() < limit:
+        time.sleep(0.005)
+    return process.exitcode
+
+
+class _Context(SpawnContext):
+    """Starts a process as `_Process`, and remembers it."""
+
+    started: SpawnProcess | None = None
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        """A process that is not started yet."""
+        self.started = _Process(*args, **kwargs)
+        return self.started
+
+
+class _Process(SpawnProcess):
+    """A process that does not import the user's script and never sees Ctrl-C."""
+
+    def start(self) -> None:
+        """Start it while the script is out of sight, and SIGINT blocked, which it inherits."""
+        with _STARTING:
+            main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+            blocked = _block_interrupts()
+            try:
+                super().start()
+            finally:
+                sys.modules["__main__"] = main
+                if blocked is not None:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _block_interrupts() -> set[Any] | None:
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        return None
+    return signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+
+# -- in the worker ---------------------------------------------------------------------------------
+
+_PORTABLE: list[Portable] = []
+
+
+def _begin(portable: Portable, folder: str) -> None:
+    """Prepare the worker."""
+    _PORTABLE.append(portable)
+    use_folder(folder)
+    if hasattr(os, "setsid"):  # a group of its own
+        with suppress(PermissionError):
+            os.setsid()
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+
+
+def _end_with_parent(folder: str) -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        _remove(folder)
+        if hasattr(os, "killpg"):
+            os.killpg(os.getpgrp(), signal.SIGKILL)
+        os._exit(1)
+
+
+def _ready() -> None:
+    """Load the renderer, which is no render's time; the first render reports an error of that."""
+    with suppress(Exception, SystemExit):
+        restored(_PORTABLE[0].payload)
+
+
+def _render(x: Any) -> Outcome:
+    return _PORTABLE[0](x)

@@ -1,0 +1,133 @@
+"""What changes renders while they are learned: what separates a photograph from a render.
+
+`AUGMENT` names how much: focus, place, exposure, color, noise and things in front, or what two
+renders of one scene differ in.  The changes are small, since a large one would change what the
+parameters mean: a scene whose colors are parameters is another one after a change of color.  A
+shift of half a pixel is what an edge has anyhow on another grid of pixels.
+
+Each change is made to a share of the images of a batch, to each of them in its own way, by the
+operations of kornia.  Its random modules draw from PyTorch's global generator; so the numbers are
+drawn here, from a generator of one's own.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from fide_plugins.runtime.machine import missing
+
+_BLUR = 0.2, 0.8  # standard deviation of a Gaussian of 3 x 3 pixels, in pixels
+_SHIFT = 0.5  # along each axis, in pixels, at most
+_EXPOSURE = 0.05  # relative, at most
+_BALANCE = 0.03  # of each color, relative, at most
+_SATURATION = 0.1  # relative, at most
+_NOISE = 0.02  # standard deviation, at most
+_OCCLUDED = 0.3  # side of what is in front, of the image's, at most
+
+
+def augmented(images: Tensor, generator: torch.Generator, augment: str = "photograph") -> Tensor:
+    """Images (B, 3, H, W) in [0, 1] with small changes; same generator, same changes.
+
+    generator: of the images' device.
+    augment: one of `AUGMENT`.
+    """
+    images = images.clone()
+    for change, share in _CHANGES[augment]:
+        which = torch.randperm(len(images), generator=generator, device=generator.device)[
+            : int(share * len(images))
+        ]
+        if len(which):
+            images[which] = change(images[which], generator)
+    return images.clamp_(0.0, 1.0)
+
+
+def _uniform(n: int, values: int, low: float, high: float, generator: torch.Generator) -> Tensor:
+    """Numbers (n, values)."""
+    drawn = torch.rand(n, values, generator=generator, device=generator.device, dtype=torch.float32)
+    return low + (high - low) * drawn
+
+
+def _in_front(images: Tensor, generator: torch.Generator) -> Tensor:
+    """With one rectangle of one color, anywhere, also in part outside."""
+    n, _, height, width = images.shape
+    center, color = (_uniform(n, k, 0.0, 1.0, generator) for k in (2, 3))
+    half = _uniform(n, 2, 0.0, _OCCLUDED / 2, generator)
+    inside = [
+        (_middles(side, images.device) - center[:, i : i + 1]).abs() < half[:, i : i + 1]
+        for i, side in enumerate((height, width))
+    ]
+    hidden = inside[0][:, None, :, None] & inside[1][:, None, None, :]
+    return torch.where(hidden, color[:, :, None, None], images)
+
+
+def _middles(pixels: int, device: torch.device) -> Tensor:
+    return (torch.arange(pixels, device=device, dtype=torch.float32) + 0.5) / pixels
+
+
+def _shifted(images: Tensor, generator: torch.Generator) -> Tensor:
+    shift = _uniform(len(images), 2, -_SHIFT, _SHIFT, generator)
+    from kornia.geometry import translate
+
+    moved: Tensor = translate(images, shift, padding_mode="border")
+    return moved
+
+
+def _blurred(images: Tensor, generator: torch.Generator) -> Tensor:
+    sigma = _uniform(len(images), 1, *_BLUR, generator).expand(-1, 2)
+    from kornia.filters import gaussian_blur2d
+
+    soft: Tensor = gaussian_blur2d(images, 3, sigma, border_type="replicate")
+    return soft
+
+
+def _exposed(images: Tensor, generator: torch.Generator) -> Tensor:
+    """Brighter or darker, and of another white."""
+    n = len(images)
+    gain = 1 + _uniform(n, 1, -_EXPOSURE, _EXPOSURE, generator)
+    balance = 1 + _uniform(n, 3, -_BALANCE, _BALANCE, generator)
+    return images * (gain * balance)[:, :, None, None]
+
+
+def _saturated(images: Tensor, generator: torch.Generator) -> Tensor:
+    factor = 1 + _uniform(len(images), 1, -_SATURATION, _SATURATION, generator)[:, 0]
+    from kornia.enhance import adjust_saturation_with_gray_subtraction
+
+    changed: Tensor = adjust_saturation_with_gray_subtraction(images, factor)
+    return changed
+
+
+def _noisy(images: Tensor, generator: torch.Generator) -> Tensor:
+    deviation = _uniform(len(images), 1, 0.0, _NOISE, generator)[:, :, None, None]
+    noise = torch.randn(
+        images.shape, generator=generator, device=generator.device, dtype=images.dtype
+    )
+    return images + deviation * noise
+
+
+_CHANGES = {  # in the order of what happens: the scene, the lens, the sensor
+    "none": (),
+    "render": ((_blurred, 1 / 2), (_noisy, 1 / 2)),
+    "photograph": (
+        (_in_front, 1 / 4),
+        (_shifted, 1 / 2),
+        (_blurred, 1 / 2),
+        (_exposed, 1 / 2),
+        (_saturated, 1 / 2),
+        (_noisy, 1 / 2),
+    ),
+}
+
+AUGMENT = tuple(_CHANGES)
+"""Names of how much is changed: nothing, what two renders differ in, what a photograph does."""
+
+
+def check_installed(augment: str) -> None:
+    """Raise DependencyError (an ImportError) where kornia is missing, and `augment` needs it."""
+    if augment == "none":
+        return
+    try:
+        import kornia  # noqa: F401
+    except ImportError as error:
+        remedy = 'changes of renders need kornia; leave them out with augment="none", or'
+        raise missing("learn", f"{remedy} install it") from error

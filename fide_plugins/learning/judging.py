@@ -1,0 +1,561 @@
+"""How good a trained network is: calibrated and measured on held-out renders.
+
+*Calibration.*  A network that has seen its renders several times is too sure of itself.  One scale
+of all standard deviations mends it, as in temperature scaling (Guo et al. 2017, arXiv:1706.04599).
+It is chosen by held-out renders that do not judge: their 90 % regions hold the truth in 90 %.
+
+*Familiarity.*  The Mahalanobis distance of a picture's features from those of training renders (Lee
+et al. 2018, arXiv:1807.03888), compared with the distances of held-out renders.
+
+*What images show.*  A model may be sure of what no image shows, so the truth of held-out renders
+decides.  The samples of an image say with which probability the truth is in each quarter of an
+axis; the logarithm of that of the quarter where it is, less that of the uniform density, is 0 on
+average where nothing was learned (log score; Gneiting and Raftery 2007).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+import torch
+from scipy.optimize import linear_sum_assignment
+from scipy.stats import t
+from torch import Tensor
+
+from fide_plugins.learning.networks import Network, as_input
+from fide_plugins.learning.renders import Pixels
+from fide_plugins.learning.training import HELD_OUT, Training, is_held_out
+from fide_plugins.search.boundary import distance
+from fide_plugins.types import Float64, Indices, Mask
+
+LARGEST_SCALE = 4.0
+COVERAGE = 0.9  # of the region of highest density
+DRAWS = 99  # so that a calibrated truth is among the 90 densest of 100 in 90 %
+_STEP = 1.2
+_MOST_SCALES = 1 + math.ceil(math.log(LARGEST_SCALE) / math.log(_STEP))  # that are tried
+_FEWEST, _MOST = 50, 300  # renders: they tell their share to 4 %, and to 2 %
+ENOUGH = 2 * _FEWEST  # held-out renders for a scale, which half of them choose
+
+_QUANTILE = 0.995  # of distances of renders: these are familiar
+_MARGIN = 1.25  # a picture is not a render
+_RIDGE = 1e-3  # of the mean variance
+_FOLDS = 5
+_FEW = 20  # held-out renders: with so many, a standard deviation is known to a sixth (1 / sqrt(2n))
+_MOST_FEATURES = 4000  # renders by which the features of all are described
+
+_BINS = 4
+_LEAST = 0.02  # nats: less is of no use, however surely it is there
+_ERRORS = 1.645  # standard errors of a mean: chance makes as much in 5 %
+_NUMBER = re.compile(r"(\[\d+\])(?=\.)")  # of a repeated group
+
+_HYPOTHESES = 64
+_PICTURES = 300
+_BATCH = 500
+_CALIBRATED = ENOUGH * HELD_OUT  # renders: every 50th is held out
+_EXPLAINED = 0.9  # of the variance of renders: a worse emulator misleads
+
+OnPicture: TypeAlias = Callable[[int, int], None]
+"""Called after each held-out picture with how many are done, and how many there are at most."""
+
+
+# -- calibration -----------------------------------------------------------------------------------
+
+
+def split_held_out(aside: Mask) -> tuple[Mask, Mask]:
+    """Split held-out renders (n,) bool into those that choose the scale and those that judge.
+
+    Every second one chooses, at most 300; none, and so no scale, where these were fewer than 50.
+    """
+    fit, held_out = np.zeros_like(aside), np.flatnonzero(aside)
+    if len(held_out) >= ENOUGH:
+        fit[held_out[::2][:_MOST]] = True
+    return fit, aside & ~fit
+
+
+def fitted_scale(
+    network: Network, x: Float64, images: Pixels, seed: int = 0, on_picture: OnPicture | None = None
+) -> float:
+    """Scale in [1, 4] by which 90 % regions hold 90 % of renders, x (n, d), images (n, H, W, 3).
+
+    Interpolated between steps of 1.2.  1 without renders, or where regions hold 90 % already; they
+    are never made smaller, since photographs are further from what was learned than renders are.
+    (The scale of the largest likelihood is not that one: most renders decide it, and those that are
+    far off are further off than a Gaussian's.)  The network is left as it was.
+    on_picture: a picture counts once for each scale that is tried.
+    """
+    if not len(x):
+        return 1.0
+    done = 0
+
+    def coverage(scale: float) -> float:
+        """Share of renders whose parameters are in their 90 % region."""
+        nonlocal done
+        network.scale = scale
+        generator = torch.Generator().manual_seed(seed)
+        u = torch.from_numpy(x.astype(np.float32))
+        inside = []
+        for i in range(len(x)):
+            image = as_input(images[i : i + 1])
+            inside.append(in_region(network, image, network.sample(image, DRAWS, generator), u[i]))
+            done += 1
+            if on_picture is not None:
+                on_picture(done, _MOST_SCALES * len(x))
+        return float(np.mean(inside))
+
+    before, scale = network.scale, 1.0
+    try:
+        covered = coverage(scale)
+        while covered < COVERAGE and scale < LARGEST_SCALE:
+            wider = min(_STEP * scale, LARGEST_SCALE)
+            more = coverage(wider)
+            if more >= COVERAGE:
+                part = (COVERAGE - covered) / (more - covered)
+                return float(scale * (wider / scale) ** part)
+            scale, covered = wider, more
+        return scale
+    finally:
+        network.scale = before
+
+
+@torch.no_grad()
+def in_region(network: Network, image: Tensor, drawn: Tensor, u: Tensor) -> bool:
+    """Whether u (d,) is in the region of highest density that holds 90 % of what is drawn (n, d).
+
+    image: (1, 3, H, W).
+    """
+    density = network.log_prob(image, torch.cat([u[None], drawn]))
+    less = int((density[1:] <= density[0]).sum())  # none of a density that is not a number
+    return less > (1 - COVERAGE) * len(drawn)
+
+
+# -- familiarity -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Familiarity:
+    """Mean (F,) and precision (F, F) of features, and the distance that is still familiar."""
+
+    mean: Float64
+    precision: Float64
+    threshold: float
+
+    @classmethod
+    def of(cls, training: Float64, held_out: Float64) -> Self:
+        """Familiarity of features (n, F) of training renders, judged on others (m, F)."""
+        mean, precision = _moments(training)
+        distances = cls(mean, precision, 0.0).distances(held_out)
+        others = _across(training) if len(held_out) < _FEW else np.empty(0)
+        return cls(mean, precision, _MARGIN * _usual(distances, others))
+
+    def distances(self, features: Float64) -> Float64:
+        """Mahalanobis distances (n,) of features (n, F)."""
+        centered = features - self.mean
+        squares = np.einsum("nf,fg,ng->n", centered, self.precision, centered)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)), np.float64)
+
+    def knows(self, features: Float64) -> bool:
+        """Whether features (F,) are like those of renders."""
+        return bool(self.distances(features[None])[0] <= self.threshold)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it."""
+        return asdict(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Self:
+        """What `state_dict` gave."""
+        return cls(state["mean"], state["precision"], state["threshold"])
+
+
+def _across(training: Float64) -> Float64:
+    """Distance (n,) of each of n renders from those of the other folds."""
+    fold = np.arange(len(training)) % _FOLDS
+    found = np.empty(len(training))
+    for k in range(_FOLDS):
+        others = Familiarity(*_moments(training[fold != k]), 0.0)
+        found[fold == k] = others.distances(training[fold == k])
+    return found
+
+
+def _moments(features: Float64) -> tuple[Float64, Float64]:
+    """Mean (F,) and precision (F, F) of features (n, F)."""
+    covariance = np.atleast_2d(np.cov(features, rowvar=False))
+    ridge = _RIDGE * max(float(np.trace(covariance)) / features.shape[1], 1e-12)
+    inverse = np.linalg.inv(covariance + ridge * np.eye(features.shape[1]))
+    return features.mean(axis=0), np.asarray(inverse, np.float64)
+
+
+def _usual(distances: Float64, others: Float64) -> float:
+    """Distance that hardly any further render exceeds, by those of some (m,).
+
+    others: (n,), distances that vary as these do, of another size perhaps.
+    """
+    seen = float(np.quantile(distances, _QUANTILE))
+    samples = [_logs(some) for some in (distances, others) if len(some) > 1]
+    freedom = sum(len(logs) - 1 for logs in samples)
+    if freedom == 0 or seen == 0:
+        return seen
+    variance = sum(float(np.square(logs - logs.mean()).sum()) for logs in samples) / freedom
+    error = np.sqrt(variance * (1 + 1 / len(distances)))
+    return max(seen, float(np.exp(_logs(distances).mean() + t.ppf(_QUANTILE, freedom) * error)))
+
+
+def _logs(distances: Float64) -> Float64:
+    """Logarithms (m,), bounded for distances that are 0."""
+    largest = max(float(distances.max()), 1e-300)
+    return np.asarray(np.log(np.maximum(distances, 1e-3 * largest)), np.float64)
+
+
+# -- which parameters images show ------------------------------------------------------------------
+
+
+def scores(samples: Float64, truth: Float64, periodic: Mask, blocks: Indices) -> Float64:
+    """Log scores (2, d) in nats of the samples (n, d) of one image, given its truth (d,).
+
+    periodic: (d,).  blocks: (m, L), axes of exchangeable blocks, which are judged each by itself,
+    and then together; both rows are the same elsewhere.
+    """
+    counts = np.stack([(_quarters(samples) == k).sum(axis=0) for k in range(_BINS)], axis=1)
+    p = (counts + 0.5) / (len(samples) + 0.5 * _BINS)  # (d, bins), never 0
+    quarter = _quarters(truth)
+    gain = np.log(p[np.arange(len(truth)), quarter] * _BINS)  # (d,)
+    both = np.stack([gain, gain])
+    if blocks.size:
+        both[:, blocks] = _of_blocks(samples, truth, periodic, blocks, p, quarter)[:, None]
+    return both
+
+
+def _of_blocks(
+    samples: Float64, truth: Float64, periodic: Mask, blocks: Indices, p: Float64, quarter: Indices
+) -> Float64:
+    """Mean scores (2, L) of the blocks, each by itself and together; p (d, bins), quarter (d,)."""
+    wraps = periodic[blocks[0]]
+    apart = distance(samples[:, blocks][:, :, None], truth[blocks][None, None], wraps)
+    cost = apart.mean(axis=0)  # (samples' blocks, the truth's blocks, L)
+    alone, together = np.empty(len(wraps)), np.empty(len(wraps))
+    for axis in range(len(wraps)):
+        here = p[blocks[:, axis]]  # (m, bins)
+        true = quarter[blocks[:, axis]]  # (m,)
+        others = cost.sum(axis=2) - cost[:, :, axis]
+        _, matched = linear_sum_assignment(others)
+        alone[axis] = np.log(here[np.arange(len(here)), true[matched]] * _BINS).mean()
+        together[axis] = np.log(here.mean(axis=0)[true] * _BINS).mean()
+    return np.stack([alone, together])
+
+
+def are_shown(scored: Float64, names: Sequence[str]) -> Mask:
+    """Which axes (d,) belong to parameters that images show, by scores (n, 2, d) of n images.
+
+    names: (d,), of the parameters.  One of several axes is enough, as of a choice.
+    """
+    mean = scored.mean(axis=0)
+    n = len(scored)
+    error = scored.std(axis=0, ddof=1) / np.sqrt(n) if n > 1 else np.zeros_like(mean)
+    shown = ((mean >= _LEAST) & (mean >= _ERRORS * error)).any(axis=0)
+    known = {name for name, each in zip(names, shown, strict=True) if each}
+    return np.array([name in known for name in names])
+
+
+def of_any_block(names: Sequence[str], blocks: Indices) -> list[str]:
+    """Names (d,) without the number of an exchangeable block: "lamps.x" for "lamps[2].x".
+
+    blocks: (m, L), axes.  Names that differ in more than such numbers stay as they are.
+    """
+    found = list(names)
+    for axes in blocks.T.tolist() if blocks.size else []:
+        parts = [_NUMBER.split(names[axis]) for axis in axes]
+        if len({tuple(part[::2]) for part in parts}) > 1:
+            continue
+        same = [len(set(column)) == 1 for column in zip(*parts, strict=True)]
+        name = "".join(part for part, kept in zip(parts[0], same, strict=True) if kept)
+        for axis in axes:
+            found[axis] = name
+    return found
+
+
+def _quarters(x: Float64) -> Indices:
+    """Quarter 0 to 3 of each coordinate."""
+    return np.minimum((x * _BINS).astype(np.intp), _BINS - 1)
+
+
+# -- report ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Report:
+    """What held-out renders say of a model.
+
+    renders: learned from.  failed: renders that failed.  held_out: renders not learned from.
+    scale: by which all standard deviations of the density were multiplied, see `fitted_scale`.
+    fitted: how many held-out renders chose it; the other ones judge.
+    seconds: of training the density, in all calls together.
+    nll: mean negative log-likelihood in nats; the uniform prior has 0, so -nll is what was learned.
+    within: share of pictures with one of 64 hypotheses within 0.05, and within 0.1, of the unit
+        cube in every parameter that the images show; in all where they show none.
+    coverage: share of pictures whose parameters are in the 90 % region of highest density.
+    ranks: (d,), share of pictures whose parameter is between the 5 % and the 95 % quantile of its
+        samples; simulation-based calibration (Talts et al. 2018, arXiv:1804.06788) has 0.9.  Not
+        for exchangeable blocks, whose order means nothing: NaN.
+    unseen: parameters of which the images tell nothing, as far as was learned, see `are_shown`;
+        "lamps.x" is that of every block where blocks are exchangeable.
+    curve: of each pass, see `training.Curve`.
+    augment: how much its renders were changed, see `augmentation`.
+    parameters: how many there are, as `unseen` names them; axes are more where a choice has
+        several, or blocks are exchangeable.
+    emulated: share of the variance of held-out renders that the emulator explains; None without
+        an emulator.
+    """
+
+    renders: int
+    failed: int
+    held_out: int
+    seconds: float
+    nll: float
+    within: tuple[float, float]
+    coverage: float
+    ranks: tuple[float, ...]
+    unseen: tuple[str, ...]
+    curve: tuple[tuple[float, float, float], ...]
+    augment: str
+    scale: float
+    fitted: int
+    parameters: int
+    emulated: float | None
+
+    def __str__(self) -> str:
+        judges = self.held_out - self.fitted  # held-out renders that did not choose the scale
+        chosen = "" if len(self.curve) < 2 else ", which also chose the pass"  # others are worse
+        lines = [
+            f"{self.renders:,} renders, {len(self.curve)} passes in {self.seconds:,.0f} s, "
+            f"augment={self.augment!r}"
+        ]
+        if self.failed:
+            what = "render failed and was" if self.failed == 1 else "renders failed and were"
+            lines.append(f"{self.failed:,} {what} left out: the model knows nothing there")
+        lines.append(f"{against_prior(self.nll)} on {judges:,} held-out renders{chosen}")
+        if len(self.curve) > 1:  # it says whether more passes help
+            nats = ", ".join(f"{-held_out:.2f}" for _, _, held_out in self.curve)
+            lines.append(f"nats after each pass: {nats}")
+        lines += self._found()
+        lines.append(
+            f"90 % regions hold the truth in {self._share(self.coverage)} of {self._pictures} "
+            "pictures"
+        )
+        known = [share for share in self.ranks if math.isfinite(share)]
+        if known:
+            low, high = f"{min(known):.0%}", f"{max(known):.0%}"
+            lines.append(
+                "the truth is between the 5 % and the 95 % quantile of a parameter's samples in "
+                f"{low if low == high else f'{low} to {high}'} of pictures (90 % is right, "
+                f"+- {math.sqrt(0.9 * 0.1 / max(self._pictures, 1)):.0%} by chance)"
+            )
+        if self.fitted:
+            lines.append(
+                f"calibrated by {self.fitted:,} other held-out renders: standard deviations times "
+                f"{self.scale:.2f}"
+            )
+        else:
+            lines.append(f"not calibrated: that takes {_CALIBRATED:,} renders")
+        if self.emulated is not None:
+            used = "it refines hypotheses" if self.emulates else "too little to be used"
+            lines.append(
+                f"the emulator explains {self._explained:.1%} of the variance of held-out renders: "
+                f"{used}"
+            )
+        return "\n".join(lines)
+
+    @property
+    def emulates(self) -> bool:
+        """Whether there is an emulator that is used: it explains nine tenths, as it is printed."""
+        return self._explained >= _EXPLAINED
+
+    @property
+    def _explained(self) -> float:
+        """Share of variance in whole tenths of a percent; 0 without an emulator."""
+        return round(max(0.0, self.emulated or 0.0), 3)
+
+    @property
+    def _pictures(self) -> int:
+        """The first of those that judge, of which shares are."""
+        return min(self.held_out - self.fitted, _PICTURES)
+
+    def _share(self, share: float) -> str:
+        """Share of pictures with its standard error, as if there were one more of either kind."""
+        n = self._pictures
+        near = (share * n + 1) / (n + 2)
+        return f"{share:.0%} +- {math.sqrt(near * (1 - near) / max(n, 1)):.0%}"
+
+    def _found(self) -> list[str]:
+        """Lines on how near hypotheses are; they say nothing of what was not learned."""
+        near = (
+            f"one of {_HYPOTHESES} hypotheses is within 0.05 of the box in "
+            f"{self._share(self.within[0])}, within 0.1 in {self._share(self.within[1])} of "
+            f"{self._pictures} pictures"
+        )
+        if not self.unseen:
+            return [near]
+        of = self.parameters
+        them = "it" if len(self.unseen) == 1 else "them"
+        why = f"the images do not show {them}, or it takes more renders or passes"
+        if len(self.unseen) >= of:
+            return [f"nothing was learned of any of the {of} parameters: {why}"]
+        return [
+            f"{near}, in the {of - len(self.unseen)} of {of} parameters that the images show",
+            f"nothing was learned of {', '.join(self.unseen)}: {why}",
+        ]
+
+    def state_dict(self) -> dict[str, Any]:
+        """All of it, as lists and numbers."""
+        return asdict(self)
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Self:
+        """Report of a state that `state_dict` gave."""
+        lists = {"within", "ranks", "unseen"}
+        plain: dict[str, Any] = {k: tuple(v) if k in lists else v for k, v in state.items()}
+        plain["curve"] = tuple(tuple(row) for row in state["curve"])
+        return cls(**plain)
+
+
+def against_prior(nll: float) -> str:
+    """In words, how a mean negative log-likelihood (nats) compares with that of the prior, 0."""
+    return f"{abs(nll):.2f} nats {'worse' if nll > 0 else 'better'} than the uniform prior"
+
+
+class Distance:
+    """Largest difference of two points of the cube in any parameter, exchangeable blocks matched.
+
+    periodic: (d,), axes that wrap around.  blocks: (n, L), axes of each exchangeable block.
+    """
+
+    def __init__(self, periodic: Mask, blocks: Sequence[Sequence[int]] = ()) -> None:
+        self.periodic, self.blocks = periodic, np.array(blocks, np.intp)
+
+    def __call__(self, X: Float64, x: Float64) -> Float64:
+        """Distances (n,) of points X (n, d) from x (d,)."""
+        if len(self.blocks) == 0:
+            return np.asarray(distance(X, x, self.periodic).max(axis=1), np.float64)
+        return np.array([distance(self.matched(row, x), x, self.periodic).max() for row in X])
+
+    def matched(self, row: Float64, x: Float64) -> Float64:
+        """Return the point `row` (d,) with its blocks in the order in which they are nearest x.
+
+        That is the order with the least sum of differences of all parameters: each of them says
+        something of which block is which.  `Exchangeability.aligned` sums the blocks' largest
+        differences instead, since searches tell optima apart by the largest.  No search uses this
+        one; it measures models.
+        """
+        wraps = self.periodic[self.blocks[0]]
+        apart = distance(row[self.blocks][:, None], x[self.blocks][None], wraps)  # (n, n, L)
+        apart = apart.sum(axis=-1)
+        _, place = linear_sum_assignment(apart)
+        sorted_ = row.copy()
+        sorted_[self.blocks[place]] = row[self.blocks]
+        return sorted_
+
+
+def report_of(
+    network: Network,
+    training: Training,
+    distance: Distance,
+    names: Sequence[str],
+    *,
+    failed: int,
+    emulated: float | None,
+    on_progress: Callable[[str, int, int], None],
+) -> Report:
+    """Calibrate the network, which its training has left, and judge it on held-out renders.
+
+    names: (d,), of the axes.  failed: renders that failed.  emulated: see `Report`.
+    on_progress: called with stage, done and total of a `LearnProgress`, after each picture.
+    """
+    x, images, seed = training.x, training.images, training.seed
+    aside = is_held_out(len(x))
+    fit, judges = split_held_out(aside)
+    network.scale = fitted_scale(
+        network, x[fit], images[fit], seed, partial(on_progress, "calibrate")
+    )
+    judged = _judged(
+        network, x[judges], images[judges], names, distance, seed, partial(on_progress, "judge")
+    )
+    return Report(
+        renders=int((~aside).sum()),
+        failed=failed,
+        held_out=int(aside.sum()),
+        seconds=training.spent,
+        curve=tuple((a, b, c) for a, b, c in training.curve),
+        augment=training.augment,
+        scale=network.scale,
+        fitted=int(fit.sum()),
+        emulated=emulated,
+        **judged,
+    )
+
+
+@torch.no_grad()
+def _judged(
+    network: Network,
+    x: Float64,
+    images: Pixels,
+    names: Sequence[str],
+    distance: Distance,
+    seed: int,
+    on_picture: OnPicture,
+) -> dict[str, Any]:
+    """Those fields of `Report` that renders measure, x (n, d) and images (n, H, W, 3)."""
+    u = torch.from_numpy(x.astype(np.float32))
+    starts = range(0, len(u), _BATCH)
+    each = [network.log_prob(as_input(images[i : i + _BATCH]), u[i : i + _BATCH]) for i in starts]
+    drawings, inside, ranks, told = [], [], [], []
+    generator = torch.Generator().manual_seed(seed)
+    pictures = min(len(x), _PICTURES)
+    for i in range(pictures):
+        image = as_input(images[i : i + 1])
+        drawn = network.sample(image, DRAWS, generator)
+        samples = drawn.numpy().astype(np.float64)
+        drawings.append(samples[:_HYPOTHESES])
+        inside.append(in_region(network, image, drawn, u[i]))
+        ranks.append((samples < x[i]).mean(axis=0))
+        told.append(scores(samples, x[i], distance.periodic, distance.blocks))
+        on_picture(i + 1, pictures)
+    names = of_any_block(names, distance.blocks)
+    shown = are_shown(np.array(told), names)
+    counted = shown if shown.any() else ~shown  # other axes say nothing of which block is which
+    near = np.array(
+        [
+            distance(np.where(counted, samples, 0.5), np.where(counted, truth, 0.5)).min()
+            for samples, truth in zip(drawings, x, strict=False)
+        ]
+    )
+    middle = ((np.array(ranks) >= 0.05) & (np.array(ranks) <= 0.95)).mean(axis=0)
+    middle[distance.blocks.ravel()] = np.nan
+    return {
+        "nll": -float(torch.cat(each).mean()),
+        "within": (float(np.mean(near <= 0.05)), float(np.mean(near <= 0.1))),
+        "coverage": float(np.mean(inside)),
+        "ranks": tuple(float(share) for share in middle),
+        "unseen": tuple(dict.fromkeys(n for n, s in zip(names, shown, strict=True) if not s)),
+        "parameters": len(set(names)),
+    }
+
+
+def familiarity_of(network: Network, images: Pixels) -> Familiarity:
+    """Familiarity of the renders (n, H, W, 3) of a training, the held-out ones among them."""
+    aside = is_held_out(len(images))
+    learned = np.flatnonzero(~aside)[:_MOST_FEATURES]  # of all images a copy would be large
+    return Familiarity.of(_features(network, images[learned]), _features(network, images[aside]))
+
+
+def _features(network: Network, images: Pixels) -> Float64:
+    """Features (n, F) of images (n, H, W, 3)."""
+    parts = [
+        network.vectors(as_input(images[i : i + _BATCH])) for i in range(0, len(images), _BATCH)
+    ]
+    features: Float64 = torch.cat(parts).numpy().astype(np.float64)
+    return features

@@ -1,0 +1,263 @@
+"""Files of a run as others read them: its record, its checkpoint, its target.
+
+`run.json` is the record of a run (`study.json` that of a comparison).  `run.ckpt` is the state from
+which a run goes on; it names the file of the optimizer, which is written first, under a new name.
+So a kill at any moment leaves a consistent pair.  `target.ckpt` is the picture to find, to the last
+bit: another process may render another one, with noise, on a GPU or another processor.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from fide_plugins.errors import CheckpointError, FideError
+from fide_plugins.recording.record import Record, check_record
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.files import RefusedFileError, read_regular
+from fide_plugins.runtime.schema import IMPOSSIBLE
+from fide_plugins.types import Float32
+from fide_plugins.validation.images import as_target
+
+if TYPE_CHECKING:
+    from fide_plugins.types import Optimizer
+
+
+FORMAT = 2
+_OF_PICTURES = {
+    "weights": "the mask or the weights differ",
+    "target": "the target is another one; undo the edit, or begin anew with one that a file has",
+}
+
+
+class RunDirectoryError(FideError, FileExistsError):
+    """A directory belongs to another run, is no run directory, or another process works on it."""
+
+
+def read_run(path: Path) -> dict[str, Any] | None:
+    """Contents of `run.json` in the folder `path`; None if there is none.
+
+    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
+    """
+    run = read_json(path / "run.json", "run", _check_contents)
+    return None if run is None else _of_this_version(run)
+
+
+def _of_this_version(run: dict[str, Any]) -> dict[str, Any]:
+    """The record with names of today: once "status" was what is "state" now."""
+    if "state" not in run and "status" in run:
+        run["state"] = run.pop("status")
+        totals = run.get("totals")
+        if isinstance(totals, dict) and "status" in totals:
+            totals["sentence"] = totals.pop("status")
+    return run
+
+
+def _check_contents(run: dict[str, Any]) -> None:
+    if not isinstance(run["settings"], dict) or not isinstance(run.get("resumed", []), list):
+        raise ValueError("its settings are no dict, or its times of resuming no list")
+
+
+def read_json(
+    path: Path, kind: str, check: Callable[[dict[str, Any]], None]
+) -> dict[str, Any] | None:
+    """Record of a run or of a comparison (`kind`) in the file `path`; None if there is none.
+
+    check: raises ValueError, KeyError or TypeError for contents that cannot be.
+
+    Raises RunDirectoryError (a FileExistsError) if it is damaged or of another version.
+    """
+    if not path.exists():
+        return None
+    try:
+        record: dict[str, Any] = json.loads(read_regular(path).decode())
+        if record["format"] != FORMAT:
+            raise ValueError(f"format {record['format']!r}, and this version reads {FORMAT}")
+        check(record)
+    except (RefusedFileError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise RunDirectoryError(
+            f"{path} is not the record of a {kind} of this version ({error}); "
+            "copy that file back, or name another directory"
+        ) from error
+    return record
+
+
+def check_settings(there: dict[str, Any], here: dict[str, Any], what: str) -> None:
+    """Raise RunDirectoryError (a FileExistsError), naming the first setting that differs."""
+    for key in [*here, *(k for k in there if k not in here)]:
+        if there.get(key) != here.get(key):
+            values = f"{key} is {there.get(key)!r} there and {here.get(key)!r} here"
+            raise RunDirectoryError(
+                f"{what} with other settings: {_OF_PICTURES.get(key, values)}; "
+                "use the same settings, or name another directory"
+            )
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(read_regular(path)).hexdigest()
+
+
+def now() -> str:
+    """Time of day in UTC, in the format of ISO 8601."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+_T = TypeVar("_T")
+
+CHECKPOINT = "run.ckpt"
+_RUN = "run"
+_OPTIMIZER_FILE = re.compile(r"optimizer-[0-9]+-[0-9]+(-[0-9]+)?\.ckpt")
+
+
+def is_saved(path: str | os.PathLike[str]) -> bool:
+    """Whether the folder `path` holds the state of a run, from which it can continue.
+
+    False where it may not be read: whoever writes there says that.
+    """
+    return os.path.exists(Path(path) / CHECKPOINT)
+
+
+class RunCheckpoint(NamedTuple):
+    """Contents of `run.ckpt`."""
+
+    record: Any
+    """State of the `Record`, not checked."""
+    optimizer: str
+    """Name of the optimizer's file in the same folder."""
+
+
+def read_checkpoint(path: Path) -> RunCheckpoint:
+    """State of the run in the folder `path`, see `is_saved`.
+
+    Raises OSError, or CheckpointError (a ValueError) if the file is damaged or names a file that is
+    no optimizer's of the folder.
+    """
+    state = checkpoint.read(path / CHECKPOINT, _RUN)
+    with _possible(path):
+        name = state["optimizer"]
+        if not _OPTIMIZER_FILE.fullmatch(name):
+            raise ValueError(f"it names no optimizer's file of the run directory, {name!r}")
+        return RunCheckpoint(state["record"], name)
+
+
+def read_record(path: Path, dim: int, size: list[int]) -> tuple[Record, Path]:
+    """Record of the run in the folder `path`, of `dim` parameters, and its optimizer's file.
+
+    size: height and width of its images.
+
+    Raises what `read_checkpoint` raises, CheckpointError also for a record that cannot be.
+    """
+    state, name = read_checkpoint(path)
+    with _possible(path):
+        state.setdefault("path", np.empty((0, dim)))  # of an earlier version
+        check_record(state, dim, size)
+        return Record.from_state(state), path / name
+
+
+def with_optimizer(path: Path, use: Callable[[Path], _T]) -> _T:
+    """What a function makes of the optimizer's file of the run in the folder `path`.
+
+    The run may go on meanwhile, and replace its checkpoint: then it is called with the newer file.
+
+    Raises what `read_checkpoint` and the function raise.
+    """
+    name = read_checkpoint(path).optimizer
+    while True:
+        try:
+            return use(path / name)
+        except FileNotFoundError:
+            newer = read_checkpoint(path).optimizer
+            if newer == name:
+                raise
+            name = newer
+
+
+def write_checkpoint(path: Path, record: Record, optimizer: Optimizer) -> None:
+    """Write the state of a run into the folder `path`.  Raises OSError."""
+    pending = 0 if record.pending is None else len(record.pending)
+    failed = f"-{record.failures}" if record.failures else ""  # others were asked instead
+    name = f"optimizer-{record.evaluations}-{pending}{failed}.ckpt"  # one name for each state
+    optimizer.save(path / name)
+    checkpoint.write(path / CHECKPOINT, _RUN, {"record": record.state(), "optimizer": name})
+    _remove_optimizers(path, but=name)
+
+
+def remove_checkpoint(path: Path) -> None:
+    """Remove the state from the folder `path`, as far as that is possible."""
+    with suppress(OSError):
+        (path / CHECKPOINT).unlink()
+    _remove_optimizers(path)
+
+
+def _remove_optimizers(path: Path, but: str = "") -> None:
+    for file in path.glob("optimizer-*.ckpt"):
+        if file.name != but and _OPTIMIZER_FILE.fullmatch(file.name):
+            with suppress(OSError):
+                file.unlink()
+
+
+@contextmanager
+def _possible(path: Path) -> Iterator[None]:
+    """Turn errors of this block, which `run.ckpt` in the folder `path` causes, into one."""
+    try:
+        yield
+    except IMPOSSIBLE as error:
+        raise CheckpointError(f"{path / CHECKPOINT}: impossible contents ({error})") from error
+
+
+TARGET_FILE = "target.ckpt"
+_TARGET = "target"
+_MEAN, _LARGEST = 1e-5, 1.01 / 255  # rounding by 1e-7 moves a few values of 8 bits by a step
+
+
+class KeptTarget(NamedTuple):
+    """What such a file holds.
+
+    image: (H, W, 3).
+    source: by what the same target is known without another render; None where nothing tells.
+    """
+
+    image: Float32
+    source: str | None
+
+
+def read_target(path: Path) -> KeptTarget | None:
+    """The target in a file; None if the file is not there, or in a folder that may not be read_target.
+
+    Raises OSError, or CheckpointError (a ValueError) if the file is damaged.
+    """
+    if not os.path.exists(path):
+        return None
+    state = checkpoint.read(path, _TARGET)
+    try:
+        image, source = as_target(np.asarray(state["image"], np.float32)), state["source"]
+        if not isinstance(source, str | None):
+            raise TypeError("its source is no text")
+    except IMPOSSIBLE as error:
+        raise CheckpointError(
+            f"{path}: impossible contents ({error}); start again in another directory"
+        ) from error
+    return KeptTarget(image, source)
+
+
+def write_target(path: Path, target: KeptTarget) -> None:
+    """Write the target to a file, atomically.  Raises OSError."""
+    checkpoint.write(path, _TARGET, target._asdict())
+
+
+def same_target(one: Float32, other: Float32) -> bool:
+    """Whether two images differ by rounding at most."""
+    if one.shape != other.shape:
+        return False
+    off = np.abs(one - other)
+    return float(off.max()) <= _LARGEST and float(off.mean()) <= _MEAN

@@ -1,0 +1,225 @@
+"""Distinct candidates of a run, best first, side by side: as a table and as a picture.
+
+They are read from a run directory; nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fide_plugins import encoders
+from fide_plugins.errors import CheckpointError, OptionError
+from fide_plugins.fitting.pictures import side_by_side
+from fide_plugins.recording.figures import plain
+from fide_plugins.recording.parameters import Row, read_solutions, rows
+from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
+from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
+from fide_plugins.types import Float32, Float64, Solution
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+
+_KIND, _NAME = "solutions", "solutions.ckpt"
+_SCHEMA: Schema = {
+    "x": array("n", "d", low=0.0, high=1.0),
+    "images": array("n", "H", "W", 3, low=0.0, high=1.0),
+}
+
+Known = list[tuple[Float64, Float32]]
+"""Points (d,) and their images (H, W, 3)."""
+
+
+def write_images(directory: Path, points: Sequence[Float64], images: Sequence[Float32]) -> None:
+    """Write images (H, W, 3) image_of points (d,); n >= 1.  Raises OSError."""
+    state = {"x": np.array(points), "images": np.array(images)}
+    checkpoint.write(directory / _NAME, _KIND, state)
+
+
+def read_images(directory: Path) -> Known:
+    """What was written; nothing if nothing was.  Raises CheckpointError if it is damaged."""
+    path = directory / _NAME
+    if not path.exists():
+        return []
+    state: Any = checkpoint.read(path, _KIND)
+    try:
+        check(state, _SCHEMA, {}, "solutions")
+    except IMPOSSIBLE as error:
+        raise CheckpointError(f"{path}: impossible contents ({error}); remove it") from error
+    return list(zip(state["x"], state["images"], strict=True))
+
+
+def image_of(known: Known, x: Float64) -> Float32 | None:
+    """The image image_of the point x (d,); None if there is none."""
+    return next((image for point, image in known if np.array_equal(point, x)), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Solutions of a run, best first.
+
+    loss: name of the loss.
+    target: (H, W, 3), views side by side.
+    images: (H, W, 3) of each solution, None where none is stored.
+    elsewhere: share of a model's hypotheses that are far from all of them; None without a model.
+    """
+
+    loss: str
+    target: Float32
+    solutions: list[Solution]
+    images: list[Float32 | None]
+    elsewhere: float | None = None
+
+
+def read(
+    directory: str | os.PathLike[str], k: int = 5, encoder: Callable[..., object] | None = None
+) -> Found:
+    """Up to k solutions of the run in a directory.
+
+    encoder: the user's own with which it was made; None: a named one.
+
+    Raises OptionError for a directory without a run, or with one of another optimizer than FIDE,
+    which alone knows several, and where the encoder must be given; CheckpointError if its
+    checkpoint is damaged, or if the encoder is another (all ValueErrors); RunDirectoryError (a
+    FileExistsError) if no checkpoint was kept; other OSErrors.
+    """
+    path = Path(directory)
+    run = read_run(path)
+    if run is None:
+        raise OptionError(f"{path} is no run directory; give one that fide fit or fide run wrote")
+    settings = run["settings"]
+    if settings.get("optimizer") != "fide":
+        raise OptionError(
+            f"{path} is a run of {settings.get('optimizer')}, which keeps one solution: its best; "
+            "only fide knows several"
+        )
+    optimizer = _optimizer(path, encoder)
+    solutions = optimizer.solutions(k)
+    solutions[:1] = [_with_std(one, run) for one in solutions[:1]]
+    known = read_images(path)
+    images = [image_of(known, one.x) for one in solutions]
+    best = optimizer.state.best
+    if solutions and images[0] is None and best is not None and best.solution.image is not None:
+        images[0] = side_by_side(optimizer.views.unpacked(best.solution.image))
+    return Found(
+        str(settings.get("loss")),
+        side_by_side(optimizer.views.targets),
+        solutions,
+        images,
+        optimizer.elsewhere(solutions),
+    )
+
+
+def _with_std(best: Solution, run: dict[str, Any]) -> Solution:
+    """The best solution with the standard deviations that its fit has computed at the end.
+
+    Without them, or where they are of another candidate, they are of samples of the search.
+    """
+    totals = run.get("totals")
+    try:
+        kept = read_solutions((totals or {}).get("solutions", []), len(best.x), best.space)
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        return best
+    same = [one.estimate for one in kept if np.array_equal(one.x, best.x)]
+    return replace(best, estimate=same[0]) if same else best
+
+
+def _optimizer(path: Path, encoder: Callable[..., object] | None) -> FIDE:
+    from fide_plugins.fide import FIDE
+
+    if not is_saved(path):
+        raise RunDirectoryError(
+            f"{path} has no checkpoint, in which the solutions are; runs of a comparison keep none"
+        )
+
+    def load(file: Path) -> FIDE:
+        if encoder is None:
+            _check_encoder(file)
+        return FIDE.load(file, loss=_no_loss, encoder=encoder)
+
+    return with_optimizer(path, load)
+
+
+def _check_encoder(path: Path) -> None:
+    """Raise OptionError if the optimizer at `path` has an encoder that no name stands for."""
+    settings: Any = checkpoint.read(path, "fide").get("settings")
+    name = settings.get("encoder") if isinstance(settings, dict) else None
+    if isinstance(name, str) and name.partition(":")[0] not in encoders.names():
+        raise OptionError(
+            f"{path.parent} is a run with an encoder of your own, {name!r}; give it again: "
+            f"--encoder FILE.py:{name}"
+        )
+
+
+def _no_loss(images: Any) -> Any:
+    """A loss in place of the user's own, which is not needed."""
+    return np.zeros(len(images[0] if isinstance(images, list) else images))  # a list of views
+
+
+_INK, _MUTED = "#1a1a1a", "#6b7280"
+_WIDTH = 2.4  # inches of one panel
+_LINE = 0.16  # inches of a line of text
+_MOST = 24  # lines of parameters
+_NO_IMAGE = "no image stored\n(fide fit renders them,\nfit(out=) does not)"
+
+
+def figure(found: Found) -> bytes:
+    """PNG of the target and the solutions, side by side; no window, no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    table = rows(found.solutions)
+    shape = found.target.shape
+    panel = _WIDTH * shape[0] / shape[1]
+    lines = min(len(table), _MOST) + (len(table) > _MOST)
+    height = panel + 0.75 + _LINE * lines
+    columns = 1 + len(found.solutions)
+    canvas = Figure(figsize=(_WIDTH * columns * 1.06, height), dpi=110, facecolor="white")
+    FigureCanvasAgg(canvas)
+    top = 1 - 0.5 / height
+    grid = canvas.add_gridspec(
+        1, columns, left=0.01, right=0.99, top=top, bottom=top - panel / height, wspace=0.06
+    )
+    _panel(canvas.add_subplot(grid[0, 0]), "target", "", found.target)
+    for i, (solution, image) in enumerate(zip(found.solutions, found.images, strict=True)):
+        axes = canvas.add_subplot(grid[0, i + 1])
+        _panel(axes, f"{i + 1}", f"loss {solution.loss:.3g}", image)
+        _lines(canvas, axes, table, i, height)
+    buffer = io.BytesIO()
+    canvas.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _panel(axes: Any, name: str, note: str, image: Float32 | None) -> None:
+    axes.set_title(name, fontsize=10, color=_INK, loc="left", pad=4)
+    axes.set_title(note, fontsize=8, color=_MUTED, loc="right", pad=4)
+    if image is None:
+        axes.text(0.5, 0.5, _NO_IMAGE, fontsize=8, color=_MUTED, ha="center", va="center")
+    else:
+        axes.imshow(image, vmin=0, vmax=1, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("#d4d4d8")
+
+
+def _lines(canvas: Any, axes: Any, table: list[Row], i: int, height: float) -> None:
+    """Write the parameters of solution i below its image; muted, what is not determined."""
+    box = axes.get_position()
+    shown = [(f"{row.label}  {row.values[i]}", row.determined) for row in table[:_MOST]]
+    if len(table) > _MOST:
+        shown.append((f"... {len(table) - _MOST} more", True))
+    for k, (text, determined) in enumerate(shown):
+        canvas.text(
+            box.x0, box.y0 - (0.14 + _LINE * k) / height, plain(text),
+            fontsize=7, color=_INK if determined else _MUTED, va="top",
+            style="normal" if determined else "italic",
+        )  # fmt: skip

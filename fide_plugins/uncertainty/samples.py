@@ -1,0 +1,288 @@
+"""Which samples tell about a solution, and which of them the linear model is made of.
+
+A sample counts if its exchangeable blocks can be matched to those of the solution (`aligned`).
+Those with the solution's own integers and choices are its *own*.  The model is made of the own ones
+whose images are most like the solution's, without those of a *twin*, which has the same image far
+away (`of_twins`): in one linear model with it, its samples would say that the step between the two
+changes nothing.
+
+1. A linear model is fitted to the samples whose parameters are nearest.  Where it says that a
+   sample's image should differ from the solution's by far more than it does, the sample is a
+   suspect.  Only directions count in which J exceeds its error several times.
+2. Far along a curve of equal images the linear model is wrong as well.  Such samples are joined to
+   the solution by others on the way, so suspects that can be reached in small steps are kept.
+3. The other suspects are of twins.  So is every sample that 2 does not keep and that is nearer to
+   one of them than to the solution, by the change of the image that the model expects.
+
+Samples are known by their *rows* among the n of `Surroundings`, which are in the order of asking.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from torch import Tensor
+
+from fide_plugins.population.candidate import TrainingSample, in_order
+from fide_plugins.search import boundary
+from fide_plugins.search.scene.axes import Axes
+from fide_plugins.types import Float64, Indices, Mask
+from fide_plugins.uncertainty.local_fit import fit_locally, information
+
+# -- features --------------------------------------------------------------------------------------
+
+
+_DECIMALS = 6  # of a feature, in single precision
+
+
+def features_of(tokens: Sequence[Tensor], channels: int | None) -> Float64:
+    """(n, f), of n times tokens (T, C); so many leading channels count, None: all."""
+    rows = [one.detach()[..., :channels].cpu().numpy().ravel() for one in tokens]
+    return np.array(rows, np.float64)
+
+
+def compressed(e: Float64, target: Float64) -> tuple[Float64, Float64]:
+    """Features (n, f) and those of the target (f,), turned into the few directions they span."""
+    if e.shape[1] <= 2 * (len(e) + 1):
+        return e, target
+    both = np.vstack([e, target])
+    rows: Float64 = np.asarray(np.linalg.qr(both.T, mode="r")).T  # their products are the same
+    return rows[:-1], rows[-1]
+
+
+def floored(distances: Float64) -> Float64:
+    """Squared distances (n,); that of the solution from itself as small as the next one."""
+    moved = distances[distances > 0]
+    return np.maximum(distances, moved.min() if len(moved) else 1.0)
+
+
+def independent(target: Float64, tokens: int, features: Float64) -> int:
+    """How many features of the target (f,), so many tokens, are independent, at least one.
+
+    Channels that are equal in all tokens count once, but never less than a third of them: a gray
+    picture has three equal colors, and its noise is the same in each.  Tokens that equal the
+    target's in all samples do not count: a mask hides them.
+
+    features: (n, f), of samples.
+    """
+    channels = np.round(target.reshape(tokens, -1).T, _DECIMALS)
+    different = max(len(np.unique(channels, axis=0)), math.ceil(len(channels) / 3))
+    apart = np.abs(features - target).max(axis=0)
+    shown = (apart.reshape(tokens, -1) > 10**-_DECIMALS).any(axis=1)
+    return max(1, int(shown.sum())) * different
+
+
+# -- twins -----------------------------------------------------------------------------------------
+
+
+_FEWEST_INNER, _EACH_INNER = 60, 6  # samples of the first model, or so many a parameter
+_CERTAIN = 4.0  # times its error, from which on J J^T counts here
+_FARTHER = 10.0  # times as far away, squared, as the image says
+_STEP = 0.15  # of the cube
+
+
+def of_twins(u: Float64, e: Float64, distances: Float64, periodic: Mask | None) -> Mask:
+    """(n,), samples that look like the solution and are not connected to it.
+
+    u: (n, d), steps from the solution, n > d + 1.  e: (n, f), features.
+    distances: (n,), squared, of their features from those of the solution; positive.
+    periodic: (d,), None: no axis is.
+    """
+    number = max(_FEWEST_INNER, _EACH_INNER * u.shape[1])
+    inner = np.sort(np.argsort(np.abs(u).max(axis=1), kind="stable")[:number])
+    fit = fit_locally(u[inner], e[inner], distances[inner])
+    seen = _seen(u, information(fit, _CERTAIN))
+    expected = np.square(seen).sum(axis=1)
+    suspects = expected > _FARTHER * np.maximum(distances, fit.reach)
+    alike = inner[distances[inner] <= fit.reach]
+    joined = _joined(u, suspects, alike, periodic)
+    twins: Mask = suspects & ~joined
+    for one in seen[twins]:
+        twins |= ~joined & (np.square(seen - one).sum(axis=1) < expected)
+    return twins
+
+
+def _joined(u: Float64, suspects: Mask, latest: Indices, periodic: Mask | None) -> Mask:
+    """(n,), suspects that are reached from `latest` (m,) in small steps, by way of suspects."""
+    joined = np.zeros(len(u), bool)
+    while len(latest):
+        rest = np.flatnonzero(suspects & ~joined)
+        latest = rest[[_gap(one, u[latest], periodic) <= _STEP for one in u[rest]]]
+        joined[latest] = True
+    return joined
+
+
+def _seen(u: Float64, energy: Float64) -> Float64:
+    """Coordinates (n, d) of u (n, d) in which the image changes by the length of a step."""
+    values, vectors = np.linalg.eigh(energy)
+    scaled: Float64 = u @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return scaled
+
+
+def _gap(one: Float64, others: Float64, periodic: Mask | None) -> float:
+    """The largest coordinate of the step from one (d,) to the nearest of others (m, d)."""
+    return float(boundary.distance(others, one, periodic).max(axis=1).min())
+
+
+# -- selection -------------------------------------------------------------------------------------
+
+
+_NEAREST, _EACH = 320, 6  # samples, or so many a parameter: noise widens what fewer say
+_SPARE = 2  # times as many, of which those of twins are left out
+_FEWEST = 2.0  # samples a parameter, and a few more
+_FEW_MORE = 10
+_ROUNDING = 1e-6  # of a coordinate that came back in single precision
+_DIGITS = 1e-10  # of the energy of the image: 100 times its last digits, in single precision
+_APART = 0.05  # of the cube: farther away than that no image is the solution's
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The samples of a run, as seen from a solution.
+
+    points: (n, d), with blocks in the order of those of the solution.
+    matched: (n,), samples of which the blocks could be matched.
+    other: (n, d), coordinates of integers and choices that have another value.
+    own: (m,), rows of the matched samples in which none has.
+    u: (n, d), steps from the solution, the shorter way around.
+    free: (d,), axes of numbers; p of them.
+    periodic: (p,), which of these wrap around; None: none does.
+    features: (n, f), of their images.
+    distances: (n,), squared, from the features of the own sample at the solution.
+    at: row of that sample.
+    """
+
+    points: Float64
+    matched: Mask
+    other: Mask
+    own: Indices
+    u: Float64
+    free: Mask
+    periodic: Mask | None
+    features: Float64
+    distances: Float64
+    at: int
+
+    def steps(self, rows: Indices) -> Float64:
+        """Steps (m, p) to the samples in these rows (m,), on the axes of numbers."""
+        return self.u[rows][:, self.free]
+
+
+def surroundings(
+    x: Float64,
+    samples: Sequence[TrainingSample],
+    channels: int | None,
+    axes: Axes,
+    discrete: Mask | None,
+    blocks: Indices | None,
+) -> Surroundings | None:
+    """Of a solution x (d,); None if too few samples are its own, or none of them lies there.
+
+    The arguments are those of `LocalEstimate`.
+    """
+    free = np.ones(len(x), bool) if discrete is None else ~discrete
+    if not free.any() or len(samples) < _least(free):
+        return None
+    samples = in_order({(one.index, one.x.tobytes()): one for one in samples}.values())
+    points, matched = aligned(np.array([sample.x for sample in samples]), x, blocks, axes)
+    other = (np.abs(points - x) >= _ROUNDING) & ~free
+    own = matched & ~other.any(axis=1)
+    u = _signed(points - x, axes)
+    away = np.where(own, np.abs(u).max(axis=1), np.inf)
+    at = int(np.argmin(away))
+    if own.sum() < _least(free) or away[at] > _APART:
+        return None
+    features = features_of([sample.tokens for sample in samples], channels)
+    return Surroundings(
+        points=points,
+        matched=matched,
+        other=other,
+        own=np.flatnonzero(own),
+        u=u,
+        free=free,
+        periodic=None if axes.periodic is None else axes.periodic[free],
+        features=features,
+        distances=np.square(features - features[at]).sum(axis=1),
+        at=at,
+    )
+
+
+def most_alike(around: Surroundings, missed: float) -> Indices:
+    """Rows of the samples of which the linear model is made, in the order of asking.
+
+    missed: squared, by how much the solution misses the target.
+    """
+    number = max(_NEAREST, _EACH * int(around.free.sum()))
+    pool = _nearest_images(_told_apart(around, missed), around.distances, _SPARE * number)
+    e, _ = compressed(around.features[pool], around.features[around.at])
+    twins = of_twins(around.steps(pool), e, floored(around.distances[pool]), around.periodic)
+    rest = pool[~twins]
+    enough = len(rest) >= _least(around.free)
+    return _nearest_images(rest if enough else pool, around.distances, number)
+
+
+def _told_apart(around: Surroundings, missed: float) -> Indices:
+    """Rows of own samples, without those of which only the last digits differ, if enough are left.
+
+    A search may converge farther than single precision tells.  Where a target with noise is missed
+    by more, steps as short say nothing of how far away the truth is.
+    """
+    least = _DIGITS * float(np.square(around.features[around.at]).sum())
+    told = around.own[(around.distances[around.own] >= least) | (around.own == around.at)]
+    return told if missed > least and len(told) >= _least(around.free) else around.own
+
+
+def less_alike(around: Surroundings, near: Indices) -> Indices:
+    """Rows of `near` (m,), and of about as many others, spread evenly over the run."""
+    rest = np.setdiff1d(around.own, near)
+    return np.union1d(near, rest[:: max(1, len(rest) // len(near))])
+
+
+def _least(free: Mask) -> int:
+    """How many samples an estimate needs at least."""
+    return int(_FEWEST * free.sum()) + _FEW_MORE
+
+
+def _nearest_images(rows: Indices, distances: Float64, number: int) -> Indices:
+    """So many of the rows with the least distances (n,), in the order of asking."""
+    return np.sort(rows[np.argsort(distances[rows], kind="stable")[:number]])
+
+
+def _signed(u: Float64, axes: Axes) -> Float64:
+    """Steps u (n, d), the shorter way around where an axis is periodic."""
+    if axes.periodic is None:
+        return u
+    return np.where(axes.periodic, (u + 0.5) % 1.0 - 0.5, u)
+
+
+_NUMBERS = 2**22  # differences of blocks that are held at once
+
+
+def aligned(
+    points: Float64, x: Float64, blocks: Indices | None, axes: Axes
+) -> tuple[Float64, Mask]:
+    """Points (n, d) with their blocks in the order of those of x (d,); which could be matched.
+
+    Each block of a point belongs to the nearest one of x; it can be matched if they all differ.
+    """
+    if blocks is None:
+        return points, np.ones(len(points), bool)
+    step = max(1, _NUMBERS // (blocks.size * len(blocks)))
+    chunks = [points[i : i + step] for i in range(0, len(points), step)]
+    parts = [_aligned(chunk, x, blocks, axes) for chunk in chunks]
+    return np.concatenate([p for p, _ in parts]), np.concatenate([kept for _, kept in parts])
+
+
+def _aligned(points: Float64, x: Float64, blocks: Indices, axes: Axes) -> tuple[Float64, Mask]:
+    """As `aligned`, of as many points as memory holds."""
+    own = points[:, blocks]  # (n, blocks, L)
+    costs = axes.difference(own[:, :, None], x[blocks], blocks).max(axis=3)  # (n, own, of x)
+    places = costs.argmin(axis=2)  # (n, own)
+    which: Mask = (np.sort(places, axis=1) == np.arange(len(blocks))).all(axis=1)
+    sources = np.argsort(places, axis=1)[..., None]  # the block that belongs to each of x
+    ordered = points.copy()
+    ordered[:, blocks] = np.take_along_axis(own, sources, axis=1)
+    return np.where(which[:, None], ordered, points), which

@@ -1,0 +1,545 @@
+"""Baselines that learn from features of images: Kalman inversion, diffusion models in two uses.
+
+`Inverse` is inversion without evolution (Sec. 4.1): a diffusion model of the whole box, trained
+once on uniform points; its samples (`PosteriorSampler`) cover all modes of the posterior.
+`FIDEAnnealing` is FIDE with dual annealing in the place of CMA-ES (supplement S4).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fide_lab.baselines.base import ImageBased, Stateful
+from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
+from fide_plugins.denoiser import Denoise, Network
+from fide_plugins.denoiser.preconditioning import whitened
+from fide_plugins.denoiser.training import WhitenedLoss
+from fide_plugins.errors import OptionError
+from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.runtime.schema import (
+    GENERATOR,
+    Schema,
+    anything,
+    array,
+    check,
+    flag,
+    maybe,
+    real,
+    row,
+    whole,
+)
+from fide_plugins.types import Float32, Float64
+from fide_plugins.validation.options import positive, positive_fraction
+from fide_plugins.validation.points import whole_number
+
+BOX_STD = 12**-0.5  # of the uniform law on [0, 1]
+LARGEST, SMALLEST = 20.0, 0.02  # noise at the two ends of sampling, in units of BOX_STD
+SMALLEST_STD = 1e-3  # of a channel of tokens that is normalized
+
+
+class PosteriorSampler:
+    """Samples of x given an image, for x uniform in the unit cube.
+
+    The diffusion model of `proposers.diffusion`, trained on uniform samples and started from pure
+    noise.  Its first step, where the noise is so large that z carries no information, is the
+    regression E[x | image], which averages the modes.
+
+    Parameters
+    ----------
+    dim : d, the number of parameters.
+    steps : of Euler's method for a sample; noise levels fall geometrically.
+    seed : of everything random.
+    **options : of the `DiffusionProposer` (epochs, learning_rate, batch_size, device, width, ...).
+
+    Raises
+    ------
+    OptionError
+        if `steps` is below 1, or as the `DiffusionProposer`.
+    """
+
+    def __init__(self, dim: int, *, steps: int = 18, seed: int = 0, **options: Any) -> None:
+        if steps < 1:
+            raise OptionError(f"sampling takes at least one step, got {steps=}")
+        for_proposer, for_samples = np.random.SeedSequence(seed).spawn(2)
+        self.proposer = DiffusionProposer(
+            dim,
+            seed=int(for_proposer.generate_state(1)[0]),
+            objective=WhitenedLoss(),
+            precondition=_whiten_box,
+            **options,
+        )
+        self._mean, self._std = np.full(dim, 0.5), np.full(dim, BOX_STD)
+        self._schedule = tuple(np.geomspace(LARGEST, SMALLEST, steps).tolist())
+        self._rng = np.random.default_rng(for_samples)
+        self._scale: tuple[Tensor, Tensor] | None = None
+
+    def update(
+        self,
+        x: Float64,
+        tokens: Tensor,
+        *,
+        epochs: int | None = None,
+        learning_rate: float | None = None,
+    ) -> Tensor:
+        """Train on uniform `x` (n, d) and the tokens (n, T, C) of their images.
+
+        epochs, learning_rate: of this training; None: the proposer's.
+
+        Returns the mean loss of each epoch; 1 means that nothing was learned.
+        """
+        if self._scale is None:  # channels of the first images get mean 0 and variance 1
+            spread = tokens.std((0, 1), correction=0).clamp_min(SMALLEST_STD)
+            self._scale = tokens.mean((0, 1)), spread
+        return self.proposer.update(
+            x, self._normalize(tokens), None, self._std, epochs=epochs, learning_rate=learning_rate
+        )
+
+    def fit(self, x: Float64, tokens: Tensor, epochs: int) -> None:
+        """Train on uniform `x` (n, d) and tokens (n, T, C), the last quarter with small steps."""
+        last, rate = epochs // 4, self.proposer.learning_rate
+        self.update(x, tokens, epochs=epochs - last)
+        if last:
+            self.update(x, tokens, epochs=last, learning_rate=rate / 5)
+
+    def sample(self, n: int, target_tokens: Tensor) -> Float64:
+        """Draw n parameter vectors for an image's tokens (T, C); (n, d), within the unit cube."""
+        return self._solve(n, target_tokens, self._schedule)
+
+    def regress(self, target_tokens: Tensor, n: int = 256) -> Float64:
+        """Estimate E[x | image], (d,): one step from pure noise, averaged over n draws of it."""
+        one_step: Float64 = self._solve(n, target_tokens, (LARGEST,)).mean(axis=0)
+        return one_step
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that training and sampling change."""
+        return {
+            "proposer": self.proposer.state_dict(),
+            "scale": None if self._scale is None else list(self._scale),
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Put back what `state_dict` gave; numpy arrays serve as tensors; ValueError if none."""
+        check(state, _SCHEMA, {})
+        self.proposer.load_state_dict(state["proposer"])
+        self._scale = None  # that of a state before training
+        if state["scale"] is not None:
+            mean, spread = (torch.as_tensor(part) for part in state["scale"])
+            self._scale = mean, spread
+        self._rng.bit_generator.state = state["rng"]
+
+    def _solve(self, n: int, target_tokens: Tensor, schedule: tuple[float, ...]) -> Float64:
+        noise = self._rng.standard_normal((n, self.proposer.dim))
+        z = self._mean + schedule[0] * self._std * noise
+        tokens = self._normalize(target_tokens)
+        x = self.proposer.propose(z, tokens, self._mean, self._std, schedule=schedule)
+        return np.clip(x, 0, 1)
+
+    def _normalize(self, tokens: Tensor) -> Tensor:
+        if self._scale is None:
+            return tokens
+        mean, spread = self._scale
+        return (tokens - mean) / spread
+
+
+_SCHEMA: Schema = {
+    "proposer": anything,  # checks its own
+    "scale": maybe(row(array("C"), array("C"))),
+    "rng": GENERATOR,
+}
+
+
+def _whiten_box(network: Network) -> Denoise:
+    return whitened(network, 0.5, BOX_STD)
+
+
+class Inverse(ImageBased, Stateful):
+    """Samples of the posterior; options of `ImageBased` and `Baseline`; `sigma0` is not used.
+
+    popsize: points that are drawn at a time, 100.
+    budget: evaluations that are planned.
+    share: training fraction, the fraction of the budget that is spent on uniform points.
+    epochs: passes over them; the last quarter has a smaller learning rate.
+    batch_size, width, blocks: of the training and the network, see `denoiser`.
+
+    The features of all uniform points are kept in memory until the training.
+
+    Raises OptionError, and ImageError without a target (ValueErrors).
+    """
+
+    name: ClassVar[str] = "inverse"
+    own_options = ("budget", "share", "epochs", "batch_size", "width", "blocks")
+    own_schema: ClassVar[dict[str, Schema]] = {
+        "trained": flag,
+        "x": array("n", "d", low=0.0, high=1.0),
+        "features": array("n", "f"),
+        "posterior": anything,  # checks its own
+        "rng": GENERATOR,
+    }
+
+    def __init__(
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        budget: int = 10_000,
+        share: float = 0.8,
+        epochs: int = 14,
+        batch_size: int = 100,
+        width: int = 32,
+        blocks: int = 2,
+        **options: Any,
+    ) -> None:
+        super().__init__(dim, target, **options)
+        self.budget = whole_number("budget", budget, 1)
+        self.share = positive_fraction("share", share)
+        self.epochs = whole_number("epochs", epochs, 1)
+        self.batch_size, self.width, self.blocks = batch_size, width, blocks
+        self._rng = np.random.default_rng(self.seed)
+        self._posterior = PosteriorSampler(
+            self.dim, seed=self.seed, batch_size=batch_size, width=width, blocks=blocks
+        )
+        self._trained = False
+        self._x: list[Float64] = []  # uniform points so far
+        self._features: list[Float32] = []  # of their images
+
+    @property
+    def training_points(self) -> int:
+        """Number of uniform points on which it trains."""
+        return max(1, round(self.share * self.budget))
+
+    def _sample(self) -> Float64:
+        if self._trained:
+            return self._posterior.sample(self.popsize, self.target_tokens)
+        return self._rng.random((self.popsize, self.dim))  # ~ U(0, 1)
+
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        assert features is not None
+        if self._trained:
+            return
+        self._x.extend(X)
+        self._features.extend(features)
+        if len(self._x) >= self.training_points:
+            with self._timed("train"):
+                tokens = self.tokens_of(np.array(self._features))
+                self._posterior.fit(np.array(self._x), tokens, self.epochs)
+            self._trained, self._x, self._features = True, [], []
+            self._population.forget_pending()
+
+    def _default_popsize(self) -> int:
+        return 100
+
+    def _own_state(self) -> dict[str, Any]:
+        return {
+            "trained": self._trained,
+            "x": np.array(self._x).reshape(-1, self.dim),
+            "features": np.array(self._features, np.float32).reshape(-1, self._sides()["f"]),
+            "posterior": self._posterior.state_dict(),
+            **super()._own_state(),
+        }
+
+    def _load_own_state(self, state: dict[str, Any]) -> None:
+        self._trained = state["trained"]
+        self._x, self._features = list(state["x"]), list(state["features"])
+        self._posterior.load_state_dict(state["posterior"])
+        super()._load_own_state(state)
+
+
+COLLAPSED = 1e-4  # mean standard deviation of an ensemble that is given up
+LEAST_NOISE = 1e-12  # variance; an ensemble that has collapsed on the answer is still updated
+
+
+class EKI(ImageBased, Stateful):
+    """Ensemble Kalman inversion from N(0.5, sigma0^2); options of `ImageBased` and `Baseline`.
+
+    With x (k, d) the ensemble, e (k, f) the features of its images, e* those of the target, and
+    X, E the deviations from the means over sqrt(k - 1), every generation is (Iglesias, Law and
+    Stuart 2013)
+
+        x_i += C_xe (C_ee + Gamma)^-1 (e* + eta_i - e_i),   eta_i ~ N(0, Gamma), Gamma = gamma I,
+
+    in the k dimensions of the ensemble: C_xe (C_ee + Gamma)^-1 = X^T (E E^T + gamma I)^-1 E.
+    Images have no noise of their own, so Gamma regularizes a step; it is annealed by the data
+    misfit controller of Iglesias and Yang (2021, arXiv:2006.14061), without their bound of it.
+    Values that leave the box are put on its border.  The ensemble stays in its own span and
+    collapses there: then another one starts around a random point.
+
+    popsize: k, members of the ensemble, at least 2; None: 100, or 2 d if that is more.
+    channels: of the tokens of the encoder; by default the mean colors of 14 x 14 patches.
+    patience: generations without a better loss after which an ensemble is given up.
+
+    Raises OptionError, and ImageError without a target (ValueErrors).
+    """
+
+    name: ClassVar[str] = "eki"
+    own_options = ("patience",)
+    own_schema: ClassVar[dict[str, Schema]] = {
+        "members": array("k", "d", low=0.0, high=1.0),
+        "lowest": real(high=np.inf),
+        "ended": maybe(row(real(), array("d", low=0.0, high=1.0))),
+        "stalled": whole(),
+        "starts": whole(),
+        "rng": GENERATOR,
+    }
+
+    def __init__(
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        channels: int | None = 3,
+        patience: int = 5,
+        **options: Any,
+    ) -> None:
+        self.patience = whole_number("patience", patience, 1)
+        super().__init__(dim, target, channels=channels, **options)
+        self._rng = np.random.default_rng(self.seed)
+        self.starts = 0  # ensembles begun so far
+        self._ended: tuple[float, Float64] | None = None  # as `_present`, the best that is over
+        self._start(np.full(self.dim, 0.5))
+
+    def recommend(self) -> Float64:
+        """Mean (dim,) of the ensemble that found the lowest loss, at its end or now."""
+        _, mean = self._best_ensemble()
+        return mean.copy()
+
+    def _present(self) -> tuple[float, Float64]:
+        """Lowest loss of the present ensemble, +inf before it has one, and its mean (dim,)."""
+        return self._lowest, self._members.mean(axis=0)
+
+    def _best_ensemble(self) -> tuple[float, Float64]:
+        """As `_present`, of the present ensemble or of one that is over."""
+        present = self._present()
+        return present if self._ended is None else min(present, self._ended, key=lambda e: e[0])
+
+    def _start(self, center: Float64) -> None:
+        noise = self._rng.standard_normal((self.popsize, self.dim))
+        self._members = np.clip(center + self.sigma0 * noise, 0.0, 1.0)
+        self._lowest, self._stalled = np.inf, 0
+        self.starts += 1
+
+    def _sample(self) -> Float64:
+        return self._members
+
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        assert features is not None
+        self._population.forget_pending()  # a member is evaluated once
+        misfit = self.target_features.astype(np.float64) - features  # (k, f)
+        e = features.astype(np.float64)
+        updated = kalman_update(X, e, misfit, annealed(misfit), self._rng)
+        self._members = np.clip(updated, 0.0, 1.0)
+        self._stalled = 0 if losses.min() < self._lowest else self._stalled + 1
+        self._lowest = min(self._lowest, float(losses.min()))
+        if self._members.std(axis=0).mean() < COLLAPSED or self._stalled >= self.patience:
+            if np.isfinite(self._lowest):
+                self._ended = self._best_ensemble()
+            self._start(self._rng.random(self.dim))
+
+    def _default_popsize(self) -> int:
+        return max(100, 2 * self.dim)
+
+    def _smallest_popsize(self) -> int:
+        return 2
+
+    def _own_state(self) -> dict[str, Any]:
+        return {
+            "members": self._members,
+            "lowest": self._lowest,
+            "ended": None if self._ended is None else list(self._ended),
+            "stalled": self._stalled,
+            "starts": self.starts,
+            **super()._own_state(),
+        }
+
+    def _load_own_state(self, state: dict[str, Any]) -> None:
+        self._members, self._lowest = state["members"], state["lowest"]
+        self._ended = None if state["ended"] is None else tuple(state["ended"])
+        self._stalled, self.starts = state["stalled"], state["starts"]
+        super()._load_own_state(state)
+
+
+def annealed(misfit: Float64) -> float:
+    """Variance of the noise for a step from misfits e* - e (k, f): the data misfit controller.
+
+    With Phi = |e* - e_i|^2 / 2 it is the lesser of 2 <Phi> / f and sqrt(2 Var Phi / f).
+    """
+    phi = np.square(misfit).sum(axis=1) / 2  # (k,)
+    f = misfit.shape[1]
+    return float(min(2 * phi.mean() / f, np.sqrt(2 * phi.var() / f)))
+
+
+def kalman_update(
+    x: Float64, e: Float64, misfit: Float64, gamma: float, rng: np.random.Generator | None = None
+) -> Float64:
+    """One step of the ensemble x (k, d) with features e (k, f) and misfits e* - e (k, f).
+
+    gamma: variance of the noise; it is added to the data of each member if there is an `rng`.
+    """
+    k = len(x)
+    X = (x - x.mean(axis=0)) / np.sqrt(k - 1)
+    E = (e - e.mean(axis=0)) / np.sqrt(k - 1)
+    if rng is not None:
+        misfit = misfit + np.sqrt(gamma) * rng.standard_normal(misfit.shape)
+    inner = E @ E.T + max(gamma, LEAST_NOISE) * np.eye(k)  # (k, k)
+    weights = np.linalg.solve(inner, E @ misfit.T)  # (k, k), a column for each member
+    updated: Float64 = x + weights.T @ X
+    return updated
+
+
+LEAST_NOISE_STD = 1e-8
+
+_ANNEALING_SCHEMA: Schema = {
+    "history": anything,  # `Replayed` checks it
+    "proposals": array("p", "d", low=0.0, high=1.0),
+    "proposer": anything,  # checks its own
+    "collected": array("n", "f"),
+}
+
+
+class Visits:
+    """State shared by the annealing's thread and the optimizer; it refers to neither."""
+
+    def __init__(self, denoise: Callable[[Float64, Float64], Float64]) -> None:
+        self.denoise = denoise
+        self.std: Float64 | None = None  # noise model, (d,); None before the first training
+        self.count = 0
+        self.descending = False  # whether the local search is at work
+        self.proposals: list[Float64] = []  # all denoised points so far
+        self.recorded: deque[Float64] = deque()  # those of a run that is replayed
+
+    def replace(self, x: Float64) -> None:
+        """Denoise every second of the points x (d,) that are visited, in place."""
+        self.count += 1
+        if self.std is None or self.count % 2:
+            return
+        proposal = self.recorded.popleft() if self.recorded else self.denoise(x, self.std)
+        self.proposals.append(proposal)
+        x[:] = proposal
+
+
+class FIDEAnnealing(ImageBased, Sequential):
+    """Dual annealing, half of whose points are denoised towards the target (supplement S4).
+
+    Of the points that SciPy's annealing visits every second one is denoised before it is rendered;
+    the annealing accepts or rejects the point that was rendered.  Points of both kinds are
+    collected, and whenever there are k of them the denoiser is trained on their images; their
+    standard deviations are then its noise model.  The local search stays SciPy's.  Readings where
+    the supplement is silent: nothing is denoised before the first training; evaluations of the
+    local search are not collected; each k points are used for one training.
+
+    SciPy calls the function with the very array that it keeps when the point is accepted, so the
+    function writes the denoised point there.  A test holds SciPy to that.
+
+    samples: k, points before each training; 500 in the paper.
+    epochs: of a training.
+    encoder, channels: of the images, see `ImageBased`; the paper's simplest by default.
+    step: of the finite differences of the local search; None: SciPy's own, 1e-8.
+
+    The other options are those of `Baseline`; popsize is 1, and another one has no effect but a
+    warning; `sigma0` is not used.
+
+    Raises OptionError and ImageError without a target (ValueErrors).
+    """
+
+    name: ClassVar[str] = "fide-annealing"
+    own_options = ("samples", "epochs", "step")
+    keeps_features: ClassVar[bool] = False  # the replay uses denoised points, not images
+
+    def __init__(
+        self,
+        dim: int,
+        target: object = None,
+        *,
+        samples: int = 500,
+        epochs: int = 12,
+        encoder: str = "patch",
+        step: float | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__(dim, target, encoder=encoder, **options)
+        self.samples = whole_number("samples", samples, 2)
+        self.epochs = whole_number("epochs", epochs, 1)
+        self.step = None if step is None else positive("step", step)
+        self._rng = np.random.default_rng(self.seed)
+        from fide_plugins.proposers.diffusion import DiffusionProposer
+
+        self._proposer = DiffusionProposer(self.dim, seed=self.seed, epochs=self.epochs)
+        self._visits = Visits(partial(_denoise, self._proposer, self.target_tokens))
+        self._x: list[Float64] = []  # collected since the last training
+        self._features: list[Float32] = []  # of their images
+
+    def _search(self) -> Search:
+        x0 = np.full(self.dim, 0.5) if self.starts == 0 else self._rng.random(self.dim)
+        return partial(_anneal, visits=self._visits, x0=x0, rng=self._rng, step=self.step)
+
+    def _update(self, X: Float64, losses: Float64, features: Float32 | None) -> None:
+        if not self._visits.descending:
+            self._collect(X[0], None if features is None else features[0])
+        super()._update(X, losses, features)
+
+    def _collect(self, x: Float64, features: Float32 | None) -> None:
+        """Keep a visited point; features (f,) of its image, None in a replay."""
+        self._x.append(x)
+        if features is not None:
+            self._features.append(features)
+        if len(self._x) < self.samples:
+            return
+        points = np.array(self._x)
+        self._visits.std = np.maximum(points.std(axis=0), LEAST_NOISE_STD)
+        if features is not None:
+            with self._timed("train"):
+                tokens = self.tokens_of(np.array(self._features))
+                self._proposer.update(points, tokens, None, self._visits.std)
+        self._x, self._features = [], []
+
+    def _search_state(self) -> dict[str, Any]:
+        return {
+            "history": super()._search_state(),
+            "proposals": np.array(self._visits.proposals).reshape(-1, self.dim),
+            "proposer": self._proposer.state_dict(),
+            "collected": np.array(self._features, np.float32).reshape(-1, self._sides()["f"]),
+        }
+
+    def _load_search_state(self, state: dict[str, Any]) -> None:
+        check(state, _ANNEALING_SCHEMA, self._sides(), "search")
+        self._visits.recorded.extend(state["proposals"])
+        super()._load_search_state(state["history"])
+        self._visits.recorded.clear()
+        self._features = list(state["collected"])
+        if len(self._features) != len(self._x):
+            raise ValueError(f"features of {len(self._features)} points, not {len(self._x)}")
+        self._proposer.load_state_dict(state["proposer"])
+
+
+def _anneal(
+    function: Any, visits: Visits, x0: Float64, rng: np.random.Generator, step: float | None
+) -> None:
+    """SciPy's search, which does not know that some of its points are replaced."""
+
+    def energy(x: Float64) -> Any:
+        if not visits.descending:
+            visits.replace(x)
+        return function(x)
+
+    def descend(fun: Any, start: Float64, **_: Any) -> Any:
+        from scipy.optimize import minimize
+
+        visits.descending = True
+        try:
+            return minimize(fun, start, **descent(len(start), step))
+        finally:
+            visits.descending = False
+
+    anneal(energy, x0, rng, minimizer_kwargs={"method": descend})
+
+
+def _denoise(proposer: DiffusionProposer, target: Any, x: Float64, std: Float64) -> Float64:
+    proposal: Float64 = np.clip(proposer.propose(x[None], target, x, std)[0], 0.0, 1.0)
+    return proposal
