@@ -23,10 +23,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import moves
 from rows import Row, read, run_missing
 
-from fide_plugins.search.moves.base import Known, Move
-from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
-from fide_plugins.search.moves.restarts import BeginAnew, Refine
-from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
+from fide_plugins.search.moves import (
+    BeginAnew,
+    Crossover,
+    HalfTurn,
+    Known,
+    Move,
+    Refine,
+    RelocateGroup,
+    RelocateSegment,
+    Split,
+    Swap,
+)
 
 MARKS = ("500", "1000", "2000", "4000")
 NOTHING_PROPOSED: dict[str, Any] = {

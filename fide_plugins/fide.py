@@ -51,9 +51,9 @@ from fide_plugins.runtime.threads import Lock, one_at_a_time, one_thread
 from fide_plugins.saving import Saved
 from fide_plugins.search.cma_es import default_popsize
 from fide_plugins.search.memory import Memory
-from fide_plugins.search.moves.policy import MovePolicy, Stage
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene.optima import APART
+from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.scene import APART
 from fide_plugins.search.validity import validity_of
 from fide_plugins.space import Space
 from fide_plugins.space.constraints import constraints_not_stored
@@ -262,7 +262,7 @@ class FIDE(Saved):
         generation, candidates are drawn for the next one (`State.preview_search`).
         Generations have `popsize` candidates; after a search has stalled there may be others, see
         `search.moves`.
-        Who asks for a number may get Gauss-Newton steps before a generation (`proposers.steps`).
+        Who asks for a number may get Gauss-Newton steps before a generation (`proposers.forward`).
         """
         n = None if n is None else whole_number("n", n, 1)
         with timed(self.times, "search"):
@@ -280,7 +280,7 @@ class FIDE(Saved):
     def ask_ready(self) -> Float64:
         """As `ask`, but for proposals that wait for training: those come with the next call.
 
-        While these are rendered the network trains, see `proposers.background`.  Between two
+        While these are rendered the network trains, see `proposers.diffusion`.  Between two
         generations: one step.
         """
         with timed(self.times, "search"):
@@ -653,7 +653,7 @@ class FIDE(Saved):
         Exchangeable blocks are matched first, so that no order of the same things counts twice.
         Each has its own `std`, as `best` has.
         `probability` is that among those found, by a learned model and by their losses (see
-        `search.scene.modes`); None where no model knows the picture.
+        `search.hypotheses`); None where no model knows the picture.
 
         Raises OptionError (a ValueError) unless k is a whole number of at least 1.
         """

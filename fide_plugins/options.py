@@ -84,7 +84,7 @@ class NetworkOptions:
 
     epochs, learning_rate, batch_size, schedule: see `proposers.diffusion`; at most 10,000 epochs.
     steps: of denoising, evenly, in place of the schedule; at most 1,000, as levels of a schedule.
-    precision: "float32" or "bfloat16", see `denoiser.precision`.
+    precision: "float32" or "bfloat16", see `denoiser.network`.
     parameter_tokens: of the network; None: one for each parameter, see `denoiser.network`.
     """
 
@@ -107,18 +107,18 @@ class Options:
     popsize: k, candidates a generation; None: 4 + 3 ln d.
     proposer: "linear" (parameters regressed on features), "forward" (features on parameters: fast
         on smooth scenes, greedy on others), "both" (linear, and between the generations steps of
-        the forward model, see `proposers.steps`; none with a learned model, or with more than 100
+        the forward model, see `proposers.forward`; none with a learned model, or with more than 100
         parameters or 4 k), "diffusion" (the published denoiser) or "none" (CMA-ES).
     restarts: where the next search begins: "moves" (they keep most of the best candidate, see
         `search.moves`), "anew" (at a random place); "none" for one search, to the end.  Without
         images, and with nothing proposed, "moves" is "anew".
     groups: exchangeable blocks of parameters, such as [[0, 1, 2], [3, 4, 5]]; None: they are found.
-    patience, improvement: when a search is over that images guide, see `search.termination`;
+    patience, improvement: when a search is over that images guide, see `search.one_search`;
         patience None: 5 generations, or d / k if that is more.
     guard_images: let images guide the search, by proposals, moves and `patience`, only as far
         as they agree with the losses, see `proposers.image_gate`; otherwise it is CMA-ES.
     guard_search: cut injected steps and limit the standard deviation, see `search.cma_es`.
-    background_training: train the network while the user renders, see `proposers.background`; the
+    background_training: train the network while the user renders, see `proposers.diffusion`; the
         result is the same.
     coarse_to_fine: begin searches with blurred images, see `comparison.scale_space`; None: where
         the first candidates say that it helps, or with photo; True: from the first candidate on.

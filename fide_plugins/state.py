@@ -21,8 +21,8 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import Best, TrainingSample, columns, in_order
 from fide_plugins.proposers import Proposer
 from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
+from fide_plugins.proposers.forward import GaussNewtonSteps
 from fide_plugins.proposers.image_gate import ImageGate
-from fide_plugins.proposers.steps import GaussNewtonSteps
 from fide_plugins.runtime.schema import (
     GENERATOR,
     Sides,
@@ -38,8 +38,8 @@ from fide_plugins.runtime.schema import (
     whole,
 )
 from fide_plugins.search.memory import Memory
-from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
 from fide_plugins.search.one_search import Search
+from fide_plugins.search.policy import MovePolicy, Stage, Start
 from fide_plugins.types import Estimate, Float32, Float64, Posterior, Solution
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.validation.pixels import Clipping

@@ -36,6 +36,7 @@ COMMANDS = {
     "learn": "learn a renderer once, for every later picture",
     "solutions": "show several good answers of a run, side by side",
     "watch": "show a run in the browser while it goes on",
+    "mcp": "serve agents, by the Model Context Protocol",
     "list": "list tasks, optimizers, encoders, losses",
     "doctor": "check what can be used on this machine",
 }

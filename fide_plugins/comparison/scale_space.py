@@ -22,7 +22,7 @@ import numpy as np
 
 from fide_plugins.comparison.comparison import blurred
 from fide_plugins.runtime.schema import anything, array, check, each, flag, maybe, real, whole
-from fide_plugins.search.moves.choice import Choice
+from fide_plugins.search.policy import Choice
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views import Views
 

@@ -4,10 +4,8 @@ The files know each other only as callables:
 
 =================  ================================================================
 `network`          the transformer of supplement S1: image tokens in, parameters out
-`preconditioning`  meaning of the network's output: `x` itself, or a scaled remainder
 `training`         the objective, and Adam on the pairs of a population
-`sampling`         Euler's method on the reverse-time ODE
-`precision`        float32 or bfloat16
+`sampling`         meaning of the network's output; Euler's method on the reverse-time ODE
 =================  ================================================================
 
 Notation

@@ -51,7 +51,7 @@ from fide_plugins.population import Candidate, CandidateRole, Population
 from fide_plugins.population.candidate import columns
 from fide_plugins.runtime.machine import timed
 from fide_plugins.saving import as_arrays
-from fide_plugins.search.moves.policy import Stage
+from fide_plugins.search.policy import Stage
 from fide_plugins.types import Float64
 from fide_plugins.validation.points import as_points
 

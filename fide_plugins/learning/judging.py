@@ -31,7 +31,7 @@ from torch import Tensor
 from fide_plugins.learning.networks import Network, as_input
 from fide_plugins.learning.renders import Pixels
 from fide_plugins.learning.training import HELD_OUT, Training, is_held_out
-from fide_plugins.search.boundary import distance
+from fide_plugins.search.mixed import distance
 from fide_plugins.types import Float64, Indices, Mask
 
 LARGEST_SCALE = 4.0

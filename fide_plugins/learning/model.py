@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.denoiser.precision import autocast
+from fide_plugins.denoiser.network import autocast
 from fide_plugins.errors import CheckpointError, ImageError, ModelNotFoundError, OptionError
 from fide_plugins.learning.emulator import Emulator, inverted
 from fide_plugins.learning.judging import LARGEST_SCALE, Distance, Familiarity, Report

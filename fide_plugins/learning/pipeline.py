@@ -74,7 +74,7 @@ def kind_of(
     Raises OptionError for groups that are not blocks or not alike, and for the head "set" without
     blocks.
     """
-    from fide_plugins.search.scene.exchangeability import check_groups
+    from fide_plugins.search.exchangeability import check_groups
 
     if groups is None:
         groups = [] if renderer.space is None else renderer.space.largest_family

@@ -3,15 +3,12 @@
 =================  ==============================================================================
 `base`             what a proposer is
 `linear`           that of the default: the best linear denoiser, conditioned on an image
+`forward`          features regressed on parameters: damped Gauss-Newton steps, in a generation or
+                   between the generations
 `diffusion`        the published one: a network that denoises, trained along with the search
-`forward`          features regressed on parameters, and damped Gauss-Newton steps
-`steps`            Gauss-Newton steps from the best candidate, between the generations
 `image_gate`       whether the image may steer the search, how far, and how many are proposed
-`jacobian`         the Jacobian of the features, fitted to evaluated candidates
-`ridge`            ridge regression by scalar products, and how well it predicts
+`feature_buffer`   features of the images that a proposer remembers; ridge regression on them
 `screening`        each parameter from the tokens that show it
-`feature_buffer`   features of the images that a proposer remembers
-`background`       trains while the user renders
 =================  ==============================================================================
 """
 
@@ -26,9 +23,8 @@ from fide_plugins.proposers.feature_buffer import MOST, for_jacobian
 from fide_plugins.search.cma_es import are_many
 
 if TYPE_CHECKING:
-    from fide_plugins.proposers.forward import ForwardProposer
+    from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
     from fide_plugins.proposers.linear import LinearProposer
-    from fide_plugins.proposers.steps import GaussNewtonSteps
 
 __all__ = ["Proposer", "channel_subsets", "make_proposer", "make_steps"]
 
@@ -73,7 +69,7 @@ def make_steps(
     too_many = are_many(dim, popsize) or dim > _MOST_FOR_JACOBIAN
     if options.proposer != "both" or too_many or learned:
         return None
-    from fide_plugins.proposers.steps import GaussNewtonSteps
+    from fide_plugins.proposers.forward import GaussNewtonSteps
 
     return GaussNewtonSteps(_forward(options, dim, popsize, encoder))
 
@@ -119,8 +115,7 @@ def _forward(options: Options, dim: int, popsize: int, encoder: PatchEncoder) ->
 
 def _diffusion(options: Options, dim: int, seed: int, encoder: PatchEncoder) -> Proposer:
     from fide_plugins.denoiser.sampling import evenly
-    from fide_plugins.proposers.background import BackgroundProposer
-    from fide_plugins.proposers.diffusion import DiffusionProposer
+    from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
 
     o = options.network
     network = DiffusionProposer(

@@ -3,6 +3,15 @@
 `update` trains on the parameters and images of a generation, from the weights of the one before;
 `propose` carries samples of the search distribution towards parameters that would render the
 target.  Nothing here knows the search, the renderer or the loss.
+
+**In the background.** Of a generation, the candidates that the search distribution drew need no
+denoiser. `FIDE` hands them out first, and so a proposer may learn from the last generation while
+they are rendered; only the proposals wait for it.  Training is then free wherever rendering that
+part of a generation takes longer.
+
+`BackgroundProposer` makes this of any proposer that is always ready and whose proposals draw
+nothing from the search's generator: it learns in a thread, and whatever else it is asked waits.
+What comes out is the same, bit for bit, as if each had waited for the other.
 """
 
 from __future__ import annotations
@@ -15,10 +24,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from fide_plugins.denoiser.network import ParameterTransformer
-from fide_plugins.denoiser.precision import autocast, check_precision
-from fide_plugins.denoiser.preconditioning import x_prediction
-from fide_plugins.denoiser.sampling import euler
+from fide_plugins.denoiser.network import ParameterTransformer, autocast, check_precision
+from fide_plugins.denoiser.sampling import euler, x_prediction
 from fide_plugins.denoiser.training import (
     Backup,
     Objective,
@@ -31,8 +38,8 @@ from fide_plugins.denoiser.training import (
 )
 from fide_plugins.errors import OptionError
 from fide_plugins.options import NetworkOptions
-from fide_plugins.proposers.base import ProposerDefaults
-from fide_plugins.runtime.devices import BatchSize, resolve_device
+from fide_plugins.proposers.base import Proposer, ProposerDefaults
+from fide_plugins.runtime.devices import BatchSize, as_here, resolve_device
 from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.schema import (
     Schema,
@@ -45,11 +52,11 @@ from fide_plugins.runtime.schema import (
     table,
     whole,
 )
-from fide_plugins.runtime.threads import user_threads
+from fide_plugins.runtime.threads import Background, user_threads
 from fide_plugins.types import Float64
 from fide_plugins.validation.options import check_schedule
 
-__all__ = ["DiffusionProposer"]
+__all__ = ["BackgroundProposer", "DiffusionProposer"]
 
 _DEFAULTS = NetworkOptions()
 MOST_PROPOSALS = 4096  # that are denoised together
@@ -68,9 +75,9 @@ class DiffusionProposer(ProposerDefaults):
         `torch.use_deterministic_algorithms(True)` says otherwise.
     epochs, learning_rate, schedule : supplement S1.
     precision : "float32", or "bfloat16" for products where the device has them; see
-        `denoiser.precision`.
+        `denoiser.network`.
     batch_size : the paper names none; 50 makes 200 steps of Adam a generation of k = 500.
-    objective, precondition : the parts of `denoiser.training` and `denoiser.preconditioning`.
+    objective, precondition : the parts of `denoiser.training` and `denoiser.sampling`.
     **network : sizes of the `ParameterTransformer`.
 
     Raises
@@ -314,3 +321,79 @@ def _check(state: Mapping[str, Any], sides: Sides) -> None:
         schema |= {"image_tokens": side("T"), "channels": side("C")}
         schema |= {"weights": table(numbers), "adam": table(moments)}
     check(state, schema, dict(sides), "proposer")
+
+
+class BackgroundProposer(ProposerDefaults):
+    """A proposer that learns in the background, on the device and its stream that are in use.
+
+    What training raises is raised by whatever waits for it next: `propose`, the next `update`,
+    which begins all the same, or saving.
+    """
+
+    background = True
+
+    def __init__(self, proposer: Proposer, device: torch.device | str = "cpu") -> None:
+        self._proposer, self._device = proposer, torch.device(device)
+        self._training = Background()
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be asked."""
+        return self._proposer.ready
+
+    @property
+    def busy(self) -> bool:
+        """Whether it learns right now."""
+        return self._training.busy
+
+    def update(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> None:
+        """Begin to learn; see `Proposer`. The caller must not change the arrays any more."""
+        with user_threads:
+            threads, here = torch.get_num_threads(), as_here(self._device)
+
+        def train() -> None:
+            torch.set_num_threads(threads)  # sums are the same in as many threads
+            with here():
+                self._proposer.update(x, tokens, losses, std)
+
+        self._training.start(train, "training of the denoiser")
+
+    def propose(
+        self,
+        z: Float64,
+        target: Tensor,
+        mean: Float64,
+        std: Float64,
+        rng: np.random.Generator,
+    ) -> Float64:
+        """Candidates, when all is learned; see `Proposer`."""
+        self._training.wait()
+        return self._proposer.propose(z, target, mean, std, rng)
+
+    def forget(self) -> None:
+        """Another search begins; raises nothing of training's."""
+        self._training.join()
+        self._proposer.forget()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that `update` changes, when it has."""
+        self._training.wait()
+        return self._proposer.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
+        """Put back what `state_dict` gave."""
+        self._training.wait()
+        self._proposer.load_state_dict(state, sides)
+
+    def preview(self, x: Float64, tokens: Tensor, losses: Float64, std: Float64) -> Proposer:
+        """The proposer as it is: training takes too long for a preview."""
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies, which have no thread."""
+        self._training.wait()
+        return {"_proposer": self._proposer, "_device": self._device}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self._proposer, self._device = state["_proposer"], state["_device"]
+        self._training = Background()

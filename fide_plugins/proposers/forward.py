@@ -40,33 +40,171 @@ what J could explain of the residual:
 A model that explains nothing (g = 1, lambda large) gives z back; one that is right (g = 0) gives
 the step of Gauss and Newton.
 
-J comes from `proposers.jacobian`.
+**The Jacobian** is fitted in two stages, each a ridge regression with weights:
+
+1. *wide*: J_0 from all candidates that are remembered, those farther away weighing less.  It knows
+   every direction that was ever tried, and is an average over curved functions.
+2. *near*: the residuals e - u J_0 of the 2 d nearest candidates, each divided by its distance, are
+   regressed in the same way; the result corrects J_0.  Of a smooth function the error of e - u J
+   falls with the square of the distance, so the nearest say most of the Jacobian at b itself, and
+   steps converge as those of the secant method do.
+
+Both are linear in e, so J = Q e with a matrix Q of d by n, and all that steps need,
+
+    J J^T = Q G Q^T    and    J e* = Q (e e*^T),
+
+comes from scalar products of features: an image costs n of them once, whatever f is.
+
+**Between the generations.** Near the answer of a smooth scene one step of the forward model does
+more than a generation.  In a generation such steps would do harm: they rank first on the way to the
+next local optimum, too, and the search distribution would follow them there.  So they are evaluated
+between two generations, and the search learns no more from them than from points that a user tells
+(`FIDE.tell`).
+
+How many there are depends on what the model promises.  Where a step would remove the share p of the
+residual, by the model, up to 3 p k steps come after a generation of k candidates.  They end as soon
+as p < `least_promise`: on scenes with several basins, and in local optima, a linear model explains
+little of the residual.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Any, Self
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from fide_plugins.population.candidate import TrainingSample, columns, in_order
 from fide_plugins.proposers.base import Previewed, ProposerDefaults
 from fide_plugins.proposers.feature_buffer import FeatureBuffer, for_jacobian
-from fide_plugins.proposers.jacobian import Jacobian, fit_jacobian, positive
-from fide_plugins.runtime.schema import Schema, Sides, anything, array, check
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    anything,
+    array,
+    check,
+    each,
+    flag,
+    form,
+    whole,
+)
 from fide_plugins.types import Float64, Indices
 
-__all__ = ["ForwardProposer", "balanced", "best_and_latest"]
+__all__ = [
+    "ForwardProposer",
+    "GaussNewtonSteps",
+    "Jacobian",
+    "balanced",
+    "best_and_latest",
+    "fit_jacobian",
+    "positive",
+]
 
-_SCHEMA: Schema = {
+_TINY = 1e-300
+_SMALLEST_STD = 1e-9  # of the widest parameter's
+_SMALLEST_GAP = 1e-4  # of a leverage to 1
+
+
+class Jacobian(NamedTuple):
+    """Of the features at candidate b, with respect to u."""
+
+    best: int
+    """b, index in the buffer."""
+    Q: Float64
+    """(d, n): J = Q e."""
+    values: Float64
+    """(d,): eigenvalues of J J^T, rising, at least 0."""
+    vectors: Float64
+    """(d, d): its eigenvectors, in columns."""
+    rounding: float
+    """Error of the eigenvalues."""
+    curvature: float
+    """c: |e - u J|^2 ~ c |u|^4."""
+
+
+def fit_jacobian(
+    u: Float64, gram: Float64, best: int, ridge: tuple[float, float], rounding: float = 0.0
+) -> Jacobian:
+    """Fit J to steps u (n, d) from candidate `best` and the scalar products of features (n, n).
+
+    gram: of features around any origin.  ridge: penalties of the wide and the near regression.
+    rounding: error of an entry of `gram`.
+    """
+    d = u.shape[1]
+    G = gram - gram[best] - gram[best][:, None] + gram[best, best]  # (n, n)
+    squared = np.einsum("nd,nd->n", u, u)  # (n,)
+    Q = _wide(u, squared, ridge[0])
+    near = _nearest(squared, 2 * d)
+    curvature = 0.0
+    if len(near):
+        change, leverages = _near(u, squared, near, Q, ridge[1])
+        Q = Q + change
+        curvature = _curvature(u, squared, near, Q, G, leverages)
+    values, vectors = np.linalg.eigh(Q @ G @ Q.T)
+    error = rounding * float(np.square(Q).sum()) / d
+    return Jacobian(best, Q, np.maximum(values, 0.0), vectors, error, curvature)
+
+
+def _wide(u: Float64, squared: Float64, penalty: float) -> Float64:
+    """Q (d, n) of J_0: all candidates, weighing less the farther away they are."""
+    weights = 1 / (squared + max(float(np.median(squared)), _TINY))
+    return _solve(u * weights[:, None], u, penalty)
+
+
+def _near(
+    u: Float64, squared: Float64, near: Indices, Q: Float64, penalty: float
+) -> tuple[Float64, Float64]:
+    """Change of Q (d, n) by the residuals of the nearest, in units of their distance; leverages."""
+    distances = np.sqrt(squared[near])
+    a = u[near] / distances[:, None]  # (n', d)
+    P = _solve(a, a, penalty)  # (d, n')
+    leverages = np.einsum("nd,dn->n", a, P)
+    P /= distances  # of residuals that are not yet divided
+    change = -(P @ u[near]) @ Q
+    change[:, near] += P
+    return change, leverages
+
+
+def _curvature(
+    u: Float64, squared: Float64, near: Indices, Q: Float64, G: Float64, leverages: Float64
+) -> float:
+    """Mean curvature c, of |e - u J|^2 ~ c |u|^4, by the nearest, each left out (PRESS)."""
+    wrong = -u[near] @ Q  # (n', n): of e
+    wrong[np.arange(len(near)), near] += 1.0
+    energy = np.maximum(np.einsum("in,in->i", wrong @ G, wrong), 0.0)
+    energy /= np.square(np.maximum(1 - leverages, _SMALLEST_GAP))
+    return float(energy.sum() / max(float(np.square(squared[near]).sum()), _TINY))
+
+
+def _solve(weighted: Float64, u: Float64, penalty: float) -> Float64:
+    """(u^T W u + p)^-1 u^T W, (d, n), from W u and u (n, d)."""
+    normal = u.T @ weighted
+    p = penalty * float(np.trace(normal)) / len(normal) + _TINY
+    return np.asarray(np.linalg.solve(normal + p * np.eye(len(normal)), weighted.T), np.float64)
+
+
+def _nearest(squared: Float64, n: int) -> Indices:
+    """The n candidates of smallest squared distance (k,) that is not 0."""
+    order = np.argsort(squared, kind="stable")
+    moved: Indices = order[squared[order] > 0][:n]
+    return moved
+
+
+def positive(std: Float64) -> Float64:
+    """Standard deviations (d,) that can be divided by."""
+    floor = max(_SMALLEST_STD * float(std.max()), 1e-15)
+    scales: Float64 = np.maximum(std, floor)
+    return scales
+
+
+_FORWARD_SCHEMA: Schema = {
     "x": array("n", "d"),
     "losses": array("n"),
     "buffer": anything,
 }
-_TINY = 1e-300
 _SMALLEST_PENALTY = 1e-100  # whose square can be divided by
 _LEAST_KEPT = 0.01
 _FAR = 6.0  # standard deviations between a sample and the best candidate
@@ -227,7 +365,7 @@ class ForwardProposer(Previewed, ProposerDefaults):
     def load_state_dict(self, state: Mapping[str, Any], sides: Sides | None = None) -> None:
         """Put back what `state_dict` gave; ValueError if it is none."""
         own = {"d": self.dim}
-        check(state, _SCHEMA, own, "proposer")
+        check(state, _FORWARD_SCHEMA, own, "proposer")
         self._fit = None
         self._x, self._losses = state["x"], state["losses"]
         self._buffer.load_state_dict(state["buffer"], own["n"], (sides or {}).get("T"))
@@ -268,3 +406,114 @@ def best_and_latest(losses: Float64, n: int) -> Indices:
     earlier = len(losses) - n // 2
     best = np.argsort(losses[:earlier], kind="stable")[: n - n // 2]
     return np.concatenate([np.sort(best), np.arange(earlier, len(losses))])
+
+
+_MOST = 3  # generations' worth of steps between two of them, where all of the residual is promised
+
+_STEPS_SCHEMA: Schema = {
+    "forward": anything,
+    "new": each(form(TrainingSample)),
+    "due": flag,
+    "left": whole(),
+}
+
+
+class GaussNewtonSteps:
+    """Which steps come before the next generation.
+
+    forward: the model.
+    least_promise: share of the residual that a step must promise to remove, in [0, 1].  It and the
+        number of steps were measured, see `lab/reports/moves.md`.
+
+    The model is fitted only when somebody asks for steps.
+    """
+
+    def __init__(self, forward: ForwardProposer, least_promise: float = 0.25) -> None:
+        self.forward, self.least_promise = forward, least_promise
+        self.forget()
+
+    def forget(self) -> None:
+        """Another search begins; its first generation comes first."""
+        self.forward.forget()
+        self._new: list[TrainingSample] = []  # the model does not know them yet
+        self._due = False  # whether a generation was completed and nobody has asked since
+        self._left = 0
+
+    def add(self, sample: TrainingSample) -> None:
+        """Note what was evaluated; of twice what the model remembers, the best and the latest."""
+        self._new.append(sample)
+        most = max(self.forward.minimum, self.forward.capacity)
+        if len(self._new) > 2 * most:
+            losses = np.array([one.loss for one in self._new])
+            self._new = [self._new[i] for i in best_and_latest(losses, most)]
+
+    def after_generation(self) -> None:
+        """Note that a generation was completed."""
+        self._due = True
+
+    def left(self, popsize: int, target: Tensor, std: Float64) -> int:
+        """How many steps come before the next generation of popsize candidates.
+
+        The model learns what is new, and what it promises now may end them.
+
+        target: tokens (T, C).  std: (d,), of the search distribution.
+        """
+        if not (self._due or self._left):
+            return 0
+        self._learn(std)
+        promise = self.forward.promised(target, std) if self.forward.ready else 0.0
+        if not promise >= self.least_promise:  # or it is NaN
+            self._left = 0
+        elif self._due:
+            self._left = round(_MOST * promise * popsize)
+        self._due = False
+        return self._left
+
+    def propose(
+        self, z: Float64, target: Tensor, mean: Float64, std: Float64, rng: np.random.Generator
+    ) -> Float64:
+        """Steps (m, d); see `ForwardProposer.propose`."""
+        return self.forward.propose(z, target, mean, std, rng)
+
+    def new_ones(self, x: Float64, is_out: Callable[[Float64], bool]) -> Float64:
+        """Those of steps x (m, d), as they are rendered, before the first that is not new.
+
+        Integers, choices and walls bring steps to points that were evaluated, that are out, or that
+        an earlier step has; then the steps end.
+
+        is_out: whether a point (d,) was asked and not yet told.
+        """
+        for i, row in enumerate(x):
+            if self.forward.knows(row) or is_out(row) or (x[:i] == row).all(axis=1).any():
+                self._left = i
+                return x[:i]
+        return x
+
+    def taken(self, n: int) -> None:
+        """Note that n of those that are left were asked; none are, once a generation has begun."""
+        self._left = max(0, self._left - n)
+
+    def end(self) -> None:
+        """Take no more before the generation that begins now."""
+        self._due, self._left = False, 0
+
+    def _learn(self, std: Float64) -> None:
+        if self._new:
+            self.forward.update(*columns(in_order(self._new)), std)
+            self._new = []
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "forward": self.forward.state_dict(),
+            "new": [sample.state_dict() for sample in self._new],
+            "due": self._due,
+            "left": self._left,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], sides: Sides, device: Any) -> None:
+        """Put back what `state_dict` gave, tokens on the device; ValueError if it is none."""
+        check(state, _STEPS_SCHEMA, dict(sides), "steps")
+        self.forward.load_state_dict(state["forward"], sides)
+        self._new = [TrainingSample.from_state(sample, device) for sample in state["new"]]
+        self._due, self._left = state["due"], state["left"]

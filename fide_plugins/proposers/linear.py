@@ -40,7 +40,7 @@ the distribution, one that counts only the best is true near the target, and gre
 `lab/reports/ablation.md` has the measurements.
 
 Everything is computed from G, in n dimensions: an image costs n scalar products once, a generation
-one system of n equations for each channel subset (`proposers.ridge`), for any number of features.
+one system of n equations for each channel subset (`ridge`), for any number of features.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ from torch import Tensor
 
 from fide_plugins.options import ProposalOptions
 from fide_plugins.proposers.base import Previewed, ProposerDefaults
-from fide_plugins.proposers.feature_buffer import FeatureBuffer
-from fide_plugins.proposers.ridge import explained, ridge
+from fide_plugins.proposers.feature_buffer import FeatureBuffer, explained, ridge
 from fide_plugins.runtime.schema import Schema, Sides, anything, array, check, each, flag
 from fide_plugins.types import Float64, Indices
 

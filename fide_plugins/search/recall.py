@@ -28,8 +28,8 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.moves.base import Known, Start
-from fide_plugins.search.scene.optima import APART
+from fide_plugins.search.moves import Known, Start
+from fide_plugins.search.scene import APART
 from fide_plugins.types import Float64
 
 __all__ = ["Recalled", "recall"]

@@ -27,8 +27,8 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins.population.candidate import TrainingSample, in_order
-from fide_plugins.search import boundary
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search import mixed
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
 from fide_plugins.uncertainty.local_fit import fit_locally, information
 
@@ -124,7 +124,7 @@ def _seen(u: Float64, energy: Float64) -> Float64:
 
 def _gap(one: Float64, others: Float64, periodic: Mask | None) -> float:
     """The largest coordinate of the step from one (d,) to the nearest of others (m, d)."""
-    return float(boundary.distance(others, one, periodic).max(axis=1).min())
+    return float(mixed.distance(others, one, periodic).max(axis=1).min())
 
 
 # -- selection -------------------------------------------------------------------------------------

@@ -16,8 +16,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.denoiser import Denoise
-from fide_plugins.denoiser.preconditioning import whitened, x_prediction
-from fide_plugins.denoiser.sampling import euler
+from fide_plugins.denoiser.sampling import euler, whitened, x_prediction
 from fide_plugins.errors import OptionError
 from fide_plugins.options import PAPER_SCHEDULE
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from fide_plugins.denoiser import Network
 from fide_plugins.denoiser.network import Context
-from fide_plugins.denoiser.preconditioning import whitened, x_prediction
+from fide_plugins.denoiser.sampling import whitened, x_prediction
 from fide_plugins.denoiser.training import WhitenedLoss, XLoss, adam_state, fit, load_adam_state
 from fide_plugins.runtime.devices import BatchSize
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from fide_plugins.search import boundary
+from fide_plugins.search import mixed
 from fide_plugins.search.cma_es import CMAES
 from fide_plugins.types import Float64
 
@@ -64,7 +64,7 @@ def replace(
         "the mean": np.tile(search.mean, (n, 1)),
         "a corner": np.zeros((n, d)),
     }.get(what, rng.random((n, d)))
-    z[injected] = boundary.closest(points, search.mean) if what != "far" else points
+    z[injected] = mixed.closest(points, search.mean) if what != "far" else points
     return z, injected
 
 
@@ -97,7 +97,7 @@ def test_candidates_beyond_any_sample_leave_the_covariance_positive_definite(los
 
 
 def check_samples(search: CMAES) -> None:
-    x = boundary.into(search.sample(3, np.random.default_rng(0)))
+    x = mixed.into(search.sample(3, np.random.default_rng(0)))
     assert ((x >= 0) & (x <= 1)).all()
 
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fide_lab import run as harness
-from fide_plugins.denoiser import precision
+from fide_plugins.denoiser import network as network_module
 from fide_plugins.fide import FIDE
 from fide_plugins.recording import directory
 from fide_plugins.types import Float32, Float64
@@ -210,7 +210,7 @@ def test_saving_takes_no_time_from_what_was_not_counted(
 def test_what_is_set_reaches_the_network(
     target: Float32, render: Render, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(network_module, "has_bfloat16", lambda device: True)
     own: dict[str, Any] = {"steps": 2, "precision": "bfloat16", "parameter_tokens": 3}
     opts = [FIDE(6, target, seed=1, **PAPER, **options) for options in (own, {})]
     for opt in opts:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.step_size import TwoPoint
+from fide_plugins.search.cma_es import CMAES, TwoPoint
 from fide_plugins.types import Float32, Float64
 
 from .helpers import TINY, Render, pending_now, run, sphere

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search import boundary
+from fide_plugins.search import mixed
 from fide_plugins.types import Float32, Float64
 
 from .helpers import Render, pending_now, run, sphere
@@ -150,7 +150,7 @@ def test_nothing_proposed_gives_the_numbers_of_a_library(
     for _ in range(30):
         X = opt.ask()
         z = np.array([c.z for c in pending_now(opt)])
-        np.testing.assert_array_equal(boundary.into(z), X)
+        np.testing.assert_array_equal(mixed.into(z), X)
         outside += int((z != X).any(axis=1).sum())
         losses = ((X - 0.05) ** 2).sum(axis=1)
         opt.tell(X, None, losses)

@@ -12,7 +12,7 @@ import pytest
 import fide_tasks
 from fide_plugins.errors import OptionError
 from fide_plugins.fide import FIDE
-from fide_plugins.search.moves.policy import Stage
+from fide_plugins.search.policy import Stage
 from fide_plugins.types import Float32
 
 from .helpers import Render, StateOf

@@ -11,7 +11,7 @@ import pytest
 
 import fide_tasks
 from fide_plugins.fide import FIDE
-from fide_plugins.search.moves.policy import Stage
+from fide_plugins.search.policy import Stage
 from fide_plugins.space import Float, Int, Space
 from fide_plugins.types import Float32, Float64
 

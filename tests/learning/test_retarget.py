@@ -12,7 +12,7 @@ from fide_plugins.errors import ModelNotFoundError, OptionError
 from fide_plugins.fide import FIDE
 from fide_plugins.learning import Model, learn
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves import Start
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 

@@ -20,7 +20,7 @@ from fide_plugins.options import (
     make_options,
     without_images,
 )
-from fide_plugins.search.termination import default_patience
+from fide_plugins.search.one_search import default_patience
 
 
 def test_the_paper_s_values() -> None:

@@ -14,8 +14,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fide_plugins.proposers.background import BackgroundProposer
 from fide_plugins.proposers.base import ProposerDefaults
+from fide_plugins.proposers.diffusion import BackgroundProposer
 from fide_plugins.runtime.schema import Sides
 from fide_plugins.types import Float64
 

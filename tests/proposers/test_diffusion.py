@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from fide_plugins.denoiser import Denoise, precision
+from fide_plugins.denoiser import Denoise, network as network_module
 from fide_plugins.denoiser.training import XLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer
@@ -327,7 +327,7 @@ def test_no_room_for_a_single_one_is_an_error_that_says_what_to_do() -> None:
 def test_bfloat16_learns_the_same_with_weights_in_float32(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(network_module, "has_bfloat16", lambda device: True)
     x, tokens = scene(100)
     proposals = []
     for kind in ("float32", "bfloat16"):
@@ -343,7 +343,7 @@ def test_bfloat16_learns_the_same_with_weights_in_float32(
 def test_bfloat16_where_there_is_none_is_float32_with_a_warning(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+    monkeypatch.setattr(network_module, "has_bfloat16", lambda device: False)
     with pytest.warns(RuntimeWarning, match="float32 is used instead"):
         proposer = make(precision="bfloat16")
     assert proposer.precision == "float32"

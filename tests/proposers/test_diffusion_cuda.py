@@ -13,8 +13,7 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.proposers.background import BackgroundProposer
-from fide_plugins.proposers.diffusion import DiffusionProposer
+from fide_plugins.proposers.diffusion import BackgroundProposer, DiffusionProposer
 from fide_plugins.runtime.devices import has_bfloat16
 from fide_plugins.types import Float64
 

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from fide_plugins.proposers import forward
-from fide_plugins.proposers.forward import ForwardProposer, balanced
-from fide_plugins.proposers.jacobian import fit_jacobian
+from fide_plugins.proposers.forward import ForwardProposer, balanced, fit_jacobian
 from fide_plugins.types import Float64
 
 D, T, C = 4, 5, 3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from fide_plugins.proposers import ridge as module
-from fide_plugins.proposers.ridge import ridge
+from fide_plugins.proposers import feature_buffer as module
+from fide_plugins.proposers.feature_buffer import ridge
 from fide_plugins.types import Float64
 
 

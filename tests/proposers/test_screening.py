@@ -11,8 +11,8 @@ import torch
 from fide_plugins import FIDE, encoders
 from fide_plugins.options import make_options
 from fide_plugins.proposers import make_proposer, screening
+from fide_plugins.proposers.feature_buffer import explained, ridge, ridges
 from fide_plugins.proposers.linear import LinearProposer
-from fide_plugins.proposers.ridge import explained, ridge, ridges
 from fide_plugins.proposers.screening import affordable, local_regressions, token_weights
 from fide_plugins.types import Float64
 

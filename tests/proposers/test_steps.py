@@ -11,8 +11,7 @@ from fide_plugins import encoders
 from fide_plugins.options import make_options
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.proposers import make_steps
-from fide_plugins.proposers.forward import ForwardProposer
-from fide_plugins.proposers.steps import GaussNewtonSteps
+from fide_plugins.proposers.forward import ForwardProposer, GaussNewtonSteps
 from fide_plugins.types import Float64
 
 D, T, C, K = 3, 4, 5, 10

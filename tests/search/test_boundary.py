@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from fide_plugins.search import boundary
+from fide_plugins.search import mixed
 from fide_plugins.types import Float64
 
 anywhere = hnp.arrays(np.float64, (4, 3), elements=st.floats(-1e6, 1e6))
@@ -16,36 +16,36 @@ means = hnp.arrays(np.float64, 3, elements=st.floats(-50.0, 50.0))
 
 @given(hnp.arrays(np.float64, (4, 3), elements=st.floats(allow_nan=False, allow_infinity=False)))
 def test_every_candidate_stands_for_a_point_of_the_cube(z: Float64) -> None:
-    x = boundary.into(z)
+    x = mixed.into(z)
     assert x.shape == z.shape
     assert x.min() >= 0.0 and x.max() <= 1.0
 
 
 @given(inside)
 def test_inside_the_cube_nothing_changes(x: Float64) -> None:
-    np.testing.assert_array_equal(boundary.into(x), x)
+    np.testing.assert_array_equal(mixed.into(x), x)
 
 
 @given(anywhere)
 def test_even_and_periodic(z: Float64) -> None:
-    np.testing.assert_allclose(boundary.into(-z), boundary.into(z), atol=1e-9)
-    np.testing.assert_allclose(boundary.into(z + 2), boundary.into(z), atol=1e-9)
-    np.testing.assert_allclose(boundary.into(2 - z), boundary.into(z), atol=1e-9)
+    np.testing.assert_allclose(mixed.into(-z), mixed.into(z), atol=1e-9)
+    np.testing.assert_allclose(mixed.into(z + 2), mixed.into(z), atol=1e-9)
+    np.testing.assert_allclose(mixed.into(2 - z), mixed.into(z), atol=1e-9)
 
 
 @given(anywhere, anywhere)
 def test_no_step_becomes_longer(a: Float64, b: Float64) -> None:
-    assert (np.abs(boundary.into(a) - boundary.into(b)) <= np.abs(a - b) + 1e-9).all()
+    assert (np.abs(mixed.into(a) - mixed.into(b)) <= np.abs(a - b) + 1e-9).all()
 
 
 def test_a_step_over_the_wall_comes_back_by_as_much() -> None:
     z = np.array([-0.25, 1.25, 2.25, -1.75, 1.0, 2.0, 3.5])
-    np.testing.assert_array_equal(boundary.into(z), [0.25, 0.75, 0.25, 0.25, 1.0, 0.0, 0.5])
+    np.testing.assert_array_equal(mixed.into(z), [0.25, 0.75, 0.25, 0.25, 1.0, 0.0, 0.5])
 
 
 @given(inside, means)
 def test_near_stands_for_the_point(x: Float64, mean: Float64) -> None:
-    np.testing.assert_allclose(boundary.into(boundary.closest(x, mean)), x, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(mixed.into(mixed.closest(x, mean)), x, rtol=0, atol=1e-12)
 
 
 @given(inside, means)
@@ -53,23 +53,23 @@ def test_near_is_the_closest_of_all_images(x: Float64, mean: Float64) -> None:
     turns = 2.0 * np.arange(-30, 31)[:, None, None]
     images = np.concatenate([x + turns, -x + turns])
     closest = np.abs(images - mean).min(axis=0)
-    distance = np.abs(boundary.closest(x, mean) - mean)
+    distance = np.abs(mixed.closest(x, mean) - mean)
     np.testing.assert_allclose(distance, closest, rtol=0, atol=1e-12)
     assert (distance <= 1.0 + 1e-12).all()
 
 
 @given(inside, hnp.arrays(np.float64, 3, elements=st.floats(1e-9, 1 - 1e-9)))
 def test_from_inside_the_cube_the_point_itself_is_nearest(x: Float64, mean: Float64) -> None:
-    np.testing.assert_array_equal(boundary.closest(x, mean), x)
+    np.testing.assert_array_equal(mixed.closest(x, mean), x)
 
 
 def test_samples_near_a_wall_keep_their_covariance() -> None:
     """What the distribution learns from is z, half of which lies beyond the wall."""
     rng = np.random.default_rng(0)
     z = 0.1 * rng.standard_normal((10_000, 1))
-    x = boundary.into(z)
+    x = mixed.into(z)
     assert x.std() < 0.065  # telling the repaired points would lose a third of the spread
-    np.testing.assert_allclose(np.abs(boundary.closest(x, np.zeros(1))), np.abs(z), atol=1e-12)
+    np.testing.assert_allclose(np.abs(mixed.closest(x, np.zeros(1))), np.abs(z), atol=1e-12)
 
 
 turning = np.array([True, False, True])
@@ -77,30 +77,30 @@ turning = np.array([True, False, True])
 
 @given(anywhere)
 def test_a_periodic_coordinate_wraps(z: Float64) -> None:
-    x = boundary.into(z, turning)
+    x = mixed.into(z, turning)
     assert x.min() >= 0.0 and x.max() <= 1.0
-    np.testing.assert_array_equal(x[:, 1], boundary.into(z)[:, 1])
-    difference = np.abs(x - boundary.into(z + np.array([1, 0, -3]), turning))
+    np.testing.assert_array_equal(x[:, 1], mixed.into(z)[:, 1])
+    difference = np.abs(x - mixed.into(z + np.array([1, 0, -3]), turning))
     np.testing.assert_allclose(np.minimum(difference, 1 - difference)[:, [0, 2]], 0, atol=1e-9)
 
 
 @given(inside, means)
 def test_near_takes_the_nearest_turn(x: Float64, mean: Float64) -> None:
-    z = boundary.closest(x, mean, turning)
-    np.testing.assert_array_equal(z[:, 1], boundary.closest(x, mean)[:, 1])
+    z = mixed.closest(x, mean, turning)
+    np.testing.assert_array_equal(z[:, 1], mixed.closest(x, mean)[:, 1])
     assert (np.abs(z - mean)[:, [0, 2]] <= 0.5 + 1e-12).all()
-    difference = np.abs(boundary.into(z, turning) - x)
+    difference = np.abs(mixed.into(z, turning) - x)
     np.testing.assert_allclose(np.minimum(difference, 1 - difference)[:, [0, 2]], 0, atol=1e-12)
 
 
 @given(anywhere, means)
 def test_without_periodic_coordinates_nothing_changes(z: Float64, mean: Float64) -> None:
     none = np.zeros(3, bool)
-    x = boundary.into(z)
-    np.testing.assert_array_equal(boundary.into(z, none), x)
-    np.testing.assert_array_equal(boundary.closest(x, mean, none), boundary.closest(x, mean))
+    x = mixed.into(z)
+    np.testing.assert_array_equal(mixed.into(z, none), x)
+    np.testing.assert_array_equal(mixed.closest(x, mean, none), mixed.closest(x, mean))
 
 
 @given(inside)
 def test_inside_the_cube_a_turn_changes_nothing(x: Float64) -> None:
-    np.testing.assert_array_equal(boundary.into(x, turning), x)
+    np.testing.assert_array_equal(mixed.into(x, turning), x)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.special import ndtr
 
-from fide_plugins.search.margin import correct_choice, correct_steps, default_alpha
+from fide_plugins.search.mixed import correct_choice, correct_steps, default_alpha
 from fide_plugins.types import Float64
 
 alphas = st.floats(1e-4, 0.1)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from fide_plugins import Choice, Float, Int, Space
-from fide_plugins.search import boundary
 from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.mixed import Mixed
+from fide_plugins.search.mixed import Mixed, closest, into
 from fide_plugins.types import Float64
 
 SPACE = Space(
@@ -25,11 +24,11 @@ NUMBERS = Space(a=Float(-1, 1), b=Float(0, 1))
 def test_without_cells_it_is_the_boundary_to_the_bit(layout: object) -> None:
     rng = np.random.default_rng(0)
     z, mean = rng.normal(0.5, 1, (20, 2)), rng.random(2)
-    x = boundary.into(z)
+    x = into(z)
     mixed = Mixed(None if layout is None else NUMBERS.layout)
     np.testing.assert_array_equal(mixed.into(z, mean), x)
     np.testing.assert_array_equal(mixed.reflected(z), x)
-    np.testing.assert_array_equal(mixed.closest(x, mean), boundary.closest(x, mean))
+    np.testing.assert_array_equal(mixed.closest(x, mean), closest(x, mean))
     np.testing.assert_array_equal(mixed.clipped(z), np.clip(z, 0, 1))
     std = np.array([1 / 6, 0.01])
     assert mixed.widened(std) is std

@@ -9,7 +9,7 @@ import pytest
 
 from fide_plugins.options import Options
 from fide_plugins.population import Candidate
-from fide_plugins.search.moves.base import Start
+from fide_plugins.search.moves import Start
 from fide_plugins.search.one_search import Search, Setting
 from fide_plugins.types import Float64
 

@@ -6,8 +6,7 @@ import cma
 import numpy as np
 import pytest
 
-from fide_plugins.search.cma_es import CMAES
-from fide_plugins.search.step_size import TwoPoint
+from fide_plugins.search.cma_es import CMAES, TwoPoint
 from fide_plugins.types import Float64
 
 D, K = 100, 10  # many parameters, few candidates

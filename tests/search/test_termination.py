@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.search.termination import Termination, default_patience, has_stalled, is_hopeless
+from fide_plugins.search.one_search import Termination, default_patience, has_stalled, is_hopeless
 
 WIDE = np.full(4, 0.1)
 INF = float("inf")

@@ -10,7 +10,7 @@ import torch
 
 from fide_plugins import FIDE, Float, Space
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float32, Float64
 from fide_plugins.uncertainty import LocalEstimate
 from fide_plugins.uncertainty.samples import of_twins

@@ -19,7 +19,7 @@ from torch import Tensor
 from fide_lab.baselines.base import ImageBased, Stateful
 from fide_lab.baselines.libraries import Search, Sequential, anneal, descent
 from fide_plugins.denoiser import Denoise, Network
-from fide_plugins.denoiser.preconditioning import whitened
+from fide_plugins.denoiser.sampling import whitened
 from fide_plugins.denoiser.training import WhitenedLoss
 from fide_plugins.errors import OptionError
 from fide_plugins.proposers.diffusion import DiffusionProposer

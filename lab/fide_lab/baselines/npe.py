@@ -35,7 +35,7 @@ from fide_plugins.runtime.schema import (
     table,
     whole,
 )
-from fide_plugins.search.scene.exchangeability import check_groups
+from fide_plugins.search.exchangeability import check_groups
 from fide_plugins.types import Float32, Float64, Indices
 from fide_plugins.validation.options import positive, positive_fraction
 from fide_plugins.validation.points import whole_number

@@ -13,15 +13,11 @@ import torch
 from fide_plugins import FIDE, Choice, Float, Int, Space
 from fide_plugins.options import Options
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.moves.base import Known, Stage
-from fide_plugins.search.moves.change_value import ChangeValue
-from fide_plugins.search.moves.policy import MovePolicy
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.moves import ChangeValue, Known, Stage
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.removal import Removal
-from fide_plugins.search.scene.sensitivity import Sensitivity
-from fide_plugins.search.scene.values import Values
+from fide_plugins.search.policy import MovePolicy
+from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
 from fide_plugins.types import Float64
 
 SPACE = Space(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.search.moves.choice import Choice
+from fide_plugins.search.policy import Choice
 
 PRIORS = {"a": 0.5, "b": 0.1, "c": 0.1}
 

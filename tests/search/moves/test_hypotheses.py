@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Group, Int, Space
-from fide_plugins.search.moves.hypotheses import Hypotheses
-from fide_plugins.search.moves.policy import MovePolicy
+from fide_plugins.search.hypotheses import Hypotheses
+from fide_plugins.search.policy import MovePolicy
 from fide_plugins.types import Float64, Posterior
 
 SPACE = Space(

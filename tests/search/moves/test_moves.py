@@ -7,14 +7,21 @@ import pytest
 import torch
 
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.moves.base import Known, Stage
-from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
-from fide_plugins.search.moves.restarts import BeginAnew, Refine
-from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment, segment
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.removal import Removal
-from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.moves import (
+    BeginAnew,
+    Crossover,
+    HalfTurn,
+    Known,
+    Refine,
+    RelocateGroup,
+    RelocateSegment,
+    Split,
+    Stage,
+    Swap,
+    segment,
+)
+from fide_plugins.search.scene import Axes, Removal, Sensitivity
 from fide_plugins.types import Float64
 
 from ..conftest import brightest, sample

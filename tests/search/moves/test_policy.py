@@ -11,8 +11,8 @@ import pytest
 
 from fide_plugins.errors import OptionError
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.moves.policy import MovePolicy, Stage, Start
-from fide_plugins.search.scene.optima import Optima
+from fide_plugins.search.policy import MovePolicy, Stage, Start
+from fide_plugins.search.scene import Optima
 from fide_plugins.types import Float64
 
 from ..conftest import brightest, sample

@@ -9,13 +9,10 @@ import pytest
 import torch
 
 from fide_plugins.options import Options
-from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.restarts import Refine
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.moves import Known, Refine
 from fide_plugins.search.one_search import Search, Setting
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.removal import Removal
-from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.scene import Axes, Removal, Sensitivity
 
 from ..conftest import sample
 

@@ -7,13 +7,11 @@ import pytest
 import torch
 
 from fide_plugins import Choice, Float, Space
-from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.hypotheses import Hypotheses, Resample
-from fide_plugins.search.moves.policy import MovePolicy, Stage
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.removal import Removal
-from fide_plugins.search.scene.sensitivity import Sensitivity
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.hypotheses import Hypotheses, Resample
+from fide_plugins.search.moves import Known
+from fide_plugins.search.policy import MovePolicy, Stage
+from fide_plugins.search.scene import Axes, Removal, Sensitivity
 from fide_plugins.types import Float64, Posterior
 
 from ..conftest import sample

@@ -10,15 +10,17 @@ import torch
 
 from fide_plugins import Choice, Float, Int, Space
 from fide_plugins.population.candidate import TrainingSample
-from fide_plugins.search.moves.base import Known
-from fide_plugins.search.moves.groups import RelocateGroup
-from fide_plugins.search.moves.restarts import BeginAnew, Refine
-from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.removal import Removal
-from fide_plugins.search.scene.sensitivity import Sensitivity
-from fide_plugins.search.scene.values import Values
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.moves import (
+    BeginAnew,
+    Crossover,
+    HalfTurn,
+    Known,
+    Refine,
+    RelocateGroup,
+    RelocateSegment,
+)
+from fide_plugins.search.scene import Axes, Removal, Sensitivity, Values
 from fide_plugins.types import Float64
 
 SPACE = Space(

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from fide_plugins.fide import FIDE
-from fide_plugins.search.moves.policy import MovePolicy
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.modes import (
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.hypotheses import (
     elsewhere,
     nearest_shares,
     probabilities,
     relative_likelihoods,
 )
+from fide_plugins.search.policy import MovePolicy
+from fide_plugins.search.scene import Axes
 from fide_plugins.space import Float, Space
 from fide_plugins.types import Float64, Posterior
 

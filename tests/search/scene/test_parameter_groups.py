@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fide_plugins.search.scene.sensitivity import find_parts, overlaps
+from fide_plugins.search.scene import find_parts, overlaps
 from fide_plugins.types import Float64
 
 

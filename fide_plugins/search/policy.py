@@ -11,11 +11,18 @@
                                                      SEARCH, from `start`, at the best of them
 
 The incumbent is the best local optimum, until moves from it have failed often: then another one,
-or a new search (`optima`).
+or a new search (`scene.Optima`).
 
 With a learned model the run begins in RESTART, where its hypotheses are rendered; searches begin at
 the best of them before other moves are chosen (`hypotheses`).  After that, where no image says
 where to go on, the next search begins at once at a random place (`BeginAnew`).
+
+*A bandit chooses among moves.* The gain of a move is the fraction by which it lowered the loss, and
+0 where it failed.  Its rate is the gain per evaluation; old outcomes count less and less.  Moves
+are drawn in proportion to their rates, each with a least probability, so that none is given up:
+what helps at a loss of 0.01 may be useless at 0.001, and the other way round.  A move that was not
+tried yet is taken to be good.  (pyribs schedules its emitters alike:
+`ribs.schedulers.BanditScheduler`.)
 """
 
 from __future__ import annotations
@@ -28,25 +35,151 @@ import numpy as np
 from torch import Tensor, device
 
 from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.runtime.schema import (
+    Schema,
+    Sides,
+    array,
+    check,
+    each,
+    flag,
+    form,
+    maybe,
+    real,
+    row,
+    text,
+    whole,
+)
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.hypotheses import Hypotheses, Resample, elsewhere, probabilities
 from fide_plugins.search.mixed import AxisLayout, Mixed
-from fide_plugins.search.moves.base import Known, Move, Stage, Start
-from fide_plugins.search.moves.change_value import ChangeValue
-from fide_plugins.search.moves.choice import Choice
-from fide_plugins.search.moves.groups import RelocateGroup, Split, Swap
-from fide_plugins.search.moves.hypotheses import Hypotheses, Resample
-from fide_plugins.search.moves.policy_schema import check_policy
-from fide_plugins.search.moves.restarts import BeginAnew, Coarsen, Refine
-from fide_plugins.search.moves.segments import Crossover, HalfTurn, RelocateSegment
-from fide_plugins.search.scene.axes import Axes
-from fide_plugins.search.scene.exchangeability import Exchangeability
-from fide_plugins.search.scene.modes import elsewhere, probabilities
-from fide_plugins.search.scene.optima import Optima
-from fide_plugins.search.scene.removal import Removal, changed
-from fide_plugins.search.scene.sensitivity import Sensitivity
-from fide_plugins.search.scene.values import Values
+from fide_plugins.search.moves import (
+    BeginAnew,
+    ChangeValue,
+    Coarsen,
+    Crossover,
+    HalfTurn,
+    Known,
+    Move,
+    Refine,
+    RelocateGroup,
+    RelocateSegment,
+    Split,
+    Stage,
+    Start,
+    Swap,
+)
+from fide_plugins.search.scene import Axes, Optima, Removal, Sensitivity, Values, changed
 from fide_plugins.types import Float64, Posterior
 
-__all__ = ["MovePolicy", "Stage", "Start"]
+__all__ = ["Choice", "MovePolicy", "Stage", "Start", "check_policy"]
+
+_KEEP = 0.85  # of what is known, at each outcome of the same move
+_PRIOR_TRIES = 2.0  # that the prior gain is worth
+_FLOOR = 0.3  # of all draws are even
+_LEAST = 1e-300  # gain or cost that can be
+_VAIN = 1e-200  # gain after thousands of vain tries, of which rates can still be compared
+
+
+class Choice:
+    """Gains and costs of the moves.
+
+    priors: of each move by its name, the gain in a try that is expected at first, above 0.
+    cost: evaluations that a try takes, roughly.
+    """
+
+    def __init__(self, priors: Mapping[str, float], cost: float) -> None:
+        self.names = tuple(priors)
+        self._gain = _PRIOR_TRIES * np.array(list(priors.values()))
+        self._cost = np.full(len(priors), _PRIOR_TRIES * cost)
+        self._untried = self._gain.copy(), self._cost.copy()
+
+    def note(self, name: str, gain: float, evaluations: int) -> None:
+        """Note the outcome of a move."""
+        i = self.names.index(name)
+        self._gain[i] = max(_VAIN, _KEEP * self._gain[i] + min(max(gain, 0.0), 1.0))
+        self._cost[i] = _KEEP * self._cost[i] + evaluations
+
+    def probabilities(self, possible: Sequence[str]) -> Float64:
+        """Probabilities of those moves."""
+        which = [self.names.index(name) for name in possible]
+        rates = self._gain[which] / self._cost[which]
+        even = 1.0 / len(which)
+        p: Float64 = _FLOOR * even + (1 - _FLOOR) * rates / rates.sum()
+        return np.asarray(p / p.sum(), np.float64)
+
+    def draw(self, possible: Sequence[str], rng: np.random.Generator) -> str:
+        """Draw one of those moves."""
+        return possible[int(rng.choice(len(possible), p=self.probabilities(possible)))]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that changes: gain and cost of each move, by its name."""
+        pairs = zip(self._gain.tolist(), self._cost.tolist(), strict=True)
+        return {name: list(pair) for name, pair in zip(self.names, pairs, strict=True)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Put back what `state_dict` gave; a move that it lacks has not been tried.
+
+        Raises ValueError for what it cannot have given.
+        """
+        if not isinstance(state, dict):
+            raise ValueError("choice is no dict")
+        pair = row(real(_LEAST), real(_LEAST))
+        check(state, {name: pair for name in self.names if name in state}, {}, "choice")
+        gain, cost = (untried.copy() for untried in self._untried)
+        for name, values in state.items():
+            i = self.names.index(name)
+            gain[i], cost[i] = values
+        self._gain, self._cost = gain, cost
+
+
+_UNIT = array("d", low=0.0, high=1.0)
+_SCHEMA: dict[str, Schema] = {
+    "stage": text,
+    "move": maybe(text),
+    "start": {
+        "mean": _UNIT,
+        "std": array("d", low=0.0, high=1e6),
+        "population": whole(1, 2**10),
+        "patience": whole(1, 100),
+        "brisk_above": maybe(real()),
+        "widest": real(1.0),
+        "to_the_end": flag,
+        "held": maybe(array("d", kind="b")),
+    },
+    "loss_only_searches": whole(),
+    "guided": flag,
+    "noise": maybe(real(0.0)),
+    "incumbent": maybe(form(TrainingSample)),
+    "optima": {
+        "samples": each(form(TrainingSample)),
+        "counts": each(row(whole(), whole(), whole(high=1))),
+        "descents": whole(),
+        "forgotten": whole(),
+    },
+}
+
+
+def check_policy(state: Mapping[str, Any], known: Known, moves: Mapping[str, Move]) -> None:
+    """Raise ValueError unless this can be the state of a policy for such a scene.
+
+    known: what is known of the scene at first.  moves: all moves by their names.
+    """
+    tokens, channels = known.target.shape
+    sides: Sides = {"d": known.dim, "T": tokens, "C": channels}
+    for name, schema in _SCHEMA.items():
+        check(state[name], schema, sides, f"moves[{name!r}]")
+    stage = Stage(state["stage"])
+    if state["move"] is not None and state["move"] not in moves:
+        raise ValueError(f"moves['move'] is {state['move']!r}, which is none of {', '.join(moves)}")
+    if stage in (Stage.RESTART, Stage.REMOVAL, Stage.SENSITIVITY) and state["move"] is None:
+        raise ValueError(f"moves['move'] is None in the stage {stage.value!r}")
+    free = stage is Stage.RESTART and not moves[state["move"]].from_incumbent
+    if stage is not Stage.SEARCH and not free and state["incumbent"] is None:
+        raise ValueError(f"moves['incumbent'] is None in the stage {stage.value!r}")
+    blocks = state["exchangeability"]["blocks"]
+    if stage is Stage.REMOVAL and blocks is None:
+        raise ValueError("moves['exchangeability']['blocks'] is None while blocks are removed")
+
 
 _COST = 12.0  # generations that a move takes, roughly
 _CANDIDATES = 20  # restart candidates, at least

@@ -30,8 +30,8 @@ from scipy.optimize import linear_sum_assignment
 from fide_plugins.errors import OptionError
 from fide_plugins.population.candidate import TrainingSample
 from fide_plugins.runtime.schema import Schema, Sides, array, check, flag, maybe, whole
-from fide_plugins.search import boundary
-from fide_plugins.search.scene.axes import Axes
+from fide_plugins.search import mixed
+from fide_plugins.search.scene import Axes
 from fide_plugins.types import Float64, Indices, Mask
 
 __all__ = ["Exchangeability", "check_groups"]
@@ -158,7 +158,7 @@ class Exchangeability:
             return np.stack([x] * _REPEATS)
         control = x[np.random.default_rng(self.dim).permutation(self.dim)]
         if self._found is not None:  # as far as the exchange of the pair, the other way
-            control = boundary.into(2 * x - _rotated(x, self._found))
+            control = mixed.into(2 * x - _rotated(x, self._found))
         rotated = [_rotated(x, layout) for layout in self._layouts()]
         return np.stack([*[x] * _REPEATS, control, *rotated])
 

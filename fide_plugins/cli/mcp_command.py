@@ -1,0 +1,210 @@
+"""A server of the Model Context Protocol: agents check renderers, and fit them.
+
+    fide mcp
+
+An agent that writes a scene starts this command, which uses standard input and output.  The agent
+calls `check` with the scene, `fit` with a picture, `status` until the fit has ended, and looks at
+`picture`.  Needs the extra mcp.  The agent's programs run with your rights, as in a shell of yours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from fide_plugins.cli.terminal import complain
+from fide_plugins.runtime.machine import missing
+
+__all__ = ["add_arguments", "execute", "server"]
+
+GUIDE = """FIDE finds the parameters of a renderer that make a given picture.
+
+A renderer is FILE.py:NAME, a function that takes a dictionary of parameters and returns an image
+(height, width, 3), floats in [0, 1] or uint8, of the target's size; or a command line with {out}
+for the image it writes and {NAME} for each parameter.  The file of the space has a table for each
+parameter:
+
+    [radius]
+    type = "float"        # or "int"; low and high are included
+    low = 0.1
+    high = 0.5
+    # log = true          # for positive ranges over decades
+    # periodic = true     # for an angle
+    [material]
+    type = "choice"
+    values = ["wood", "stone"]
+
+Beside FILE.py, a Space in its variable `space` does, too.  Small pictures (100 pixels) and 50 to
+100 renders for each parameter are enough for a first fit.  Call check first: it shows whether each
+parameter changes the image.  Then fit, status until its "state" is not "running", and picture.
+"""
+
+
+class Fits:
+    """Fits that this server has started: their processes, and where their messages go."""
+
+    def __init__(self) -> None:
+        self._started: dict[Path, tuple[subprocess.Popen[bytes], Path]] = {}
+
+    def start(self, arguments: list[str], out: Path) -> None:
+        """Start ``fide fit`` with these arguments and this run directory."""
+        if self.is_running(out):
+            raise ValueError(f"a fit in {out} is running; wait, stop it, or name another folder")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(prefix="fide-mcp-", suffix=".log", delete=False) as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "fide_plugins", "fit", *arguments, "--out", str(out)],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            )  # fmt: skip
+        self._started[out.resolve()] = process, Path(log.name)
+
+    def is_running(self, out: Path) -> bool:
+        """Whether a fit of this server goes on there."""
+        process, _ = self._started.get(out.resolve(), (None, None))
+        return process is not None and process.poll() is None
+
+    def status(self, out: Path) -> dict[str, Any]:
+        """State, answer and last messages of the fit in a folder, also of an earlier server's."""
+        found: dict[str, Any] = {"out": str(out)}
+        try:
+            run = json.loads((out / "run.json").read_text("utf-8"))
+            found |= {key: run[key] for key in ("state", "status") if key in run}
+            found |= {
+                "totals": run.get("totals"),
+                "params": (run.get("totals") or {}).get("params"),
+            }
+        except (OSError, ValueError):
+            found["state"] = "starting"
+        process, log = self._started.get(out.resolve(), (None, None))
+        if process is None or log is None:
+            if found["state"] == "starting":
+                raise ValueError(f"there is no run in {out}; start one with fit")
+            return found
+        if process.poll() is None:
+            return {**found, "state": "running"}
+        found["messages"] = log.read_text("utf-8", "replace")[-2000:]
+        if process.returncode and found["state"] in ("starting", "running"):
+            found["state"] = "failed"
+        return found
+
+    def stop(self, out: Path | None = None) -> None:
+        """Stop one fit, or all; each saves itself, and `fit` with resume goes on."""
+        for path, (process, _) in self._started.items():
+            if out is None or path == out.resolve():
+                process.terminate()
+                process.wait(60)
+
+
+def renderer_arguments(renderer: str | None, command: str | None, space: str | None) -> list[str]:
+    """Arguments of the command line for a renderer; ValueError unless one of the two is given."""
+    if (renderer is None) == (command is None):
+        raise ValueError("name a renderer (FILE.py:NAME), or a command with {out}; one of them")
+    return [] if space is None else ["--space", space]
+
+
+def server(fits: Fits) -> Any:
+    """The server and its tools, a `mcp.server.mcpserver.MCPServer`."""
+    from mcp.server.mcpserver import Image, MCPServer
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    made = MCPServer("fide", instructions=GUIDE)
+
+    def tool(function: Callable[..., Any]) -> None:
+        """Offer a function; its ValueErrors are answers, which the agent reads."""
+
+        @wraps(function)
+        def told(**arguments: Any) -> Any:
+            try:
+                return function(**arguments)
+            except ValueError as error:
+                raise ToolError(str(error)) from error
+
+        made.add_tool(told, structured_output=False)
+
+    @tool
+    def describe() -> str:
+        """What FIDE does, and how to write the renderer and the file of its parameters."""
+        return GUIDE
+
+    @tool
+    def check(
+        renderer: str | None = None, command: str | None = None, space: str | None = None
+    ) -> dict[str, Any]:
+        """Look at a renderer before a fit: what each parameter changes, time, noise, failures."""
+        rest = renderer_arguments(renderer, command, space)
+        what = [renderer] if renderer is not None else ["--command", str(command)]
+        done = subprocess.run(
+            [sys.executable, "-m", "fide_plugins", "check", *what, *rest, "--json"],
+            stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        if done.returncode:
+            raise ValueError(done.stderr.strip() or f"fide check exited with {done.returncode}")
+        found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+        return found
+
+    @tool
+    def fit(
+        target: str, out: str, renderer: str | None = None, command: str | None = None,
+        space: str | None = None, budget: int = 2000, seed: int = 0, wait: float = 20.0,
+        resume: bool = False, options: list[str] | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Start a fit of the picture `target`; returns its status after at most `wait` seconds.
+
+        out: the run directory.  options: more flags of `fide fit`, such as ["--mask", "m.png"].
+        """
+        rest = renderer_arguments(renderer, command, space)
+        what = ["--renderer", renderer] if renderer is not None else ["--command", str(command)]
+        numbers = ["--budget", str(budget), "--seed", str(seed)]
+        resumed = ["--resume"] if resume else []
+        fits.start([target, *what, *rest, *numbers, *resumed, *(options or [])], Path(out))
+        end = time.monotonic() + wait
+        while fits.is_running(Path(out)) and time.monotonic() < end:
+            time.sleep(0.1)
+        return fits.status(Path(out))
+
+    @tool
+    def status(out: str) -> dict[str, Any]:
+        """State of the fit in a run directory: parameters found so far, loss, what is known."""
+        return fits.status(Path(out))
+
+    @tool
+    def stop(out: str) -> dict[str, Any]:
+        """Stop a fit; what it has found is saved, and `fit` with resume=true goes on."""
+        fits.stop(Path(out))
+        return fits.status(Path(out))
+
+    @tool
+    def picture(out: str) -> Any:  # an Image, a name that the server does not know
+        """Target, best image and difference of a fit; its best image alone while it runs."""
+        for name in ("summary.png", "best.png", "check.png"):
+            if (Path(out) / name).is_file():
+                return Image(path=Path(out) / name)
+        raise ValueError(f"there is no picture in {out} yet; ask status")
+
+    return made
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """``fide mcp`` has no arguments."""
+
+
+def execute(args: argparse.Namespace, command: list[str]) -> int:
+    """Serve until standard input ends; returns the exit code."""
+    fits = Fits()
+    try:
+        made = server(fits)
+    except ImportError as error:
+        return complain("fide mcp", str(missing("mcp", f"an agent's server ({error})")))
+    try:
+        made.run()
+    finally:
+        fits.stop()
+    return 0

@@ -1,0 +1,602 @@
+"""Where to go on when a search has stalled: a family of moves, chosen by what they brought.
+
+A loss of images has many local optima that no small step leaves: two cells stand for one of the
+target's and one for two, a wrist is turned around, a layer is painted too early.  A local optimum,
+the *incumbent*, is mostly right, so a move keeps most of it.  It leaves it in three steps: it
+proposes *restart candidates*, most of them copies of the incumbent with some parameters changed;
+these are rendered; a search begins at the best of them.  Some moves need to know more of the scene
+first (`search.scene`), and name the stage (a generation with a purpose of its own) that finds it
+out.  `search.policy` chooses the moves; that of learned models is in `search.hypotheses`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import ClassVar
+
+import numpy as np
+from torch import Tensor
+
+from fide_plugins.population.candidate import TrainingSample
+from fide_plugins.search.exchangeability import Exchangeability
+from fide_plugins.search.scene import APART, Axes, Optima, Removal, Sensitivity, Values
+from fide_plugins.types import Float64, Indices, Mask
+
+__all__ = [
+    "BeginAnew",
+    "ChangeValue",
+    "Crossover",
+    "HalfTurn",
+    "Known",
+    "Move",
+    "Refine",
+    "RelocateGroup",
+    "RelocateSegment",
+    "Split",
+    "Stage",
+    "Start",
+    "Swap",
+    "segment",
+]
+
+WIDE, NARROW = 1 / 2, 1 / 8  # of sigma0: in the parameters that were moved, in all others
+
+
+class Stage(StrEnum):
+    """What the candidates of a generation are for."""
+
+    SEARCH = "search"
+    EXCHANGE = "exchange"
+    REMOVAL = "removal"
+    SENSITIVITY = "sensitivity"
+    RESTART = "restart"
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a search begins.
+
+    mean, std: (d,), of its first distribution.
+    population: its population size in units of the run's.
+    patience: generations without progress that end it, in units of the run's.
+    brisk_above: loss above which it has to be quick, see `one_search`; None: it may be slow.
+    widest: mean standard deviation that it may come to, in units of that of its beginning.
+    to_the_end: whether it goes on where other searches have collapsed, see `one_search`.
+    held: (d,), axes that keep their coordinates in the mean during the search; None: none.
+    """
+
+    mean: Float64
+    std: Float64
+    population: int = 1
+    patience: int = 1
+    brisk_above: float | None = None
+    widest: float = 1.0
+    to_the_end: bool = False
+    held: Mask | None = None
+
+
+@dataclass(kw_only=True, slots=True)
+class Known:
+    """What is known of the scene and of its local optima.
+
+    x0, sigma0: (d,), mean and standard deviation of the first search.
+    target: (T, C), tokens of the target; channels: the leading ones in which images are compared.
+    exchangeability, removal, sensitivity: what was found of the parameters by stages of their own.
+    axes: which axes of the cube belong to one parameter, and which wrap around.
+    place: points of the cube (n, d) as they are rendered: integers and choices in their cells.
+    incumbent: local optimum that moves leave; None before the first, and after a search began
+        without images.
+    optima: distinct local optima.
+    values: of integers and choices, and which of them were searched.
+    blurs: whether searches that begin coarse are useful here (`comparison.scale_space`).
+
+    What was found of the scene (exchangeability, removal, sensitivity, optima, values) is described
+    in its file of `search.scene`.
+    """
+
+    x0: Float64
+    sigma0: Float64
+    target: Tensor
+    channels: int | None
+    exchangeability: Exchangeability
+    removal: Removal
+    sensitivity: Sensitivity
+    axes: Axes
+    place: Callable[[Float64], Float64] = np.copy
+    incumbent: TrainingSample | None = None
+    optima: Optima = field(default_factory=Optima)
+    values: Values = field(default_factory=Values)
+    blurs: bool = False
+
+    @property
+    def dim(self) -> int:
+        """Number of parameters d."""
+        return len(self.x0)
+
+    @property
+    def here(self) -> TrainingSample:
+        """The incumbent, which must be there."""
+        if self.incumbent is None:
+            raise RuntimeError("no move leaves a local optimum before there is one")
+        return self.incumbent
+
+    def is_elsewhere(self, begun: Float64, ended: Float64) -> bool:
+        """Whether a search that left the incumbent began elsewhere than it ended, (d,) each.
+
+        So it is evidence of where it ended.  More than half of all parameters must have been
+        changed, and be apart: what keeps most of them, right or wrong, comes back to them.
+        """
+        axes = self.axes
+        moved = np.unique(axes.parameter_of[begun != self.here.x])
+        if 2 * len(moved) <= len(axes.axes_of):
+            return False
+        apart = axes.difference(begun, self.exchangeability.aligned(ended, begun))
+        return all(apart[axes.axes_of[i]].max() >= APART for i in moved)
+
+    def copies(self, n: int) -> Float64:
+        """Copies (n, d) of the incumbent's parameters."""
+        return np.tile(self.here.x, (n, 1))
+
+    def start_at(self, x: Float64, wide: float = WIDE, narrow: float = NARROW) -> Start:
+        """Start at a restart candidate (d,): wide where it differs from the incumbent.
+
+        wide, narrow: standard deviations in units of sigma0.
+        """
+        std = narrow * self.sigma0
+        moved = self.axes.together(np.flatnonzero(x != self.here.x))
+        std[moved] = wide * self.sigma0[moved]
+        return Start(x, std)
+
+
+class Move(ABC):
+    """One way to leave a local optimum.
+
+    name: by which it is chosen and saved.
+    prior_gain: share by which it is expected to lower the loss, as long as it was not tried.
+    from_incumbent: whether its restart candidates are copies of the incumbent with something
+        changed.  Then its gain is measured from there, and it is chosen by its gain (`choice`);
+        otherwise the policy says when it is due.
+    has_goal: whether its search is over when it has no hope to become better than the incumbent.
+    has_more: whether `draw` gives other candidates each time, which are as good as the first ones.
+    """
+
+    name: ClassVar[str]
+    prior_gain: ClassVar[float] = 0.1
+    from_incumbent: ClassVar[bool] = True
+    has_goal: ClassVar[bool] = True
+    has_more: ClassVar[bool] = True
+
+    @abstractmethod
+    def possible(self, known: Known) -> bool:
+        """Whether the move applies to this scene, as far as is known."""
+
+    def needs(self, known: Known) -> Stage | None:
+        """Stage that must come before the restart candidates; None if nothing is missing."""
+        return None
+
+    @abstractmethod
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Draw restart candidates, (n, d) in [0, 1]; fewer where the move has no more."""
+
+    @abstractmethod
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Return where the search begins, given the best restart candidate x (d,)."""
+
+    def note_begun(self, known: Known, x: Float64) -> None:  # noqa: B027 - most moves need no note
+        """Note in `known` that a search begins at x (d,); for moves that do not go there twice."""
+
+
+class RelocateGroup(Move):
+    """Groups by exchangeability or sensitivity, drawn by their size.
+
+    A parameter group at a random place is right where nothing else is known of the scene.
+    """
+
+    name = "relocate group"
+
+    def possible(self, known: Known) -> bool:
+        """Whether there is more than one parameter."""
+        return known.dim > 1
+
+    def needs(self, known: Known) -> Stage | None:
+        """Sensitivity samples, once, where blocks are not known."""
+        if known.exchangeability.blocks is not None or known.sensitivity.rounds:
+            return None
+        return Stage.SENSITIVITY
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with one group uniform in the unit cube."""
+        groups = self._groups(known)
+        sizes = np.array([len(group) for group in groups])
+        x = known.copies(n)
+        for row, which in zip(x, rng.choice(len(groups), n, p=sizes / sizes.sum()), strict=True):
+            row[groups[which]] = rng.random(sizes[which])
+        return x
+
+    def _groups(self, known: Known) -> list[Indices]:
+        blocks = known.exchangeability.blocks
+        if blocks is None:
+            return known.sensitivity.groups
+        leftovers = known.exchangeability.leftovers
+        return [*blocks, *([leftovers] if len(leftovers) else [])]
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in the group, narrow elsewhere."""
+        return known.start_at(x)
+
+
+class Swap(Move):
+    """Values of one block to another, and back.
+
+    Two exchangeable blocks with their values exchanged: another order of painting.
+
+    Only where the order of blocks shows (`Exchangeability.ordered`): elsewhere the image is the
+    same.
+    """
+
+    name = "swap"
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are blocks whose order shows."""
+        return known.exchangeability.blocks is not None and known.exchangeability.ordered
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with two blocks exchanged."""
+        blocks = known.exchangeability.blocks
+        assert blocks is not None
+        x = known.copies(n)
+        for row in x:
+            a, b = blocks[rng.choice(len(blocks), 2, replace=False)]
+            row[a], row[b] = row[b], row[a]
+        return x
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Narrow everywhere: the values are those of a local optimum."""
+        return known.start_at(x, wide=NARROW)
+
+
+_SMALLEST, _LARGEST = 0.03, 0.5  # standard deviation of a difference, log-uniform
+
+
+class Split(Move):
+    """Donor := source + N(0, s^2), s log-uniform for each parameter.
+
+    A redundant block becomes a copy of one that has too much to do.
+
+    Local optima of exchangeable things have a known shape: several things of the scene stand for
+    one of the target's, and one stands for several, as centers do in k-means (Qian et al. 2020,
+    arXiv:2002.06694; fission and fusion, arXiv:2201.04822). So the block that is cheapest to remove
+    (`scene.Removal`) is put beside the one in whose region most of the error lies, with random
+    differences; the search then divides the region between the two.
+    """
+
+    name = "split"
+    prior_gain = 0.5
+
+    def possible(self, known: Known) -> bool:
+        """Whether there are exchangeable blocks."""
+        return known.exchangeability.blocks is not None
+
+    def needs(self, known: Known) -> Stage | None:
+        """Removal costs of the incumbent."""
+        return None if known.removal.known else Stage.REMOVAL
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent with one block beside another.
+
+        The donor is drawn by exp(-rank of its removal cost), the source in proportion to the
+        residual in the tokens that it owns.
+        """
+        blocks = known.exchangeability.blocks
+        assert blocks is not None
+        removal = known.removal
+        rank = np.argsort(np.argsort(removal.costs, kind="stable"), kind="stable")
+        cheap = np.exp(-rank.astype(np.float64))
+        residual = removal.residual(known.here, known.target, known.channels) + 1e-300
+        x = known.copies(n)
+        spread = np.exp(rng.uniform(np.log(_SMALLEST), np.log(_LARGEST), (n, blocks.shape[1])))
+        jitter = spread * rng.standard_normal((n, blocks.shape[1]))
+        for row, difference in zip(x, jitter, strict=True):
+            donor = rng.choice(len(blocks), p=cheap / cheap.sum())
+            weight = residual.copy()
+            weight[donor] = 0.0
+            source = rng.choice(len(blocks), p=weight / weight.sum())
+            row[blocks[donor]] = row[blocks[source]] + difference
+        return known.axes.inside(x)
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in the donor, narrow elsewhere."""
+        return known.start_at(x)
+
+
+_SEGMENTS_WIDTH = 1 / 4  # of sigma0, in the parameters from another optimum, or that were turned
+
+
+class RelocateSegment(Move):
+    """Segments of neighboring parameters, of any length up to half of all.
+
+    A segment of neighboring parameters at a random place, where nothing says what belongs together.
+
+    That is for scenes in which parameters act on one another: the joints of an arm all move the
+    hand.
+    """
+
+    name = "relocate segment"
+
+    def possible(self, known: Known) -> bool:
+        """Whether no exchangeable blocks say what belongs together."""
+        return known.dim > 1 and known.exchangeability.blocks is None
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with one segment uniform in the unit cube."""
+        x = known.copies(n)
+        for row in x:
+            chosen = known.axes.together(segment(known.dim, rng))
+            row[chosen] = rng.random(len(chosen))
+        return x
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wide in the segment, narrow elsewhere."""
+        return known.start_at(x)
+
+
+def segment(dim: int, rng: np.random.Generator) -> Indices:
+    """Draw neighboring parameters: a length log-uniform in [1, d / 2], any place."""
+    length = int(np.exp(rng.uniform(0.0, np.log(dim // 2 + 1))))
+    start = int(rng.integers(0, dim - length + 1))
+    return np.arange(start, start + length)
+
+
+class Crossover(Move):
+    """A segment of the incumbent, and all else of another optimum, or the other way round.
+
+    A segment of parameters from another local optimum.
+
+    Several descents of one scene end in several places, each right in something else: one has the
+    shoulder of an arm right, one the wrist. Their children have both (HG-means does so for
+    clusters, Gribel and Vidal 2019, arXiv:1804.09813). Where blocks are exchangeable the same block
+    stands for different things in two optima; `Split` is for these.
+    """
+
+    name = "crossover"
+
+    def possible(self, known: Known) -> bool:
+        """Whether another local optimum is known, and no blocks are exchangeable."""
+        return known.exchangeability.blocks is None and len(self._others(known)) > 0
+
+    def _others(self, known: Known) -> list[Float64]:
+        here = known.here.x
+        every = [optimum.sample.x for optimum in known.optima.all]
+        return [x for x in every if not np.array_equal(x, here)]
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with a segment, or all but a segment, of another.
+
+        The other optimum is drawn by its rank.
+        """
+        others = self._others(known)
+        weights = np.exp(-np.arange(len(others)) / max(1.0, len(others) / 3))
+        x = known.copies(n)
+        for row in x:
+            other = others[rng.choice(len(others), p=weights / weights.sum())]
+            chosen = known.axes.together(segment(known.dim, rng))
+            if rng.random() < 0.5:
+                chosen = np.setdiff1d(np.arange(known.dim), chosen)
+            row[chosen] = other[chosen]
+        return x
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wider in what comes from elsewhere."""
+        return known.start_at(x, wide=_SEGMENTS_WIDTH)
+
+
+_LONGEST = 0.58  # half a turn in units of the box, for a range of 310 degrees
+
+
+class HalfTurn(Move):
+    """One to three neighbors, alternately turned by half a turn and mirrored.
+
+    Angles that look alike: half a turn away, mirrored, or both.
+
+    Much that is turned looks nearly the same after half a turn, so that a search settles on the
+    wrong side. And a rotation has two descriptions by three angles, (a, b, c) and (a + 180°, -b, c
+    + 180°) (Diebel 2006, *Representing Attitude*, section 5): a shoulder of three joints that holds
+    the hand where it should be holds the elbow on the right side or on the wrong one, and no small
+    step leads from one to the other.
+
+    Nobody has said which parameters are angles. A joint, or a camera's azimuth, mostly has a range
+    of one turn or a little less, with zero in the middle: half a turn is half of the box or a
+    little more, and the sign changes by a reflection about the center.
+    """
+
+    name = "half turn"
+
+    def possible(self, known: Known) -> bool:
+        """Whether there is anything continuous, and no blocks are exchangeable."""
+        return known.exchangeability.blocks is None and len(_continuous(known)) > 0
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n, d) of the incumbent, each with some neighbors turned."""
+        angles = _continuous(known)
+        x = known.copies(n)
+        for row in x:
+            length = int(rng.integers(1, min(3, len(angles)) + 1))
+            first = int(rng.integers(0, len(angles) - length + 1))
+            mirrored = 1 if length == 3 else int(rng.integers(0, 2))
+            for i, axis in enumerate(angles[first : first + length]):
+                if i % 2 == mirrored:
+                    row[axis] = 1.0 - row[axis]
+                else:
+                    row[axis] += (1.0 if row[axis] < 0.5 else -1.0) * _half(known, axis, rng)
+        return known.axes.inside(x)
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Wider in what was turned: the ranges of the angles are a guess."""
+        return known.start_at(x, wide=_SEGMENTS_WIDTH)
+
+
+def _continuous(known: Known) -> Indices:
+    """Axes that are neither an integer's nor a choice's."""
+    return np.flatnonzero(~np.broadcast_to(known.values.discrete, known.dim))
+
+
+def _half(known: Known, axis: int, rng: np.random.Generator) -> float:
+    """Half a turn in units of the box: just so where the parameter is periodic, else a guess."""
+    periodic = known.axes.periodic is not None and known.axes.periodic[axis]
+    return 0.5 if periodic else float(rng.uniform(0.5, _LONGEST))
+
+
+_VALUE_WIDTH = 1 / 4  # of sigma0, in numbers: they adapt to the value
+
+
+class ChangeValue(Move):
+    """The incumbent with another value of one integer or choice."""
+
+    name = "change value"
+    prior_gain = 0.5
+    has_more = False
+
+    def possible(self, known: Known) -> bool:
+        """Whether an integer or a choice has another value."""
+        return len(known.values.others(known.here.x)) > 0
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Copies (n or fewer, d) of the incumbent, with values that were searched least often."""
+        others = known.values.others(known.here.x)
+        searches = known.values.searches(others)
+        least = others[searches == searches.min()]
+        return least if len(least) <= n else rng.permutation(least)[:n]
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Hold the value that was changed; be narrow in all others, and wider in numbers."""
+        width = np.where(known.values.discrete, NARROW, _VALUE_WIDTH)
+        held = np.zeros(known.dim, bool)
+        held[known.axes.together(np.flatnonzero(x != known.here.x))] = True
+        held &= known.values.discrete  # x may be another point of the user's, with other numbers
+        return Start(x, width * known.sigma0, held=held)
+
+    def note_begun(self, known: Known, x: Float64) -> None:
+        """Count a search with the values of x (d,)."""
+        known.values.note(x)
+
+
+_REACH = 3.0  # standard deviations
+_RESTARTS_WIDTH = 0.6  # of sigma0, around the best of the random places
+_MOST_DOUBLINGS = 6
+
+
+class BeginAnew(Move):
+    """Random places, and the distribution around the best of them.
+
+    A new search, from a random place.
+
+    Where images guide the search, the best of some random places is where it begins. By losses only
+    it is CMA-ES with two kinds of restarts in turn (after BIPOP; Hansen 2009, "Benchmarking a
+    BI-population CMA-ES on the BBOB-2009 function testbed"): populations that double, and small
+    ones with narrow beginnings.
+
+    Random places are uniform within three standard deviations of where the first search began,
+    which is all of the unit cube unless the user said that the answer is nearby.  Periodic
+    parameters have no walls.
+    """
+
+    name = "begin anew"
+    from_incumbent = False
+    has_goal = False
+
+    def possible(self, known: Known) -> bool:
+        """Return True: it needs nothing."""
+        return True
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Draw n random places, (n, d)."""
+        low, high = known.x0 - _REACH * known.sigma0, known.x0 + _REACH * known.sigma0
+        clipped = np.clip(low, 0.0, 1.0), np.clip(high, 0.0, 1.0)
+        if known.axes.periodic is None:
+            return rng.uniform(*clipped, (n, known.dim))
+        around = np.maximum(low, known.x0 - 0.5), np.minimum(high, known.x0 + 0.5)
+        low, high = np.where(known.axes.periodic, around, clipped)
+        return known.axes.inside(rng.uniform(low, high, (n, known.dim)))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin around one of them."""
+        return Start(x, _RESTARTS_WIDTH * known.sigma0)
+
+    def begin_without_images(self, known: Known, number: int, rng: np.random.Generator) -> Start:
+        """Begin a search by losses only, the `number`-th, from 1.
+
+        Odd ones double the population; even ones have the first population and a narrow beginning,
+        and may become as wide as the first search, since the answer may be far away.
+        """
+        mean = self.draw(known, 1, rng)[0]
+        if number % 2:
+            return Start(mean, known.sigma0, 2 ** min((number + 1) // 2, _MOST_DOUBLINGS))
+        widest = 10.0 ** (2.0 * rng.random())
+        return Start(mean, known.sigma0 / widest, widest=widest)
+
+
+_AROUND = 1 / 2  # of sigma0
+
+
+class Coarsen(Move):
+    """Around the incumbent, coarse first: blurred, it need not be an optimum."""
+
+    name = "coarsen"
+
+    def possible(self, known: Known) -> bool:
+        """Whether searches that begin coarse are useful here."""
+        return known.blurs
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Neighbors (n, d) of the incumbent."""
+        x = known.copies(n)
+        return known.axes.inside(x + _AROUND * known.sigma0 * rng.standard_normal(x.shape))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at one of them."""
+        return Start(x, _AROUND * known.sigma0)
+
+
+_NARROW = 1 / 30  # of sigma0
+_PATIENCE = 3  # times that of other searches
+
+
+class Refine(Move):
+    """A narrow search around the incumbent, once for each.
+
+    The incumbent itself, searched closely: it may not have been at the end of its search.
+
+    A search is over soon, so that the next move can begin, and what it found is mostly not as good
+    as it could be. This move goes on with more patience and a narrow distribution, once an optimum
+    has been left in vain, or at once where a hypothesis has led to the right place. It ends where
+    the loss hardly falls any more (`one_search.has_stalled`, with three times the patience), or
+    where the distribution is as narrow as images can tell; where hypotheses of a learned model
+    wait, as narrow as that with which other searches end.
+    """
+
+    name = "refine"
+    has_goal = False  # it begins behind the loss of the incumbent, and needs time to come back
+
+    def possible(self, known: Known) -> bool:
+        """Whether the incumbent was left in vain, and was not refined yet."""
+        optimum = known.optima.of(known.here)
+        return optimum is not None and optimum.failures > 0 and not optimum.refined
+
+    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
+        """Neighbors (n, d) of the incumbent."""
+        x = known.copies(n)
+        return known.axes.inside(x + _NARROW * known.sigma0 * rng.standard_normal(x.shape))
+
+    def begin_at(self, known: Known, x: Float64) -> Start:
+        """Begin at the incumbent."""
+        width = _NARROW * known.sigma0
+        return Start(known.here.x, width, patience=_PATIENCE, to_the_end=True)
+
+    def note_begun(self, known: Known, x: Float64) -> None:
+        """Do not refine this optimum again."""
+        optimum = known.optima.of(known.here)
+        if optimum is not None:
+            optimum.refined = True
