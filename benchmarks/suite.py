@@ -39,13 +39,8 @@ from rows import Row, append, finished_by_all, missing, rows_of, run_missing
 
 from fide_lab import run as harness
 from fide_lab.compare import results
-<<<<<<< HEAD
-from fide_lab.compare.plan import Configuration
-from fide_lab.report import svg
-=======
 from fide_lab.compare.plan import Configuration
 from fide_lab.report import plots
->>>>>>> main
 from fide_lab.report.tables import markdown
 from fide_lab.suite import Suite, names as suites, read
 from fide_lab.suite.page import (

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, TypeAlias
 
+import numpy as np
 import torch
 
 from fide_plugins import encoders
-from fide_plugins.comparison.comparison import Comparison
+from fide_plugins.comparison.comparison import Comparison, checked
 from fide_plugins.comparison.coverage import with_coverage, without_coverage
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.encoders.own import OwnEncoder
@@ -21,7 +22,7 @@ from fide_plugins.runtime import checkpoint
 from fide_plugins.runtime.devices import resolve_device
 from fide_plugins.runtime.schema import anything, check
 from fide_plugins.types import Float32, Float64
-from fide_plugins.validation.pixels import OnClip
+from fide_plugins.validation.pixels import Clipping, OnClip
 from fide_plugins.validation.tensors import as_features, as_tensor_batch, stays_on_device
 from fide_plugins.views import Views
 from fide_plugins.views.encoder import encoder_of
@@ -106,15 +107,17 @@ class Evaluator:
         self.target = self.views.target  # (H, W, 3), packed if there are several views
         self.loss = loss_of(self.views, loss, device=device)
         self.encoder = encoder_of(self.views, _made(encoder, device, for_network))
-        self._photo = photo
+        self._how: dict[str, Any] = {}
+        self._adapts_light = photometric == "auto" or (photo and photometric is None)
         self.comparison: Comparison | None = None
         """How renders are compared with a target that the renderer did not draw; None: as is."""
         if photo or not (photometric is None and robust is None and background is None):
-            self.comparison = self._compared_by(
-                light=photometric if photometric or not photo else "auto",
-                scale=robust if robust or not photo else "auto",
-                background=photo or background is not None,
-            )
+            self._how = {
+                "light": "none" if photometric in (None, "auto") else photometric,
+                "scale": robust if robust or not photo else "auto",
+                "background": photo or background is not None,
+            }
+            self.comparison = self._compared_by(**self._how)
         self.target_tokens = self.encoder.compute(self.target[None])[0]  # (T, C)
 
     def _compared_by(self, **how: Any) -> Comparison:
@@ -122,6 +125,45 @@ class Evaluator:
         name = self.loss_name
         loss_at = None if name is None else partial(loss_of, loss=name, device=self._device)
         return Comparison(self.views, self.loss, loss_at, **how)
+
+    @property
+    def adapts_light(self) -> bool:
+        """Whether the images say which light is set aside."""
+        return self._adapts_light
+
+    def comparing(self, state: Mapping[str, Any] | None) -> Evaluator:
+        """The same that compares as its `comparison.state_dict` said; None: as it began.
+
+        Raises ValueError for what is no such state.
+        """
+        if state is None:
+            return self
+        other = copy.copy(self)
+        other.comparison = other._compared_by(**{**self._how, **checked(state)})
+        other.target_tokens = other.encoder.compute(other.comparison.target()[None])[0]
+        return other
+
+    def adjusted(self, images: object) -> Any:
+        """Images as they are compared, in the user's values; images: as `FIDE.tell` takes them."""
+        several = images[0] if self.views.listed and isinstance(images, list | tuple) else images
+        n = len(several) if hasattr(several, "__len__") else 0
+        batch = self.as_batch(n, images, np.zeros(n), None, Clipping().note)
+        if isinstance(batch, torch.Tensor):
+            batch = batch.cpu().numpy()
+        if self.comparison is not None:
+            batch = self.comparison.compare(batch).images
+        parts = self.views.split(batch)
+        return self.views.restored(parts if self.views.listed else parts[0])
+
+    def light_of(self, image: Float32) -> Any:
+        """Light in which an image (H, W, C) is compared; a list for a list of targets."""
+        light = None if self.comparison is None else self.comparison.compare(image[None]).light
+        return None if light is None else light[0] if self.views.listed else light[0][0]
+
+    def residual(self, image: Float32) -> list[Float32]:
+        """What is left of each view, (H, W) in [0, 1]; image: (H, W, C), with its coverage."""
+        comparison = self.comparison or self._compared_by()
+        return comparison.residual(image)
 
     def retargeted(
         self, target: object, loss: str | Callable[..., object] | None = None

@@ -37,6 +37,8 @@ import numpy as np
 from torch import Tensor
 
 from fide_plugins import encoders
+from fide_plugins.comparing import adapt_light
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import ScaleSpace
 from fide_plugins.encoders.base import PatchEncoder
 from fide_plugins.evaluation import Evaluation, Evaluator
@@ -240,6 +242,7 @@ class FIDE(Saved):
                 at_once=o.coarse_to_fine or (o.photo and o.coarse_to_fine is None),
                 cost=12.0 * k,
             ),
+            kept=Kept(self.dim) if self.evaluator.comparison is not None else None,
         )
 
     @property
@@ -459,9 +462,10 @@ class FIDE(Saved):
         X
             (n, dim), points in [0, 1]: those that were asked, or any others.
         images
-            (n, H, W, C) or a list of n images, of the target's size; for a list of targets a list
-            of these, one for each view; None: only losses are known, and the proposer does not
-            learn from these points.
+            (n, H, W, C) or a list of n images, of the target's size, or of n tuples (image,
+            coverage), coverage (H, W) in [0, 1]; for a list of targets a list of these, one for
+            each view; None: only losses are known, and the proposer does not learn from these
+            points.
         losses
             (n,), the lower the better; None: the optimizer's own loss of the images.
         features
@@ -494,7 +498,12 @@ class FIDE(Saved):
         self.state.clipping = clipping
         if losses is not None:  # of a user: not at any blur
             self.state.stay_sharp()
+        if self.state.kept is not None and batch is not None:
+            at, given = self.state.evaluations, losses is not None
+            self.state.kept.note(points, batch, results.losses, at, given=given)
         self.enter(points, results)
+        if self.state.kept is not None:
+            adapt_light(self)
         return results.losses
 
     @one_at_a_time
@@ -616,7 +625,37 @@ class FIDE(Saved):
         image = self.views.restored(self.views.unpacked(best.solution.image))
         estimate = self.state.estimate_of(best.solution.x)
         found = replace(best.solution, image=image, space=self.space, estimate=estimate)
+        if self.state.kept is not None and best.solution.image is not None:
+            light = self.evaluator.light_of(self.state.kept.image_of(best.solution))
+            found = replace(found, photometric=light)
         return found.copy()
+
+    @one_at_a_time
+    def adjust(self, images: object) -> Any:
+        """Images as they are compared with the target: in its light, at the present blur, robust.
+
+        images: as `tell` takes them.  Without `photometric`, `robust`, `background` and `photo`
+        they stay as they are.
+
+        Returns (n, H, W, 3), for a list of targets a list of these; values may leave [0, 1], or the
+        range of values.  Raises ImageError.
+        """
+        return self.evaluator.adjusted(images)
+
+    @property
+    @one_at_a_time
+    def residual(self) -> Any:
+        """What is left, (H, W) in [0, 1], a list for a list of targets; None without an image.
+
+        Absolute difference of target and best image, in the light of the target where that is
+        adjusted: mean of the channels, 0 where a mask has zeros or the image covers nothing.
+        """
+        best, kept = self.state.best, self.state.kept
+        if best is None or best.solution.image is None:
+            return None
+        image = best.solution.image if kept is None else kept.image_of(best.solution)
+        left = self.evaluator.residual(image)
+        return left if self.views.listed else left[0]
 
     @property
     @one_at_a_time
@@ -907,7 +946,10 @@ class FIDE(Saved):
     @one_thread
     def state_dict(self) -> dict[str, Any]:
         """The state, and the versions of encoder and loss."""
-        return {**self.state.state_dict(), "versions": self.evaluator.versions}
+        comparison = self.evaluator.comparison
+        how = None if comparison is None else comparison.state_dict()
+        versions = self.evaluator.versions
+        return {**self.state.state_dict(), "versions": versions, "comparison": how}
 
     @one_at_a_time
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -916,12 +958,22 @@ class FIDE(Saved):
             raise ValueError("this is no state of FIDE: it lacks 'versions'")
         state = dict(state)
         self.evaluator.check_versions(state.pop("versions"))
+        before = self.evaluator
+        self.evaluator = before.comparing(state.pop("comparison", None))
+        try:
+            self.state = self._restored(state)
+        except BaseException:
+            self.evaluator = before
+            raise
+        self.same_images.forget()
+
+    def _restored(self, state: Mapping[str, Any]) -> State:
+        """State that `State.state_dict` gave."""
         (height, width, _), (tokens, channels) = self.views.target.shape, self.features_shape
         sides = {"d": self.dim, "H": height, "W": width, "T": tokens, "C": channels}
         fresh = self._initial_state()
         fresh.load_state_dict(state, sides, self.evaluator.encoder.device)
-        self.state = fresh
-        self.same_images.forget()
+        return fresh
 
     @classmethod
     def check_settings(cls, settings: Mapping[str, Any]) -> None:

@@ -21,6 +21,7 @@ from fide_plugins.recording.figures import plain
 from fide_plugins.recording.parameters import Row, read_solutions, rows
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.runtime import checkpoint
+from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.runtime.schema import IMPOSSIBLE, Schema, array, check
 from fide_plugins.types import Float32, Float64, Solution
 
@@ -173,17 +174,13 @@ _NO_IMAGE = "no image stored\n(fide fit renders them,\nfit(out=) does not)"
 
 def figure(found: Found) -> bytes:
     """PNG of the target and the solutions, side by side; no window, no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     table = rows(found.solutions)
     shape = found.target.shape
     panel = _WIDTH * shape[0] / shape[1]
     lines = min(len(table), _MOST) + (len(table) > _MOST)
     height = panel + 0.75 + _LINE * lines
     columns = 1 + len(found.solutions)
-    canvas = Figure(figsize=(_WIDTH * columns * 1.06, height), dpi=110, facecolor="white")
-    FigureCanvasAgg(canvas)
+    canvas = new_figure(_WIDTH * columns * 1.06, height, dpi=110)
     top = 1 - 0.5 / height
     grid = canvas.add_gridspec(
         1, columns, left=0.01, right=0.99, top=top, bottom=top - panel / height, wspace=0.06

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from fide_plugins.comparison.kept import Kept
 from fide_plugins.comparison.scale_space import NEXT, PATIENCE, ScaleSpace
 from fide_plugins.evaluation import Images
 from fide_plugins.population import Candidate, CandidateRole, Population
@@ -77,6 +78,8 @@ class State:
     memory: samples for the next target and for `Solution.std`.
     scales: the blur at which images are compared now.
     grain: noise of pixels, measured where a test renders one candidate twice.
+    kept: the best renders; None where images are compared as they are.
+    comparisons: how often it was changed how they are compared.
     retargeted_at: evaluations when the search for the present one began.
     clipping: images with values outside [0, 1].
     times: seconds in "encode", "train" and "search".
@@ -90,6 +93,7 @@ class State:
     proposer: Proposer | None = saved(anything)
     grain: Grain = saved(anything)
     scales: ScaleSpace = saved(anything)
+    kept: Kept | None = saved(anything)
     memory: Memory = saved(anything)
     steps: GaussNewtonSteps | None = saved(anything, default=None)
     searches: int = saved(whole(), default=1)
@@ -106,6 +110,7 @@ class State:
     search_best: TrainingSample | None = saved(maybe(form(TrainingSample)), default=None)
     over_at: int = saved(whole(), default=0)
     retargeted_at: int = saved(whole(), default=0)
+    comparisons: int = saved(whole(), default=0)
     clipping: Clipping = saved(anything, default_factory=Clipping)
     times: dict[str, float] = saved(
         {"encode": real(), "train": real(), "search": real()},
@@ -295,6 +300,12 @@ class State:
         self.moves.start = replace(self.moves.start, mean=x)
         self._begin_at_blur()
         return True
+
+    def begin_at_blurs(self, blurs: list[float]) -> None:
+        """Begin the present search again with the first of these blurs, in sides; [] for none."""
+        if blurs:
+            self.scales.left = blurs
+            self._begin_at_blur()
 
     def stay_sharp(self) -> None:
         """Compare sharp images from now on; a coarse search goes on as a sharp one."""
@@ -486,6 +497,8 @@ class State:
         self.search_best = None if state["search_best"] is None else sample(state["search_best"])
         self.memory.load_state_dict(state["memory"], sides, device)
         self.grain.load_state_dict(state["grain"], sides)
+        if self.kept is not None:
+            self.kept.load_state_dict(state["kept"], sides)
         self.clipping = Clipping.from_state(state["clipping"])
         self.times = dict(state["times"])
 

@@ -87,6 +87,8 @@ class Solution:
     probability: share of the posterior, where a model knows one; None otherwise.
     space: names of the parameters; None: they have none.
     estimate: of `std`, computed when it is first asked for; None: not known.
+    photometric: `comparison.Light` in which the image is compared with the target: gain, offset,
+        curve and gamma of each channel; a list for a list of targets; None: as it is.
     """
 
     x: Float64
@@ -96,6 +98,7 @@ class Solution:
     probability: float | None = None
     space: Space | None = None
     estimate: Estimate | None = None
+    photometric: Any = None
 
     def copy(self) -> Solution:
         """The same with arrays of its own: who reads a solution of an optimizer may write to it."""
@@ -142,10 +145,10 @@ class Solution:
 
     def __reduce__(self) -> tuple[Any, ...]:
         fields = (self.x, self.loss, self.evaluation, self.image, self.probability, self.space)
-        if self.estimate is None:
-            return Solution, (*fields, Estimated(None))
-        known = Estimated(self.std, self.estimate.ambiguous, self.estimate.rough)
-        return Solution, (*fields, known)
+        known = Estimated(None)
+        if self.estimate is not None:
+            known = Estimated(self.std, self.estimate.ambiguous, self.estimate.rough)
+        return Solution, (*fields, known, self.photometric)
 
     def __repr__(self) -> str:
         what = f"dim={len(self.x)}" if self.space is None else f"params={self.params}"

@@ -57,12 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(args: argparse.Namespace, command: list[str]) -> int:
     """Execute the command; returns the exit code."""
     from fide_plugins.fitting.checking import check
-<<<<<<< HEAD
-    from fide_plugins.fitting.checking.report import as_data, figure, lines
-    from fide_plugins.runtime.files import write_bytes
-=======
     from fide_plugins.fitting.checking.report import as_data, lines
->>>>>>> main
 
     who = "fide check"
     with warnings_as_notes(who):
@@ -109,14 +104,8 @@ def _tell(renders: int, seconds: float) -> None:
 
 def _renderer(args: argparse.Namespace) -> tuple[str, Callable[[Any], object], Any, Any]:
     """Name, function, space and time limit of a render."""
-<<<<<<< HEAD
     from fide_plugins.cli.arguments import function_of, program_of, space_of
-    from fide_plugins.renderers.command import TIMEOUT
-=======
-    from fide_plugins.cli.arguments import function_of, program_of, space_of
->>>>>>> main
     from fide_plugins.runtime.registry import is_reference
-    from fide_plugins.validation.options import seconds_of
 
     space = space_of(args.space)
     if args.templates is not None:

@@ -292,13 +292,13 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
     """
     import numpy as np
 
+    from fide_plugins import solutions as stored
     from fide_plugins.fitting.pictures import canonical, picture
     from fide_plugins.fitting.rendering import Rendered
-    from fide_plugins.solutions import pictures as stored
 
-    known = stored.read(out)
+    known = stored.read_images(out)
     points = [one.x for one in result.solutions[1:]]
-    new = [x for x in points if stored.of(known, x) is None]
+    new = [x for x in points if stored.image_of(known, x) is None]
     if not new:
         return
     for x, outcome in zip(new, again(result.optimizer, np.array(new)), strict=True):
@@ -308,7 +308,7 @@ def _keep_pictures(again: Again, result: Any, out: Path) -> None:
                 known.append((x, picture(result.optimizer, image)))
     kept = [(x, image) for x, image in known if any(np.array_equal(x, one) for one in points)]
     if kept:
-        stored.write(out, [x for x, _ in kept], [image for _, image in kept])
+        stored.write_images(out, [x for x, _ in kept], [image for _, image in kept])
 
 
 def _summary(result: Any, out: Path) -> dict[str, Any]:

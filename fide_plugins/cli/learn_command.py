@@ -191,12 +191,7 @@ def _where(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
 
 def _renderer(args: argparse.Namespace) -> tuple[Any, Any]:
     """What renders, and its space; None for a task, which knows its own."""
-<<<<<<< HEAD
-    from fide_plugins.renderers.command import TIMEOUT
-=======
->>>>>>> main
     from fide_plugins.runtime.registry import is_reference
-    from fide_plugins.validation.options import seconds_of
 
     if (args.source is None) == (args.template is None):
         raise OptionError("name either a SOURCE or a --command; see fide learn --help")

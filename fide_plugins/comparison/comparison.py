@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from fide_plugins.comparison.light import Light, fit_light
+from fide_plugins.comparison.auto import MOST, changed_light, light_between
+from fide_plugins.comparison.light import (
+    EXPOSURE,
+    NONE,
+    SHADING,
+    Light,
+    robust_factor,
+    robust_light,
+)
 from fide_plugins.losses.base import ImageLoss
+from fide_plugins.runtime.schema import check, real, text
 from fide_plugins.types import Float32, Float64
 from fide_plugins.views.view import View
 from fide_plugins.views.views import Views
@@ -19,7 +28,7 @@ __all__ = ["Compared", "Comparison"]
 
 _SMALL = 28  # pixels of a side at which the light is found
 _BACKGROUND = 0.6  # of the loss of the target with its pixels in another order
-_SCALE = 0.7  # of the standard deviation of the blurred target: scale of robust differences
+_SCALE = 0.7  # of the standard deviation of the target: scale of robust differences
 _LEAST_SCALE = 0.02
 
 
@@ -44,9 +53,9 @@ class Comparison:
     loss: of views, such as `views.loss.loss_of(views, "mse")`.
     loss_at: makes the same loss for views whose targets are blurred; None: the loss is a user's own
         and knows one target; it gets the target with the blurred difference.
-    light: "exposure" or "shading"; None: the light stays as it is.
+    light: "none", "exposure" or "shading": what of it is set aside.
     scale: of robust differences, in [0, 1] of the range of values; "auto": from the contrast of the
-        (blurred) target; None: differences count as they are.
+        target; None: differences count as they are.
     background: whether pixels that are not covered are explained by the target's colors.
     blur: standard deviation in pixels at which `compare` compares if it is not told otherwise.
     """
@@ -57,7 +66,7 @@ class Comparison:
         loss: ImageLoss,
         loss_at: Callable[[Views], ImageLoss] | None = None,
         *,
-        light: str | None = None,
+        light: str = NONE,
         scale: float | str | None = None,
         background: bool = False,
         blur: float = 0.0,
@@ -71,6 +80,10 @@ class Comparison:
         """Keyword arguments of the constructor, as they are now."""
         names = ("light", "scale", "background", "blur")
         return {name: getattr(self, name) for name in names}
+
+    def state_dict(self) -> dict[str, Any]:
+        """What changes."""
+        return {"light": self.light, "blur": self.blur}
 
     def at(self, blur: float | None = None) -> _Level:
         """The target at a blur, with its loss."""
@@ -97,8 +110,7 @@ class Comparison:
             parts = self.views.split(image[None])
             adjusted, light = [], []
             for one, part in zip(level.each, parts, strict=True):
-                covered = part[0, ..., 3:] if part.shape[-1] == 4 else None
-                x, found, free = one.adjusted(part[0, ..., :3], covered)
+                x, found, free = one.adjusted(*_taken(part[0]))
                 adjusted.append(x)
                 light.append(found)
                 hidden[i] += free / len(parts)
@@ -109,6 +121,23 @@ class Comparison:
         if hidden.any():
             losses = losses + hidden * level.free
         return Compared(made, losses, lights or None)
+
+    def residual(self, image: Float32) -> list[Float32]:
+        """Absolute difference (H, W) of each view, mean of the channels; image: (H, W, C)."""
+        parts = self.views.split(image[None])
+        each = zip(self.at().each, parts, strict=True)
+        return [one.residual(*_taken(part[0])) for one, part in each]
+
+    def light_that_explains(self, images: Float32) -> str:
+        """How much of the light differs, as the best renders (n, H, W, C) say: see `auto`."""
+        level, found = self.at(), []
+        for i, view in enumerate(level.each):
+            parts = [self.views.split(image[None])[i][0] for image in images[:MOST]]
+            taken = [_taken(part) for part in parts]
+            small = [_small(render) for render, _ in taken]
+            covers = [None if cover is None else _small(cover) for _, cover in taken]
+            found.append(light_between(view.small, small, covers, view.small_weights, view.scale))
+        return changed_light(self.light, np.mean(found, axis=0))
 
 
 class _Level:
@@ -147,7 +176,7 @@ class _OneView:
         self.target = blurred(view.target, blur)
         self.shown = self.target
         self.small = _small(view.target)
-        self.small_weights = None if view.weights is None else _small(view.weights)[..., None]
+        self.small_weights = None if view.weights is None else _small(view.weights)
 
     @cached_property
     def scale(self) -> float | None:
@@ -155,7 +184,9 @@ class _OneView:
         scale = self._comparison.scale
         if not isinstance(scale, str):
             return scale
-        seen = self.target if self._view.hidden is None else self.target[~self._view.hidden]
+        seen = self._view.target
+        if self._view.hidden is not None:
+            seen = seen[~self._view.hidden]
         deviation = float(np.sqrt(seen.reshape(-1, 3).var(axis=0, dtype=np.float64).mean()))
         return max(_SCALE * deviation, _LEAST_SCALE)
 
@@ -166,29 +197,42 @@ class _OneView:
         light = self._light(image, coverage)
         y = image if light is None else light.applied(image)
         apart = blurred(y, self._blur) - self.target
-        if self.scale is not None:
-            apart *= _factor(apart, self.scale)
+        factor = None if self.scale is None else robust_factor(apart, self.scale)  # (H, W)
         free = 0.0
         if coverage is not None:
             a = blurred(coverage, self._blur)
-            apart *= np.sqrt(a)
-            free = 1 - float(np.average(a[..., 0], weights=self._view.weights))
-        return self.shown + apart, light, free
+            free = 1 - float(np.average(a, weights=self._view.weights))
+            root = np.sqrt(a)
+            factor = root if factor is None else factor * root
+        if factor is not None:
+            apart = _times(apart, factor)
+        apart += self.shown
+        return apart, light, free
+
+    def residual(self, image: Float32, coverage: Float32 | None) -> Float32:
+        """What is left of a render (H, W, 3) in its light, (H, W)."""
+        light = self._light(image, coverage)
+        y = image if light is None else light.applied(image)
+        left = np.abs(blurred(y, self._blur) - self.target).mean(axis=-1)
+        if coverage is not None:
+            left *= blurred(coverage, self._blur)
+        if self._view.weights is not None:
+            left *= np.sqrt(self._view.weights)
+        return np.clip(left, 0, 1, dtype=np.float32)
 
     def _light(self, image: Float32, coverage: Float32 | None) -> Light | None:
         kind = self._comparison.light
-        if kind is None:
+        if kind == NONE:
             return None
-        small, weights = _small(image), self.small_weights
+        weights = self._view.weights
         if coverage is not None:
-            covered = _small(coverage)[..., None]
+            covered = coverage
             weights = covered if weights is None else weights * covered
-        light = fit_light(small, self.small, weights, kind)
-        if self.scale is not None:  # again, with the weights of robust differences
-            robust = np.square(_factor(light.applied(small) - self.small, self.scale))
-            weights = robust if weights is None else weights * robust
-            light = fit_light(small, self.small, weights, kind)
-        return light
+        if weights is None:
+            return robust_light(_small(image), self.small, None, kind, self.scale)
+        small = _small(weights)
+        render, target = (_weighted(one, weights, small) for one in (image, self._view.target))
+        return robust_light(render, target, small, kind, self.scale)
 
     def shuffled(self) -> Float32:
         """Target with its pixels in another order, as a render that is compared."""
@@ -196,15 +240,36 @@ class _OneView:
         order = np.random.default_rng(0).permutation(len(pixels))
         apart = pixels[order].reshape(self.target.shape) - self.target
         if self.scale is not None:
-            apart *= _factor(apart, self.scale)
+            apart = _times(apart, robust_factor(apart, self.scale))
         return self.shown + apart
 
 
-def _factor(apart: Float32, scale: float) -> Float32:
-    """C / sqrt(c^2 + |d|^2), (H, W, 1), of differences d (H, W, 3)."""
-    squares = np.square(apart).mean(axis=-1, keepdims=True)
-    factor: Float32 = np.float32(scale) / np.sqrt(np.float32(scale * scale) + squares)
-    return factor
+def _times(image: Float32, factor: Float32) -> Float32:
+    """An image (H, W, 3) times a factor (H, W)."""
+    from fide_plugins.runtime.opencv import cv2
+
+    made: Float32 = cv2.multiply(image, cv2.merge([factor, factor, factor]))
+    return made
+
+
+def checked(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The state of a comparison; ValueError if it is none."""
+    check(state, {"light": text, "blur": real(0.0)}, {}, "comparison")
+    if state["light"] not in (NONE, EXPOSURE, SHADING):
+        raise ValueError(f"{state['light']!r} is no light")
+    return state
+
+
+def _taken(image: Float32) -> tuple[Float32, Float32 | None]:
+    """Colors (H, W, 3) and coverage (H, W) of an image (H, W, C)."""
+    if image.shape[-1] == 3:
+        return image, None
+    return np.ascontiguousarray(image[..., :3]), np.ascontiguousarray(image[..., 3])
+
+
+def _weighted(image: Float32, weights: Float32, small: Float32) -> Float32:
+    """As `_small`, the weighted mean of an image (H, W, 3); weights: (H, W), and (h, w)."""
+    return _times(_small(_times(image, weights)), 1 / np.maximum(small, 1e-6))
 
 
 def _small(image: Float32) -> Float32:

@@ -1,8 +1,9 @@
 """The light that brings a render nearest to the target: gain, offset and curve of each channel.
 
 They are linear in their coefficients, so the nearest ones have a closed form (variable projection:
-Golub and Pereyra, 1973): ridge regression toward no change, of the images reduced to at most 28 x
-28 pixels, with the weights of robust differences.
+Golub and Pereyra, 1973): ridge regression toward no change, of images reduced to at most 28 x 28
+pixels, with the weights of robust differences.  Where a render is constant, gain, offset and curve
+cannot be told apart, and the prior decides.
 """
 
 from __future__ import annotations
@@ -14,19 +15,27 @@ import numpy as np
 
 from fide_plugins.types import Float32, Float64
 
-__all__ = ["EXPOSURE", "NODES", "SHADING", "Light", "fit_light"]
+__all__ = [
+    "EXPOSURE",
+    "NONE",
+    "SHADING",
+    "Light",
+    "fit_light",
+    "robust_factor",
+    "robust_light",
+]
 
-EXPOSURE, SHADING = "exposure", "shading"
-NODES = 3  # of the field of gains, in each direction
-RIDGE = 1.0  # on 28 x 28 pixels: squares of pixels that say that the light did not change
-_DEVIATION = 0.15  # of the target's values, for which the ridge is that
+NONE, EXPOSURE, SHADING = "none", "exposure", "shading"
+_NODES = 3  # of the field of gains, in each direction
+_RIDGE = 0.006  # of the target's variance, summed over the pixels: what says that nothing changed
+_LEAST_VARIANCE = 1e-4
 
 
 @dataclass(frozen=True)
 class Light:
     """What was done to a render, in values in [0, 1]: gain * x + offset + curve * x^2.
 
-    gain: (k, k, 3), a field of k x k gains, evenly spaced from edge to edge; k = 1: one gain.
+    gain: (k, k, 3), gains on a grid from edge to edge, linear in between; k = 1: one everywhere.
     offset, curve: (3,).
     """
 
@@ -37,58 +46,79 @@ class Light:
     @property
     def gamma(self) -> Float64:
         """(3,), exponent of the power law with the same slope at middle gray; 1: no change."""
-        mean = self.gain.mean(axis=(0, 1))
-        gamma: Float64 = (mean + self.curve) / np.maximum(mean + self.curve / 2, 1e-6)
+        gain = self.gain.mean(axis=(0, 1))
+        gamma: Float64 = (gain + self.curve) / np.maximum(gain + self.curve / 2, 1e-6)
         return gamma
 
     def applied(self, image: Float32) -> Float32:
         """An image (H, W, 3) in this light; its values may leave [0, 1]."""
-        gain = self.gain[0, 0]
-        if len(self.gain) > 1:
-            height, width = image.shape[:2]
-            down, across = hats(height, len(self.gain)), hats(width, len(self.gain))
-            gain = np.einsum("hi,wj,ijc->hwc", down, across, self.gain, optimize=True)
-        made = np.float32(self.curve) * image
-        made += np.asarray(gain, np.float32)
-        made *= image
-        made += np.float32(self.offset)
-        return made
+        from fide_plugins.runtime.opencv import cv2
+
+        squares = cv2.transform(cv2.multiply(image, image), np.diag(self.curve))
+        if len(self.gain) == 1:
+            affine = np.column_stack([np.diag(self.gain[0, 0]), self.offset])
+            return cv2.add(cv2.transform(image, affine), squares)
+        height, width = image.shape[:2]
+        down, across = _hats(height, len(self.gain)), _hats(width, len(self.gain))
+        rows = np.tensordot(across, self.gain.astype(np.float32), (1, 1))  # (W, k, 3)
+        gain = np.tensordot(down, rows, (1, 1))  # (H, W, 3)
+        moved = cv2.add(cv2.multiply(gain, image), (*self.offset, 0.0))
+        return cv2.add(moved, squares)
 
 
 @lru_cache(maxsize=64)
-def hats(length: int, nodes: int) -> Float32:
+def _hats(length: int, nodes: int) -> Float32:
     """Hat functions (length, nodes), evenly spaced from edge to edge; they add up to 1."""
     at = (np.arange(length) + 0.5) / length * (nodes - 1)
     return np.maximum(0, 1 - abs(at[:, None] - np.arange(nodes))).astype(np.float32)
 
 
-def fit_light(
-    render: Float32, target: Float32, weights: Float32 | None, kind: str, ridge: float = RIDGE
-) -> Light:
+@lru_cache(maxsize=16)
+def _field(height: int, width: int) -> Float32:
+    """Products of hat functions (k k, height width)."""
+    down, across = _hats(height, _NODES), _hats(width, _NODES)
+    return np.einsum("hi,wj->ijhw", down, across).reshape(_NODES**2, -1)
+
+
+def fit_light(render: Float32, target: Float32, weights: Float32 | None, kind: str) -> Light:
     """Light in which a render (h, w, 3) is nearest to the target (h, w, 3), both small.
 
-    weights: (h, w, 1) of pixels; None: all count.
+    weights: (h, w) of pixels; None: all count.
     kind: "exposure" or "shading".
-    ridge: strength of the prior toward no change.
     """
     h, w = render.shape[:2]
-    k = NODES if kind == SHADING else 1
-    y = render.reshape(-1, 3).astype(np.float64)
-    terms = np.empty((3, h * w, k * k + 2))
-    if k == 1:
-        terms[:, :, 0] = y.T
-    else:
-        field = np.einsum("hi,wj->hwij", hats(h, k), hats(w, k)).reshape(h * w, k * k)
-        terms[:, :, : k * k] = y.T[:, :, None] * field
-    terms[:, :, -2] = 1.0
-    terms[:, :, -1] = (y * y).T
-    left = terms.transpose(0, 2, 1)  # (3, p, h w)
-    if weights is not None:
-        left = left * weights.reshape(1, 1, -1)
-    apart = (target.reshape(-1, 3) - y).T[:, :, None]  # (3, h w, 1)
-    normal = left @ terms
-    prior = ridge * h * w / 784
-    normal[:, np.arange(k * k + 2), np.arange(k * k + 2)] += prior
-    change = np.linalg.solve(normal, left @ apart)[..., 0]  # (3, p)
+    y = np.ascontiguousarray(render.reshape(-1, 3).T)  # (3, h w)
+    k = _NODES if kind == SHADING else 1
+    p = k * k + 2
+    terms = np.empty((3, p, h * w), np.float32)
+    terms[:, : k * k] = y[:, None] if k == 1 else y[:, None] * _field(h, w)
+    terms[:, -2] = 1
+    np.multiply(y, y, out=terms[:, -1])
+    apart = target.reshape(-1, 3).T - y
+    weighted = terms if weights is None else terms * weights.reshape(-1)
+    normal = (weighted @ terms.transpose(0, 2, 1)).astype(np.float64)  # (3, p, p)
+    variance = max(float(target.reshape(-1, 3).var(axis=0).mean()), _LEAST_VARIANCE)
+    normal[:, np.arange(p), np.arange(p)] += _RIDGE * variance * h * w
+    change = np.linalg.solve(normal, (weighted @ apart[..., None]).astype(np.float64))[..., 0]
     gain = 1 + change[:, : k * k].T.reshape(k, k, 3)
     return Light(gain, change[:, -2].copy(), change[:, -1].copy())
+
+
+def robust_light(
+    render: Float32, target: Float32, weights: Float32 | None, kind: str, scale: float | None
+) -> Light:
+    """By `fit_light`; with a scale again, with the weights of robust differences."""
+    light = fit_light(render, target, weights, kind)
+    if scale is None:
+        return light
+    robust = np.square(robust_factor(light.applied(render) - target, scale))
+    return fit_light(render, target, robust if weights is None else weights * robust, kind)
+
+
+def robust_factor(apart: Float32, scale: float) -> Float32:
+    """C / sqrt(c^2 + d^2), (H, W), of differences (H, W, 3); d^2: their mean square."""
+    from fide_plugins.runtime.opencv import cv2
+
+    squares = cv2.transform(cv2.multiply(apart, apart), np.full((1, 3), 1 / (3 * scale * scale)))
+    factor: Float32 = 1 / np.sqrt(1 + squares)
+    return factor

@@ -28,9 +28,9 @@ from fide_plugins.views import Views
 
 __all__ = ["ScaleSpace", "predictability"]
 
-BLURS = (0.04, 0.015)
+BLURS = (0.05, 0.025, 0.0125)
 """Standard deviations of one search after another, in sides of the image; then sharp."""
-WIDTHS = (0.6, 0.42)
+WIDTHS = (0.6, 0.5, 0.4)
 """Widest beginning of the searches that follow the first, of its beginning."""
 NEXT = 2.0  # times the spread of a search that is over: of the next one
 PATIENCE = 2  # of coarse searches, in units of the run's: their losses are small, and fall slowly
@@ -58,7 +58,8 @@ class ScaleSpace:
         self._side = min(min(view.size) for view in views.views)
         self.useful: bool | None = (at_once or None) if possible else False
         """None: the first candidates have not decided."""
-        self._left: list[float] = list(BLURS) if at_once and possible else []
+        self.left: list[float] = list(BLURS) if at_once and possible else []
+        """Blurs of the present search and of those that follow it, in sides of the image."""
         self._seen: list[tuple[int, Float64, list[Float32]]] = []
         self._race = Choice({_SHARP: 0.1, _COARSE: 0.1}, cost)
         self._entered: str | None = None
@@ -67,12 +68,12 @@ class ScaleSpace:
     @property
     def blur(self) -> float:
         """Standard deviation of the present blur, in pixels; 0: images are sharp."""
-        return self._left[0] * self._side if self._left else 0.0
+        return self.left[0] * self._side if self.left else 0.0
 
     @property
     def share(self) -> float:
         """Standard deviation of the present blur, in sides of the image."""
-        return self._left[0] if self._left else 0.0
+        return self.left[0] if self.left else 0.0
 
     # -- the first candidates ----------------------------------------------------------------------
 
@@ -109,16 +110,16 @@ class ScaleSpace:
 
     def begin(self) -> None:
         """Begin coarse."""
-        self._left = list(BLURS)
+        self.left = list(BLURS)
 
     def go_on(self) -> float:
         """Take the next blur; returns how wide the search with it may begin, of the first one."""
-        del self._left[0]
-        return WIDTHS[len(BLURS) - 1 - len(self._left)]
+        del self.left[0]
+        return WIDTHS[len(BLURS) - 1 - len(self.left)]
 
     def end(self) -> None:
         """Compare sharp images from now on."""
-        self._left, self._entered = [], None
+        self.left, self._entered = [], None
 
     def give_up(self) -> None:
         """Never begin coarse again: images are not compared here, or by a user's own losses."""
@@ -148,7 +149,7 @@ class ScaleSpace:
         seen = [{"index": i, "x": x, "images": images} for i, x, images in self._seen]
         return {
             "useful": self.useful,
-            "left": list(self._left),
+            "left": list(self.left),
             "entered": self._entered == _COARSE if self._entered else None,
             "seen": seen,
             "race": self._race.state_dict(),
@@ -158,7 +159,7 @@ class ScaleSpace:
         """Put back what `state_dict` gave; ValueError for what it cannot have given."""
         check(state, _SCHEMA, dict(sides), "scale space")
         self.useful = state["useful"]
-        self._left = [one for one in BLURS if one in state["left"]]
+        self.left = [one for one in BLURS if one in state["left"]]
         entered = state["entered"]
         self._entered = None if entered is None else _COARSE if entered else _SHARP
         self._seen = [

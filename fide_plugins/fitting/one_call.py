@@ -16,13 +16,8 @@ from fide_plugins.fitting.rendering import Renderer
 from fide_plugins.fitting.result import Result
 from fide_plugins.fitting.saved_run import SavedRun, features_of, seed_there, settings_of
 from fide_plugins.fitting.stopping import Stopping
-<<<<<<< HEAD
 from fide_plugins.fitting.workers import default_number, workers_for
 from fide_plugins.learning.hypotheses import rounds_of, search_options
-=======
-from fide_plugins.fitting.workers import default_number, workers_for
-from fide_plugins.learning.hypotheses import rounds_of, search_options
->>>>>>> main
 from fide_plugins.options import check_known
 from fide_plugins.recording.sources import of_files, of_losses, of_models, of_weights
 from fide_plugins.recording.storage import is_saved

@@ -6,6 +6,7 @@ import os
 import shutil
 from base64 import b64encode
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -14,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fide_plugins.errors import FideError, OptionError
+from fide_plugins.errors import DependencyError, FideError, OptionError
 from fide_plugins.fitting.pictures import counting, side_by_side
 from fide_plugins.recording.directory import is_of_a_run, results_in
 from fide_plugins.recording.figures import Panel, as_png, thumbnail
 from fide_plugins.recording.parameters import ROUGH, Row, described, is_rough, rows
-from fide_plugins.recording.plots import curve_figure
 from fide_plugins.recording.record import Record, best_so_far
 from fide_plugins.recording.storage import RunDirectoryError, is_saved, read_run, with_optimizer
 from fide_plugins.renderers import naming
@@ -247,9 +247,12 @@ def result_page(result: Result, panels: Sequence[Panel]) -> str:
         f"stopped: {result.stopped}{failed}"
     )
     pictures = "".join(map(_picture, panels))
-    if len(result.losses):
-        curve = curve_figure(result.losses, result.loss)._repr_png_()
-        pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
+    with suppress(DependencyError):  # without matplotlib, which is an extra
+        from fide_plugins.recording.plots import curve_figure
+
+        if len(result.losses):
+            curve = curve_figure(result.losses, result.loss)._repr_png_()
+            pictures += f'<img alt="losses" src="{_inline(curve)}" style="height:165px">'
     rough = f"<p>{ROUGH}</p>" if result.best is not None and is_rough(result.best) else ""
     return (
         f"<div><p><b>{escape(str(result.status))}</b><br>{escape(facts)}</p>"

@@ -24,11 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fide_plugins.errors import OptionError
-<<<<<<< HEAD
-from fide_plugins.validation.options import seconds_of, switch
-=======
 from fide_plugins.validation.options import seconds_of
->>>>>>> main
 from fide_plugins.validation.points import whole_number
 from fide_plugins.views.solved import is_solved
 

@@ -22,15 +22,10 @@ from typing import Any, Self
 import numpy as np
 import torch
 
-<<<<<<< HEAD
-from fide_plugins.errors import OptionError, UnknownNameError
-=======
 from fide_plugins.errors import DeviceMemoryError, OptionError, UnknownNameError
-from fide_plugins.validation.options import seconds_of
 from fide_plugins.learning.augmentation import AUGMENT, check_installed
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Distance, familiarity_of, report_of
->>>>>>> main
 from fide_plugins.learning.model import Model
 from fide_plugins.learning.networks import HEADS, Network
 from fide_plugins.learning.rendering import all_equal, check_workers, fill, too_few
@@ -53,13 +48,9 @@ from fide_plugins.runtime.messages import warn_user
 from fide_plugins.runtime.registry import fingerprint_of
 from fide_plugins.runtime.threads import user_threads
 from fide_plugins.space import Space
-<<<<<<< HEAD
-from fide_plugins.validation.options import not_negative, seconds_of
-=======
 from fide_plugins.types import Float64, Indices
 from fide_plugins.validation.images import as_target
-from fide_plugins.validation.options import not_negative
->>>>>>> main
+from fide_plugins.validation.options import not_negative, seconds_of
 from fide_plugins.validation.points import torch_seed, whole_number
 
 

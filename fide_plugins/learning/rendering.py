@@ -9,24 +9,13 @@ from concurrent.futures import FIRST_COMPLETED, wait
 from dataclasses import dataclass, field
 from multiprocessing import current_process
 
-<<<<<<< HEAD:fide_plugins/learning/renders/rendering.py
-from fide_plugins.errors import OptionError, RenderError
-from fide_plugins.fitting.processes import Processes
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered, Task
-from fide_plugins.fitting.workers import DAEMON, Workers, workers_for
-from fide_plugins.learning.renders import BatchRenderer, Small
-from fide_plugins.learning.renders import SHARD, RenderStore
-from fide_plugins.learning.rendering import Tally
-=======
 import numpy as np
 
 from fide_plugins.errors import FideError, OptionError, RenderError
-from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
-from fide_plugins.fitting.workers import Task, Workers
-from fide_plugins.fitting.workers import DAEMON, workers_for
 from fide_plugins.fitting.processes import Processes
+from fide_plugins.fitting.rendering import Failed, Outcome, Rendered
+from fide_plugins.fitting.workers import DAEMON, Task, Workers, workers_for
 from fide_plugins.learning.renders import SHARD, BatchRenderer, Pixels, RenderStore, Small
->>>>>>> main:fide_plugins/learning/rendering.py
 from fide_plugins.types import Float64
 
 _FEW = 500  # renders that say that a renderer must be mended

@@ -35,20 +35,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
-<<<<<<< HEAD
 import numpy as np
 
-from fide_plugins.errors import CheckpointError
+from fide_plugins.errors import CheckpointError, DependencyError
 from fide_plugins.recording import sources as sources_module
 from fide_plugins.recording.record import WORKERS, Record, RunResult, best_so_far, rounds
 from fide_plugins.recording.storage import (
     CHECKPOINT,
-=======
-from fide_plugins.errors import CheckpointError, DependencyError
-from fide_plugins.recording import kept_target, sources as sources_module, tables
-from fide_plugins.recording.directory import try_each
-from fide_plugins.recording.storage import (
->>>>>>> main
     FORMAT,
     TARGET_FILE,
     KeptTarget,

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure as MatplotlibFigure
-from matplotlib.ticker import NullFormatter
 
 from fide_plugins.recording.figures import (
     ACCENT,
@@ -27,9 +24,18 @@ from fide_plugins.recording.figures import (
 )
 from fide_plugins.recording.parameters import rows
 from fide_plugins.renderers.naming import flat
+from fide_plugins.runtime.machine import missing
 from fide_plugins.runtime.messages import cut
 from fide_plugins.space import Choice, Kind, Space
 from fide_plugins.types import Float64, Indices, Solution
+
+try:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as MatplotlibFigure
+    from matplotlib.ticker import NullFormatter
+except ImportError as error:
+    raise missing("plot", "figures need matplotlib") from error
+
 
 _FEW = 6  # values of a choice that an axis can name
 

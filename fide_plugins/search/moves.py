@@ -538,26 +538,21 @@ class BeginAnew(Move):
         return Start(mean, known.sigma0 / widest, widest=widest)
 
 
-_AROUND = 1 / 2  # of sigma0
-
-
-class Coarsen(Move):
-    """Around the incumbent, coarse first: blurred, it need not be an optimum."""
+class Coarsen(BeginAnew):
+    """A new search from a random place that begins coarse: chosen by its gains, as moves are."""
 
     name = "coarsen"
+    prior_gain = 0.3
+    from_incumbent = True  # measured from there
+    has_goal = True
 
     def possible(self, known: Known) -> bool:
         """Whether searches that begin coarse are useful here."""
         return known.blurs
 
-    def draw(self, known: Known, n: int, rng: np.random.Generator) -> Float64:
-        """Neighbors (n, d) of the incumbent."""
-        x = known.copies(n)
-        return known.axes.inside(x + _AROUND * known.sigma0 * rng.standard_normal(x.shape))
-
     def begin_at(self, known: Known, x: Float64) -> Start:
-        """Begin at one of them."""
-        return Start(x, _AROUND * known.sigma0)
+        """Begin around the best of them, as wide as the first search."""
+        return Start(x, known.sigma0.copy())
 
 
 _NARROW = 1 / 30  # of sigma0

@@ -22,7 +22,7 @@ from fide_lab.compare import Configuration, Plan, Results, StoredRun, read as re
 from fide_lab.compare.directory import read_record
 from fide_lab.compare.plan import as_file_name, split, target_file
 from fide_lab.compare.results import NoResultsError
-from fide_lab.report import plots, svg
+from fide_lab.report import plots
 from fide_lab.run.prepare import make_task, target_of
 from fide_lab.run.task import Task, TaskInfo, is_own
 from fide_plugins import losses as losses_module
@@ -340,8 +340,8 @@ def write_tables(out: Path, combinations: Sequence[Combination]) -> str:
         for axis in AXES:
             figure = plots.tradeoff(_curves(mine, axis), _staircase(mine, axis), axis, _loss(mine))
             stem = out / f"tradeoff-{as_file_name(task)}-{axis}"
-            files.write_bytes(stem.with_name(stem.name + ".svg"), svg.as_file(figure))
-            files.write_bytes(stem.with_name(stem.name + ".png"), svg.png(figure))
+            files.write_bytes(stem.with_name(stem.name + ".svg"), plots.as_file(figure))
+            files.write_bytes(stem.with_name(stem.name + ".png"), plots.png(figure))
         sections.append(_section(task, mine))
     text = "\n\n".join(["# Speed against accuracy", *sections]) + "\n"
     files.write_text(out / "tradeoff.md", text)

@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-<<<<<<< HEAD
 from fide_plugins import FIDE, solutions as stored
-from fide_plugins.cli.fit_inputs import check_first
-from fide_plugins.cli.fit_inputs import pictures
-from fide_plugins.cli.fit_command import _keep_pictures
-=======
-from fide_plugins import FIDE
 from fide_plugins.cli.fit_command import _keep_pictures
 from fide_plugins.cli.fit_inputs import check_first, pictures
->>>>>>> main
 from fide_plugins.errors import ImageError, ImageNotFoundError, OptionError
 from fide_plugins.fitting.rendering import Outcome, Rendered
 from fide_plugins.renderers import FunctionRenderer

@@ -22,11 +22,7 @@ from PIL import Image
 from fide_lab import run as harness
 from fide_plugins.errors import CheckpointError, FideError, ImageError, ProtocolError
 from fide_plugins.fide import FIDE
-<<<<<<< HEAD
-from fide_plugins.recording.storage import RunDirectoryError, read_checkpoint, read_run
-=======
 from fide_plugins.recording.storage import read_checkpoint
->>>>>>> main
 from fide_plugins.runtime import checkpoint
 from fide_plugins.types import Float32, Float64
 from fide_plugins.validation.images import as_target

@@ -25,14 +25,8 @@ from fide_plugins.errors import CheckpointError, ImageError, SpaceError
 from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.judging import Familiarity, Report
 from fide_plugins.learning.model import Model
-<<<<<<< HEAD
-from fide_plugins.learning.emulator import Emulator
 from fide_plugins.learning.networks import Network
 from fide_plugins.recording.storage import RunDirectoryError, read_run
-=======
-from fide_plugins.learning.networks import Network
-from fide_plugins.recording.storage import RunDirectoryError, read_run
->>>>>>> main
 from fide_plugins.runtime import checkpoint, files
 from fide_plugins.validation.images import as_target
 

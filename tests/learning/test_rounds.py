@@ -15,16 +15,10 @@ from fide_lab import run as harness
 from fide_plugins import FIDE, Float, Group, Space, fit
 from fide_plugins.cli import progress
 from fide_plugins.errors import CheckpointError, OptionError, RenderError
+from fide_plugins.fitting import workers as choice
 from fide_plugins.fitting.stopping import Stopping
-from fide_plugins.fitting.workers import choice
-<<<<<<< HEAD
-from fide_plugins.learning import Model, rounds
-from fide_plugins.learning.renders import rendering
-from fide_plugins.recording.storage import RunDirectoryError
-=======
 from fide_plugins.learning import Model, hypotheses as rounds, rendering
 from fide_plugins.recording.storage import RunDirectoryError
->>>>>>> main
 from fide_plugins.types import Float64
 
 from .conftest import SIDE, SPACE, disk

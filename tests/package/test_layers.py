@@ -23,7 +23,7 @@ LAYERS = (
     ("saving", "views"),
     ("comparison",),
     ("evaluation",),
-    ("state",),
+    ("comparing", "state"),
     ("recording",),
     ("fide",),
     ("distributed", "fitting"),

@@ -9,13 +9,8 @@ import torch
 
 from fide_plugins import FIDE, Float, Space, fit, load_run
 from fide_plugins.errors import CheckpointError, ImageError, OptionError
-<<<<<<< HEAD
-from fide_plugins.recording.storage import RunDirectoryError, read_run
-from fide_plugins.validation.images import as_batch, as_target, load, save
-=======
 from fide_plugins.recording.storage import RunDirectoryError, read_run
 from fide_plugins.validation.images import as_batch, load, save
->>>>>>> main
 from fide_plugins.validation.pixels import ValueRange
 from fide_plugins.validation.tensors import as_tensor_batch
 

@@ -13,6 +13,7 @@ from fide_plugins.fitting.checking.measuring import FAST, Effect, Facts
 from fide_plugins.recording.figures import plain
 from fide_plugins.renderers.naming import described, flat
 from fide_plugins.runtime.messages import counted
+from fide_plugins.runtime.plotting import new_figure
 from fide_plugins.space import Float
 from fide_plugins.types import Float32
 
@@ -346,9 +347,6 @@ Inches: TypeAlias = tuple[float, float]
 
 def figure(name: str, facts: Facts) -> bytes:
     """PNG; no window, no global state.  name: of the renderer."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     effects = _shown(facts)
     shape = next(
         (one.shape for effect in effects for one in effect.pictures if one is not None), (1, 1, 3)
@@ -360,8 +358,7 @@ def figure(name: str, facts: Facts) -> bytes:
     columns = max(1, -(-len(effects) // _STRIPS)) if len(effects) <= 3 * _STRIPS else 3
     rows = max(1, -(-len(effects) // columns))
     size = (columns * strip[0], _TOP + rows * strip[1] + 0.05)
-    canvas = Figure(figsize=size, dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(canvas)
+    canvas = new_figure(*size, dpi=_DPI)
     _write(canvas, 0.1, 0.26, plain(name), size, fontsize=12, fontweight="bold", color=_INK)
     _write(canvas, 0.1, 0.52, _subtitle(facts), size, fontsize=7.5, color=_MUTED)
     for i, effect in enumerate(effects):

@@ -14,31 +14,6 @@
 ============  ====================================================================
 """
 
-<<<<<<< HEAD
-from __future__ import annotations
-
-import os
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
-from urllib.parse import quote
-
-from fide_lab.compare.plan import as_file_name, target_file
-from fide_lab.compare.results import (
-    AXES,
-    AllFailedError,
-    NoResultsError,
-    Results,
-)
-from fide_lab.report import export, pictures, plots, sentences, svg, tables
-from fide_lab.report.panel import Panel, check_thresholds, panels
-from fide_plugins.errors import OptionError
-from fide_plugins.runtime import files
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-=======
 from fide_lab.report.page import Written, write
->>>>>>> main
 
 __all__ = ["Written", "write"]

@@ -14,13 +14,8 @@ import numpy as np
 import pytest
 
 from fide_lab import compare, optimizers, run as harness
-<<<<<<< HEAD
 from fide_lab.baselines.evolution import Random
 from fide_lab.compare import Outcome, RunKey, driver as processes
-=======
-from fide_lab.baselines.evolution import Random
-from fide_lab.compare import Outcome, RunKey, processes
->>>>>>> main
 from fide_lab.compare.driver import prepare
 from fide_plugins.recording.storage import RunDirectoryError
 from fide_plugins.runtime import files, machine

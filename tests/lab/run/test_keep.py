@@ -15,14 +15,9 @@ import pytest
 from PIL import Image
 
 from fide_lab import optimizers, run as harness
-<<<<<<< HEAD
 from fide_lab.baselines.evolution import Random
 from fide_lab.run import Keep
 from fide_lab.run.loop import marks
-=======
-from fide_lab.baselines.evolution import Random
-from fide_lab.run import Keep, film
->>>>>>> main
 from fide_plugins import losses
 from fide_plugins.errors import PointsError
 from fide_plugins.recording.record import rounds

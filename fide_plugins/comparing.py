@@ -1,0 +1,70 @@
+"""What an optimizer does when its images are compared in another way from now on.
+
+Losses and tokens of before are then of another comparison: none of them is kept as if it were of
+the new one.  The best renders are (`comparison.kept`), and are compared anew.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fide_plugins.search.memory import Memory
+from fide_plugins.search.moves import Start
+from fide_plugins.types import Float64
+
+if TYPE_CHECKING:
+    from fide_plugins.fide import FIDE
+
+__all__ = ["adapt_light", "compare_anew"]
+
+_NARROWEST = 1 / 3  # of the first standard deviation, with which a search begins again
+
+
+def adapt_light(optimizer: FIDE) -> None:
+    """Set more or less of the light aside, where the best renders say so (`comparison.auto`).
+
+    It is considered after 1, 2, 4, 8 ... generations of a search.
+    """
+    evaluator, kept = optimizer.evaluator, optimizer.state.kept
+    generations = optimizer.state.population.generations
+    if kept is None or not len(kept) or not evaluator.adapts_light or kept.given.any():
+        return
+    if generations == kept.considered or generations & (generations - 1):
+        return
+    kept.considered = generations
+    assert evaluator.comparison is not None and kept.images is not None
+    light = evaluator.comparison.light_that_explains(kept.images)
+    if light != evaluator.comparison.light:
+        evaluator.comparison.light = light
+        compare_anew(optimizer)
+
+
+def compare_anew(optimizer: FIDE, std: Float64 | None = None) -> None:
+    """Forget losses and tokens of another comparison; begin a search at the best render.
+
+    std: (dim,), with which it begins; None: as wide as the present one, but at least a third of the
+        first.
+    """
+    state, evaluator, kept = optimizer.state, optimizer.evaluator, optimizer.state.kept
+    assert kept is not None and kept.images is not None
+    if std is None:
+        first = np.broadcast_to(optimizer.sigma0, optimizer.dim)
+        std = np.clip(state.search.std, _NARROWEST * first, first)
+    given = kept.losses[kept.given]
+    compared = evaluator.evaluate(len(kept), kept.images)
+    compared.losses[kept.given] = given
+    order = np.argsort(compared.losses, kind="stable")
+    results = list(compared.of(kept.x))
+    start, now = Start(kept.x[order[0]].copy(), std), state.evaluations
+    blurs = state.scales.left
+    state.retarget(evaluator.target_tokens, start, None)
+    state.memory = Memory(optimizer.options.memory_mb)
+    for i in order:
+        state.evaluations = int(kept.evaluations[i])
+        state.record(*results[i])
+    state.begin_after(now)
+    state.comparisons += 1
+    kept.rank(compared.losses)
+    state.begin_at_blurs(blurs)

@@ -1,0 +1,88 @@
+"""Whether light tells the target from the renders: ``photometric="auto"``.
+
+A free light brings any two pictures nearer to each other, so what it does for the best renders and
+the target is compared with what it does for pairs of these renders, which have the same light: only
+where it explains more than half of what is left beyond that, it is set aside.  It is no longer
+where the renders are as near without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations
+
+import numpy as np
+
+from fide_plugins.comparison.light import EXPOSURE, NONE, SHADING, robust_factor, robust_light
+from fide_plugins.types import Float32, Float64
+
+__all__ = ["MOST", "changed_light", "light_between"]
+
+MOST = 4  # renders that are looked at
+_KINDS = (NONE, EXPOSURE, SHADING)
+_EXPLAINED = 0.5  # of what is left without a light, at most, with it
+_NO_LONGER = 1.05  # times what is left with a light, at most, without it
+_NOTHING = 1e-7  # mean square that is rounding
+
+
+def light_between(
+    target: Float32,
+    renders: Sequence[Float32],
+    covers: Sequence[Float32 | None],
+    weights: Float32 | None,
+    scale: float | None,
+) -> Float64:
+    """(2, 3): what is left without and with light ("exposure", "shading"), robust mean squares.
+
+    Between the target and the nearest render, and between renders (median).  All images are small.
+    covers: (h, w), what the renders cover; None: all.
+    """
+    counted = [_product(weights, cover) for cover in covers]
+    left = [_left(one, target, w, scale) for one, w in zip(renders, counted, strict=True)]
+    pairs = [
+        _left(renders[i], renders[j], _product(counted[i], covers[j]), scale)
+        for i, j in permutations(range(len(renders)), 2)
+    ]
+    between = np.median(pairs, axis=0) if pairs else np.ones(3)
+    return np.array([np.min(left, axis=0), between])
+
+
+def changed_light(light: str, left: Float64) -> str:
+    """Light that is set aside from now on; left: (2, 3), see `light_between`."""
+    to_target, between = left
+    usual = np.minimum(1, (between + _NOTHING) / (between[0] + _NOTHING))
+    now = _KINDS.index(light)
+    if now and to_target[0] <= _NO_LONGER * to_target[now]:
+        return NONE
+    for other in (1, 2):
+        if other <= now:
+            continue
+        before = to_target[:other].min() if other > 1 else to_target[0]
+        share = to_target[other] / max(before, _NOTHING)
+        if before > _NOTHING and share < _EXPLAINED * usual[other]:
+            now = other
+    return _KINDS[now]
+
+
+def _left(
+    render: Float32, target: Float32, weights: Float32 | None, scale: float | None
+) -> list[float]:
+    """Weighted robust mean squares that are left without light, with exposure, with shading."""
+    left = []
+    for kind in _KINDS:
+        y = render
+        if kind != NONE:
+            y = robust_light(render, target, weights, kind, scale).applied(render)
+        squares = np.square(y - target).mean(axis=-1)
+        if scale is not None:
+            squares *= np.square(robust_factor(y - target, scale))
+        whole = 1.0 if weights is None else max(float(weights.mean()), 1e-6)
+        left.append(float((squares if weights is None else squares * weights).mean()) / whole)
+    return left
+
+
+def _product(one: Float32 | None, other: Float32 | None) -> Float32 | None:
+    if one is None or other is None:
+        return other if one is None else one
+    product: Float32 = one * other
+    return product

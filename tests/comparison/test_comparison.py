@@ -1,0 +1,254 @@
+"""Targets that the renderer did not draw: light, clutter, background."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fide_plugins import FIDE
+from fide_plugins.errors import ImageError, OptionError
+from fide_plugins.evaluation import Evaluator
+
+Image = npt.NDArray[np.float32]
+SIZE = 32
+TRUE = np.array([0.3, 0.6])
+_V, _U = np.mgrid[0:SIZE, 0:SIZE] / SIZE
+
+
+def coverage(x: npt.ArrayLike) -> Image:
+    """A square of a third of the side, its corner at x."""
+    u, v = np.asarray(x) * 0.66
+    inside = (abs(_U - u - 0.17) < 0.17) & (abs(_V - v - 0.17) < 0.17)
+    return inside.astype(np.float32)
+
+
+def render(x: npt.ArrayLike) -> Image:
+    """The square, striped, before a gradient."""
+    square = 0.5 + 0.4 * np.sin(40 * (_U + _V))[..., None] * [1, 0.5, 0.2]
+    back = np.stack([0.2 + 0.5 * _U, 0.3 + 0.3 * _V, 0.6 - 0.3 * _U], axis=-1)
+    return np.where(coverage(x)[..., None] > 0, square, back).astype(np.float32)
+
+
+def exposed(image: Image) -> Image:
+    return np.asarray(np.clip(0.85 * image, 0, 1) ** 1.35 * 0.9 + 0.04, np.float32)
+
+
+def shaded(image: Image) -> Image:
+    field = 0.7 + 0.5 * _U * _V + 0.2 * _V
+    return np.asarray(image * field[..., None], np.float32)
+
+
+def evaluator(target: Image, **options: Any) -> Evaluator:
+    return Evaluator(target, None, "dense", **options)
+
+
+def losses(made: Evaluator, images: Any) -> npt.NDArray[np.float64]:
+    n = len(images)
+    return made.evaluate(n, made.as_batch(n, images, None, None, lambda clip: None)).losses
+
+
+def fitted(target: Image, renders: int, **options: Any) -> FIDE:
+    optimizer = FIDE(2, target, seed=0, **options)
+    while optimizer.evaluations < renders:
+        X = optimizer.ask()
+        optimizer.tell(X, [render(x) for x in X])
+    return optimizer
+
+
+def test_without_an_option_nothing_is_compared_in_another_way() -> None:
+    assert evaluator(render(TRUE)).comparison is None
+    assert FIDE(2, render(TRUE)).state.kept is None
+
+
+@pytest.mark.parametrize(
+    ("option", "change", "left"), [("exposure", exposed, 0.03), ("shading", shaded, 0.05)]
+)
+def test_light_of_the_target_is_set_aside(option: str, change: Any, left: float) -> None:
+    """At the answer hardly anything of the loss is left; elsewhere most of it is."""
+    target = change(render(TRUE))
+    plain, adjusted = evaluator(target), evaluator(target, photometric=option)
+    here, far = render(TRUE), render([0.9, 0.1])
+    assert losses(adjusted, [here])[0] < left * losses(plain, [here])[0]
+    assert losses(adjusted, [far])[0] > 5 * losses(adjusted, [here])[0]
+
+
+def test_an_equal_render_stays_as_it_is() -> None:
+    image = render(TRUE)
+    for options in ({"photometric": "shading"}, {"robust": 0.1}, {"photo": True}):
+        made = evaluator(image, **options)
+        assert losses(made, [image])[0] < 1e-10
+        assert made.comparison is not None
+        np.testing.assert_allclose(made.comparison.compare(image[None]).images[0], image, atol=1e-5)
+
+
+def test_of_a_constant_render_the_prior_decides() -> None:
+    """Its gain, offset and curve cannot be told apart."""
+    flat = np.full((SIZE, SIZE, 3), 0.4, np.float32)
+    for kind in ("exposure", "shading"):
+        light = evaluator(flat + np.float32(0.1), photometric=kind).light_of(flat)
+        assert (abs(light.gain - 1) < 0.2).all()
+        assert (abs(light.offset) < 0.2).all()
+        assert (abs(light.gamma - 1) < 0.3).all()
+    black = evaluator(flat, photometric="exposure").light_of(0 * flat)
+    np.testing.assert_allclose(black.gain, 1)  # nothing says anything of it
+
+
+def test_robust_differences_are_bounded() -> None:
+    """What is there beside the scene costs little, wherever the scene is."""
+    target = render(TRUE).copy()
+    target[2:12, 2:12] = [1, 0, 1]
+    scale = 0.1
+    plain, robust = evaluator(target), evaluator(target, robust=scale)
+    here = render(TRUE)
+    assert losses(robust, [here])[0] < 100 / SIZE**2 * scale**2 < losses(plain, [here])[0]
+    assert losses(robust, [render([0.9, 0.1])])[0] > 2 * losses(robust, [here])[0]
+
+
+def test_coverage_comes_as_alpha_or_beside_the_image() -> None:
+    target = render(TRUE)
+    image, a = render(TRUE), coverage(TRUE)
+    rgba = np.concatenate([image, a[..., None]], axis=-1)
+    made = evaluator(target, background="free")
+    values = [losses(made, given)[0] for given in ([(image, a)], [rgba], rgba[None])]
+    np.testing.assert_allclose(values, values[0], rtol=1e-5)
+    whole = losses(made, [image])[0]  # all of it is covered
+    assert whole < values[0]
+
+
+def test_with_a_free_background_neither_all_nor_nothing_wins() -> None:
+    """The target has the square before something that the renderer does not know."""
+    rng = np.random.default_rng(0)
+    target = np.where(coverage(TRUE)[..., None] > 0, render(TRUE), rng.random((SIZE, SIZE, 3)))
+    made = evaluator(target.astype(np.float32), background="free", robust="auto")
+    truth, wrong, nothing, everything = losses(
+        made,
+        [
+            (render(TRUE), coverage(TRUE)),
+            (render([0.9, 0.1]), coverage([0.9, 0.1])),
+            (render(TRUE), 0 * coverage(TRUE)),
+            (render(TRUE), 0 * coverage(TRUE) + 1),
+        ],
+    )
+    assert truth < min(wrong, nothing, everything)
+
+
+def test_where_it_is_not_used_a_coverage_is_ignored() -> None:
+    image, a = render(TRUE), coverage(TRUE)
+    made = evaluator(render([0.5, 0.5]))
+    assert losses(made, [(image, a)])[0] == losses(made, [image])[0]
+
+
+@pytest.mark.parametrize(
+    ("a", "rule"),
+    [
+        (np.ones((SIZE, SIZE + 1), np.float32), "size of its image"),
+        (np.full((SIZE, SIZE), np.nan, np.float32), "finite"),
+    ],
+)
+def test_a_coverage_that_does_not_fit_is_refused_before_anything_changes(a: Any, rule: str) -> None:
+    optimizer = FIDE(2, render(TRUE), background="free", seed=0)
+    X = optimizer.ask(1)
+    with pytest.raises(ImageError, match=rule):
+        optimizer.tell(X, [(render(X[0]), a)])
+    assert optimizer.evaluations == 0
+    optimizer.tell(X, [(render(X[0]), coverage(X[0]))])
+
+
+def test_a_target_that_is_all_background_is_compared() -> None:
+    flat = np.full((SIZE, SIZE, 3), 0.5, np.float32)
+    made = evaluator(flat, photo=True)
+    values = losses(made, [(render(TRUE), 0 * coverage(TRUE)), (render(TRUE), coverage(TRUE))])
+    assert np.isfinite(values).all()
+    assert values[0] <= values[1]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"photometric": "gain"}, {"robust": 0}, {"robust": "much"}, {"background": "white"},
+     {"photo": 1}],
+)  # fmt: skip
+def test_options_are_checked(options: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=next(iter(options))):
+        FIDE(2, render(TRUE), **options)
+
+
+def test_a_mask_leaves_its_pixels_out_of_light_and_loss() -> None:
+    target, mask = exposed(render(TRUE)).copy(), np.ones((SIZE, SIZE), np.float32)
+    clean = evaluator(target, photometric="exposure")
+    target[:8], mask[:8] = 1, 0
+    masked = evaluator(target, photometric="exposure", mask=mask)
+    assert losses(masked, [render(TRUE)])[0] < 3 * losses(clean, [render(TRUE)])[0] + 1e-5
+
+
+def test_views_have_a_light_each() -> None:
+    one, other = render(TRUE), render([0.8, 0.2])
+    made = evaluator([exposed(one), other], photometric="exposure")  # type: ignore[arg-type]
+    batch = made.as_batch(1, [[one], [other]], None, None, lambda clip: None)
+    assert made.evaluate(1, batch).losses[0] < 1e-3
+    assert batch is not None
+    first, second = made.light_of(batch[0])
+    assert abs(first.gain.mean() - 1) > 0.05 > abs(second.gain.mean() - 1)
+
+
+def test_auto_adjusts_the_light_where_it_differs_and_finds_the_answer() -> None:
+    optimizer = fitted(exposed(render(TRUE)), 200, photometric="auto")
+    best = optimizer.best
+    assert best is not None
+    assert abs(best.x - TRUE).max() < 0.03
+    assert best.photometric is not None
+    assert best.photometric.gamma.mean() > 1.02
+    assert optimizer.state.comparisons == 1
+    assert np.asarray(optimizer.residual).shape == (SIZE, SIZE)
+    assert optimizer.residual.mean() < 0.1 * abs(best.image - optimizer.target).mean()
+    np.testing.assert_allclose(
+        optimizer.adjust(best.image[None])[0],
+        optimizer.target,
+        atol=0.1,  # type: ignore[index]
+    )
+
+
+def test_auto_leaves_a_clean_picture_as_it_is() -> None:
+    optimizer = fitted(render(TRUE), 120, photometric="auto")
+    assert optimizer.state.comparisons == 0
+    assert optimizer.best is not None
+    assert optimizer.best.photometric is None
+
+
+def test_after_a_change_the_best_is_the_best_in_the_new_comparison() -> None:
+    """No loss of before is left: neither in `best` nor in what the search remembers."""
+    optimizer = FIDE(2, exposed(render(TRUE)), seed=0, photometric="auto")
+    told = []
+    while not optimizer.state.comparisons:
+        X = optimizer.ask()
+        optimizer.tell(X, [render(x) for x in X])
+        told += list(X)
+    values = losses(optimizer.evaluator, [render(x) for x in told])
+    assert optimizer.best is not None
+    assert optimizer.best.loss == pytest.approx(values.min())
+    remembered = [sample.loss for sample in optimizer.state.memory.samples]
+    assert set(np.round(remembered, 9)) <= set(np.round(values, 9))
+    assert optimizer.evaluations == len(told)
+
+
+def test_a_checkpoint_goes_on_in_the_same_light(tmp_path: Any) -> None:
+    optimizer = fitted(exposed(render(TRUE)), 60, photo=True)
+    optimizer.save(tmp_path / "run")
+    again = FIDE.load(tmp_path / "run")
+    assert again.evaluator.comparison is not None
+    assert again.evaluator.comparison.light == "exposure"
+    for _ in range(3):
+        X, same = optimizer.ask(), again.ask()
+        np.testing.assert_array_equal(X, same)
+        images = [render(x) for x in X]
+        np.testing.assert_array_equal(optimizer.tell(X, images), again.tell(same, images))
+
+
+def test_losses_that_a_user_tells_are_not_replaced() -> None:
+    optimizer = FIDE(2, exposed(render(TRUE)), seed=0, photometric="auto")
+    for _ in range(4):
+        X = optimizer.ask()
+        optimizer.tell(X, [render(x) for x in X], np.square(X).sum(axis=1))
+    assert optimizer.state.comparisons == 0
